@@ -1,0 +1,267 @@
+"""The camera: pixels to rays, lines to lean and bearing with their sigmas, floor contact.
+
+Three frames beside pixels. *Image*: (a, e), normalised and undistorted, a right and e up. *Upright image*: the same
+with the roll undone, so that the equations of `geometry` hold. *Level*: at the camera, axes (x right, y up,
+z backward) with tilt and roll undone; it differs from the robot frame by the mount's yaw and offset. Bearings are in
+the level frame: from the camera's own forward axis, as the camera's position sees them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from localiser import geometry
+from localiser.geometry import Array
+
+DISTORTION_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,), "none": (0,)}
+_UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Where the camera sits on the robot: turned by yaw (anticlockwise), then tilted, then rolled.
+
+    tilt_rad: positive looks down. roll_rad: positive has the camera's right side down. height_m: above the floor.
+    right_m, back_m: from the robot's centre (15 cm ahead of it: back_m = -0.15).
+    """
+
+    tilt_rad: float
+    height_m: float
+    roll_rad: float = 0.0
+    yaw_rad: float = 0.0
+    right_m: float = 0.0
+    back_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Intrinsics (pixels, centre of the top-left pixel is (0, 0)), lens distortion as in ROS, and the mount."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    mount: Mount
+    distortion_model: str = "none"
+    distortion: tuple[float, ...] = ()
+    name: str = ""
+
+    # -- frames -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The 3×3 camera matrix of OpenCV."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def focal_px(self) -> float:
+        """One focal length for turning pixel errors into angles: √(fx fy)."""
+        return float(np.sqrt(self.fx * self.fy))
+
+    @cached_property
+    def level_from_camera(self) -> Array:
+        """Rotation (3, 3) from the camera's axes (right, up, backward) to the level frame: tilt after roll."""
+        s, c = np.sin(self.mount.tilt_rad), np.cos(self.mount.tilt_rad)
+        tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+        s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
+        roll = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        return tilt @ roll
+
+    @cached_property
+    def robot_from_level(self) -> Array:
+        """The camera's floor pose (right, backward, yaw) (3,) in the robot frame."""
+        return np.array([self.mount.right_m, self.mount.back_m, self.mount.yaw_rad])
+
+    def pose_in_map(self, robot_pose: ArrayLike) -> Array:
+        """Return floor poses (..., 3) of the camera in the map for robots at `robot_pose` (..., 3)."""
+        return geometry.compose(robot_pose, self.robot_from_level)
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether the lens bends straight lines at all."""
+        return any(self.distortion) or self.distortion_model == "equidistant"
+
+    def with_mount(self, **changes: float) -> Camera:
+        """Return this camera with some values of its mount changed."""
+        return replace(self, mount=replace(self.mount, **changes))
+
+    def undistorted(self) -> Camera:
+        """Return the ideal pinhole camera with the same matrix and mount."""
+        return replace(self, distortion_model="none", distortion=())
+
+    # -- pixels and rays ----------------------------------------------------------------------------------------
+
+    def image_from_pixels(self, pixels: ArrayLike) -> Array:
+        """Return image coordinates (a, e) (..., 2) of pixels (u, v) (..., 2); undoes the lens distortion."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        flat = np.ascontiguousarray(pixels.reshape(-1, 1, 2))
+        if flat.size == 0:
+            return np.zeros(pixels.shape)
+        if self.distortion_model == "equidistant":
+            flat = cv2.fisheye.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
+        elif self.is_distorted:
+            flat = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
+        else:
+            flat = (flat - [self.cx, self.cy]) / [self.fx, self.fy]
+        return np.asarray(flat.reshape(pixels.shape) * [1.0, -1.0])
+
+    def pixels_from_image(self, image_points: ArrayLike) -> Array:
+        """Return pixels (u, v) (..., 2) of image coordinates (a, e) (..., 2); applies the lens distortion."""
+        points = np.asarray(image_points, dtype=np.float64) * [1.0, -1.0]
+        flat = np.ascontiguousarray(points.reshape(-1, 1, 2))
+        if flat.size == 0:
+            return np.zeros(points.shape)
+        if self.distortion_model == "equidistant":
+            flat = cv2.fisheye.distortPoints(flat, self.matrix, np.array(self.distortion))
+        elif self.is_distorted:
+            rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1)
+            flat, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
+        else:
+            flat = flat * [self.fx, self.fy] + [self.cx, self.cy]
+        return np.asarray(flat.reshape(points.shape))
+
+    def upright_from_image(self, image_points: ArrayLike) -> Array:
+        """Return (a, e) (..., 2) with the mount's roll undone."""
+        return np.asarray(np.asarray(image_points, dtype=np.float64) @ self._roll_matrix.T)
+
+    def image_from_upright(self, upright_points: ArrayLike) -> Array:
+        """Return (a, e) (..., 2) of the image from upright ones; inverse of `upright_from_image`."""
+        return np.asarray(np.asarray(upright_points, dtype=np.float64) @ self._roll_matrix)
+
+    def upright_from_pixels(self, pixels: ArrayLike) -> Array:
+        """Return upright image coordinates (a, e) (..., 2) of pixels (..., 2)."""
+        return self.upright_from_image(self.image_from_pixels(pixels))
+
+    def pixels_from_upright(self, upright_points: ArrayLike) -> Array:
+        """Return pixels (..., 2) of upright image coordinates (..., 2)."""
+        return self.pixels_from_image(self.image_from_upright(upright_points))
+
+    @cached_property
+    def _roll_matrix(self) -> Array:
+        s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
+        return np.array([[c, s], [-s, c]])
+
+    @cached_property
+    def nadir_px(self) -> Array:
+        """The pixel (2,), of the undistorted image, where all vertical edges meet; f·cot(tilt) below the centre.
+
+        Raises ValueError when the tilt is 0.
+        """
+        a, e = self.image_from_upright(geometry.nadir_point(self.mount.tilt_rad))
+        return np.array([self.cx + self.fx * a, self.cy - self.fy * e])
+
+    @cached_property
+    def upright_bounds(self) -> tuple[float, float, float, float]:
+        """The largest upright rectangle (a_left, a_right, e_bottom, e_top) sure to lie inside the image."""
+        steps = np.linspace(0.0, 1.0, 65)
+        u, v = steps * (self.width - 1), steps * (self.height - 1)
+        zero = np.zeros_like(steps)
+        left, right, top, bottom = (
+            self.upright_from_pixels(np.stack(side, axis=-1))
+            for side in ((zero, v), (zero + self.width - 1, v), (u, zero), (u, zero + self.height - 1))
+        )
+        return float(left[:, 0].max()), float(right[:, 0].min()), float(bottom[:, 1].max()), float(top[:, 1].min())
+
+    # -- the world ----------------------------------------------------------------------------------------------
+
+    def level_rays(self, pixels: ArrayLike) -> Array:
+        """Return rays (x, y, z) (..., 3) of the level frame through pixels (..., 2), not normalised."""
+        image_points = self.image_from_pixels(pixels)
+        rays = np.concatenate([image_points, -np.ones_like(image_points[..., :1])], axis=-1)
+        return np.asarray(rays @ self.level_from_camera.T)
+
+    def project_level(self, points: ArrayLike) -> Array:
+        """Return pixels (..., 2) of points (x, y, z) (..., 3) of the level frame; nan for points behind the image."""
+        in_camera = np.asarray(points, dtype=np.float64) @ self.level_from_camera
+        depth = -in_camera[..., 2]
+        depth = np.where(depth > 1e-9, depth, np.nan)
+        return self.pixels_from_image(in_camera[..., :2] / depth[..., None])
+
+    def project(self, robot_pose: ArrayLike, points_in_map: ArrayLike) -> Array:
+        """Return pixels (..., 2) of map points (x, y, z) (..., 3), y above the floor, seen from `robot_pose` (3,)."""
+        points = np.asarray(points_in_map, dtype=np.float64)
+        floor = geometry.robot_from_map(self.pose_in_map(robot_pose), points[..., [0, 2]])
+        level = np.stack([floor[..., 0], points[..., 1] - self.mount.height_m, floor[..., 1]], axis=-1)
+        return self.project_level(level)
+
+    def floor_points(self, pixels: ArrayLike) -> Array:
+        """Return floor points (x, z) (..., 2) of the level frame seen at pixels (..., 2); nan above the horizon."""
+        rays = self.level_rays(pixels)
+        down = np.where(rays[..., 1] < 0, -rays[..., 1], np.nan)
+        return np.asarray(rays[..., [0, 2]] * (self.mount.height_m / down)[..., None])
+
+    # -- lines --------------------------------------------------------------------------------------------------
+
+    def lean_of_segments(self, ends_px: ArrayLike) -> Array:
+        """Return the lean (E,) of image segments (E, 2, 2), in the upright image: the paper's slope as an angle."""
+        ends = self.upright_from_pixels(ends_px)
+        across, up = np.moveaxis(ends[..., 1, :] - ends[..., 0, :], -1, 0)
+        return geometry.wrap_half_turn(np.arctan2(across, up))
+
+    def bearing_of_segments(self, ends_px: ArrayLike) -> Array:
+        """Return the bearing (E,) of segments (E, 2, 2) held through the nadir point.
+
+        The least-squares line through the nadir point weighs each end by its squared distance from that point, which
+        is proportional to (c + e s)²; it also holds when the tilt is 0 and the nadir point is infinitely far.
+        """
+        ends = self.upright_from_pixels(ends_px)
+        from_nadir = np.cos(self.mount.tilt_rad) + ends[..., 1] * np.sin(self.mount.tilt_rad)
+        tangent = (ends[..., 0] * from_nadir).sum(axis=-1) / (from_nadir**2).sum(axis=-1)
+        return np.asarray(np.arctan(tangent))
+
+    def bearing_sigma_of_segments(self, ends_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
+        """Return the sigma (E,) of `bearing_of_segments` for ends that err by sigma (E,) across the line.
+
+        J σ / √(2 D² + L²/2) of `geometry.constrained_lean_sigma`, written so that it also holds for a tilt of 0.
+        """
+        ends = self.upright_from_pixels(ends_px)
+        from_nadir = np.cos(self.mount.tilt_rad) + ends[..., 1] * np.sin(self.mount.tilt_rad)
+        bearing = self.bearing_of_segments(ends_px)
+        lean = geometry.lean_from_bearing(bearing, self.mount.tilt_rad)
+        sigma = np.asarray(endpoint_sigma_px, dtype=np.float64) / self.focal_px
+        sigma_tangent = sigma / np.cos(lean) / np.sqrt((from_nadir**2).sum(axis=-1))
+        return np.asarray(sigma_tangent * np.cos(bearing) ** 2)
+
+    def nadir_miss_px(self, ends_px: ArrayLike) -> Array:
+        """Return how far (E, px) each end of a segment lies from the line through its middle and the nadir point.
+
+        This is what a segment must keep small, beside its measurement noise, to be a vertical edge. Positive when
+        the upper end lies to the right. Measured in undistorted pixels; also right when the tilt is 0.
+        """
+        lean = self.lean_of_segments(ends_px)
+        ends = self.upright_from_pixels(ends_px)
+        middle = ends.mean(axis=-2)
+        s, c = np.sin(self.mount.tilt_rad), np.cos(self.mount.tilt_rad)
+        expected = np.arctan2(middle[..., 0] * s, c + middle[..., 1] * s)
+        half = np.hypot(*np.moveaxis(ends[..., 1, :] - ends[..., 0, :], -1, 0)) / 2
+        return np.asarray(np.sin(geometry.wrap_half_turn(lean - expected)) * half * self.focal_px)
+
+    def bearing_jacobians(self, bearing_rad: ArrayLike, middle_e: ArrayLike) -> tuple[Array, Array]:
+        """Return d(bearing)/d(tilt, roll) (E, 2) for bearings from lean alone, and for those from line and nadir.
+
+        bearing_rad: (E,). middle_e: (E,) upright image height of the segment's middle. An error of the mount moves all
+        edges of a frame together (design equation 8). The lean's is nan when the tilt is 0.
+        """
+        b, e = np.asarray(bearing_rad, dtype=np.float64), np.asarray(middle_e, dtype=np.float64)
+        tilt = self.mount.tilt_rad
+        s, c = np.sin(tilt), np.cos(tilt)
+        if abs(s) < 1e-12:
+            from_lean = np.full((*b.shape, 2), np.nan)
+        else:
+            from_lean = np.stack(
+                [geometry.bearing_per_tilt_from_lean(b, tilt), geometry.bearing_per_lean(b, tilt)], axis=-1
+            )
+        # tan b = a / (c + e s). Tilt: moves c + e s by (e c - s). Roll by dρ: (a, e) -> (a + e dρ, e - a dρ).
+        depth = c + e * s
+        a = np.tan(b) * depth
+        per_tangent = np.cos(b) ** 2
+        by_tilt = -a * (e * c - s) / depth**2
+        by_roll = e / depth + a**2 * s / depth**2
+        return from_lean, np.stack([by_tilt, by_roll], axis=-1) * per_tangent[..., None]

@@ -1,0 +1,115 @@
+"""What the front end says about one image: its vertical edges and how certain they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonError:
+    """Errors that move all edges of a frame together: K terms, such as tilt and roll (design equation 8).
+
+    names: K names. cov: (K, K), rad². bearing_from_lean: (E, K) derivative of the bearing computed from lean alone.
+    bearing_from_line: (E, K) derivative of the bearing of the line held through the nadir point.
+    """
+
+    names: tuple[str, ...]
+    cov: Array
+    bearing_from_lean: Array
+    bearing_from_line: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """The vertical edges of one image, E of them, as columns; nan where something is not known.
+
+    bearing, bearing_sigma: (E,) rad, from the camera's forward axis, positive right, of the line held through the
+        nadir point (observation `line`).
+    lean, lean_sigma: (E,) rad, of the free line in the upright image (observation `slope`).
+    length_px: (E,) visible length. polarity: (E,) +1 dark to light from left to right, -1 light to dark, 0 unknown.
+    ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included.
+    foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, nan where it is not seen.
+    profile: (E, P) grey values across the edge from left to right, P may be 0.
+    landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
+    common: errors shared by all edges of the frame.
+    rejected_px: (R, 2, 2) segments that were found and are not vertical edges, to look at.
+    """
+
+    bearing: Array
+    bearing_sigma: Array
+    lean: Array
+    lean_sigma: Array
+    length_px: Array
+    polarity: NDArray[np.int8]
+    ends_px: Array
+    foot_range_m: Array
+    foot_range_sigma_m: Array
+    profile: Array
+    landmark_id: NDArray[np.int64]
+    common: CommonError
+    rejected_px: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+
+    def __len__(self) -> int:
+        return len(self.bearing)
+
+    @classmethod
+    def from_columns(
+        cls,
+        bearing: Array,
+        bearing_sigma: Array,
+        lean: Array,
+        lean_sigma: Array,
+        *,
+        length_px: Array | None = None,
+        polarity: NDArray[np.int8] | None = None,
+        ends_px: Array | None = None,
+        foot_range_m: Array | None = None,
+        foot_range_sigma_m: Array | None = None,
+        profile: Array | None = None,
+        landmark_id: NDArray[np.int64] | None = None,
+        common: CommonError | None = None,
+        rejected_px: Array | None = None,
+    ) -> Edges:
+        """Return edges with what is given; the rest is unknown."""
+        count = len(bearing)
+        unknown = np.full(count, np.nan)
+        nothing_common = CommonError((), np.zeros((0, 0)), np.zeros((count, 0)), np.zeros((count, 0)))
+        return cls(
+            bearing=bearing,
+            bearing_sigma=bearing_sigma,
+            lean=lean,
+            lean_sigma=lean_sigma,
+            length_px=unknown if length_px is None else length_px,
+            polarity=np.zeros(count, dtype=np.int8) if polarity is None else polarity,
+            ends_px=np.full((count, 2, 2), np.nan) if ends_px is None else ends_px,
+            foot_range_m=unknown if foot_range_m is None else foot_range_m,
+            foot_range_sigma_m=unknown if foot_range_sigma_m is None else foot_range_sigma_m,
+            profile=np.zeros((count, 0)) if profile is None else profile,
+            landmark_id=np.full(count, -1, dtype=np.int64) if landmark_id is None else landmark_id,
+            common=nothing_common if common is None else common,
+            rejected_px=np.zeros((0, 2, 2)) if rejected_px is None else rejected_px,
+        )
+
+    @classmethod
+    def none(cls) -> Edges:
+        """Return the edges of an image that shows none."""
+        empty = np.zeros(0)
+        return cls.from_columns(empty, empty, empty, empty)
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Edges:
+        """Return the edges at `index` (indices or mask (E,)), in that order."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        common = columns.pop("common")
+        rejected = columns.pop("rejected_px")
+        return Edges(
+            **{name: column[index] for name, column in columns.items()},
+            common=CommonError(
+                common.names, common.cov, common.bearing_from_lean[index], common.bearing_from_line[index]
+            ),
+            rejected_px=rejected,
+        )

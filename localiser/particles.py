@@ -1,0 +1,124 @@
+"""Weighted particles: named columns, effective sample size, resampling, estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array, circular_mean, wrap_angle
+
+POSE = ("x", "z", "heading")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Particles:
+    """N weighted hypotheses.
+
+    names: D column names, x, z, heading first, then biases. columns: (D, N), so that each column is contiguous.
+    log_weight: (N,) natural logarithms, up to a common constant. circular: names of columns that are angles.
+    """
+
+    names: tuple[str, ...]
+    columns: Array
+    log_weight: Array
+    circular: frozenset[str] = frozenset({"heading"})
+
+    def __len__(self) -> int:
+        return self.columns.shape[1]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return the column (N,) of this name."""
+        return self.columns[self.names.index(name)]
+
+    @property
+    def poses(self) -> Array:
+        """Poses (N, 3) x, z, heading."""
+        return np.stack([self[name] for name in POSE], axis=-1)
+
+    @property
+    def weight(self) -> Array:
+        """Normalised weights (N,); raises ValueError when no particle has any."""
+        return normalised(self.log_weight)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Weighted mean and covariance of particles: names (D), mean (D,), cov (D, D); pose columns first."""
+
+    names: tuple[str, ...]
+    mean: Array
+    cov: Array
+
+    @property
+    def pose(self) -> Array:
+        """Mean pose (3,) x, z, heading."""
+        return self.mean[:3]
+
+    @property
+    def pose_cov(self) -> Array:
+        """Covariance (3, 3) of the pose."""
+        return self.cov[:3, :3]
+
+
+def normalised(log_weight: Array) -> Array:
+    """Return weights (N,) that sum to 1; raises ValueError when all are zero or one is nan."""
+    top = log_weight.max(initial=-np.inf)
+    if not np.isfinite(top):
+        raise ValueError("no particle has a finite weight")
+    weight = np.exp(log_weight - top)
+    return np.asarray(weight / weight.sum())
+
+
+def from_gaussian(mean: Array, cov: Array, count: int, rng: np.random.Generator) -> Particles:
+    """Return `count` equally weighted particles drawn from N(mean, cov) over (x, z, heading)."""
+    # Draw through the eigenvectors: also right where the covariance is singular (a start that is known exactly).
+    variance, axes = np.linalg.eigh(cov)
+    draws = rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variance, 0.0))
+    columns = (mean + draws @ axes.T).T.copy()
+    columns[2] = wrap_angle(columns[2])
+    return Particles(POSE, columns, np.zeros(count))
+
+
+def effective_sample_size(weight: Array) -> float:
+    """Return 1 / Σ w² of normalised weights (N,): N when all are equal, 1 when one has all."""
+    return float(1.0 / np.square(weight).sum())
+
+
+def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return `count` indices with E[offspring of i] = count · w_i, from one uniform draw and an even comb.
+
+    weight: (N,) not negative, of any positive sum; zeros get no offspring. Raises ValueError when the sum is zero or
+    not finite. [Carpenter, Clifford, Fearnhead 1999]
+    """
+    cumulative = np.cumsum(weight)
+    total = cumulative[-1]
+    if not np.isfinite(total) or total <= 0:
+        raise ValueError(f"weights sum to {total}")
+    comb = (rng.random() + np.arange(count)) * (total / count)
+    index = np.searchsorted(cumulative, comb, side="right")
+    # Rounding may put the last tooth at the total itself: give it to the last particle that has any weight.
+    last = int(np.flatnonzero(weight)[-1])
+    return np.asarray(np.minimum(index, last))
+
+
+def take(particles: Particles, index: NDArray[np.int64]) -> Particles:
+    """Return the particles at `index`, equally weighted."""
+    return Particles(particles.names, particles.columns[:, index], np.zeros(len(index)), particles.circular)
+
+
+def estimate(particles: Particles) -> Estimate:
+    """Return the weighted mean and covariance over all columns; circular columns are averaged as directions."""
+    weight = particles.weight
+    mean = np.empty(len(particles.names))
+    residual = np.empty_like(particles.columns)
+    for row, name in enumerate(particles.names):
+        column = particles.columns[row]
+        if name in particles.circular:
+            mean[row] = circular_mean(column, weight)
+            residual[row] = wrap_angle(column - mean[row])
+        else:
+            mean[row] = weight @ column
+            residual[row] = column - mean[row]
+    return Estimate(particles.names, mean, np.asarray((residual * weight) @ residual.T))
