@@ -72,7 +72,7 @@ class Camera:
         tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
         s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
         roll = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return tilt @ roll
+        return np.asarray(tilt @ roll)
 
     @cached_property
     def robot_from_level(self) -> Array:
@@ -105,12 +105,12 @@ class Camera:
         if flat.size == 0:
             return np.zeros(pixels.shape)
         if self.distortion_model == "equidistant":
-            flat = cv2.fisheye.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
+            found = cv2.fisheye.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
         elif self.is_distorted:
-            flat = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
+            found = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
         else:
-            flat = (flat - [self.cx, self.cy]) / [self.fx, self.fy]
-        return np.asarray(flat.reshape(pixels.shape) * [1.0, -1.0])
+            found = (flat - [self.cx, self.cy]) / [self.fx, self.fy]
+        return np.asarray(found.reshape(pixels.shape) * [1.0, -1.0])
 
     def pixels_from_image(self, image_points: ArrayLike) -> Array:
         """Return pixels (u, v) (..., 2) of image coordinates (a, e) (..., 2); applies the lens distortion."""

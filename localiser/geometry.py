@@ -345,7 +345,6 @@ def floor_range_sigma(height_m: ArrayLike, range_m: ArrayLike, depression_sigma_
     return np.asarray((r**2 + h**2) / h * np.asarray(depression_sigma_rad))
 
 
-
 # ---------------------------------------------------------------------------------------------------------------
 # Trajectories
 # ---------------------------------------------------------------------------------------------------------------
@@ -369,13 +368,11 @@ class Trajectory:
         """Return the pose (3,) at a time, interpolated along the arc; the first or last pose outside."""
         after = int(np.searchsorted(self.t_ns, t_ns, side="left"))
         if after == 0:
-            return self.poses[0].copy()
+            return np.asarray(self.poses[0].copy())
         if after == len(self):
-            return self.poses[-1].copy()
+            return np.asarray(self.poses[-1].copy())
         start_ns, end_ns = int(self.t_ns[after - 1]), int(self.t_ns[after])
-        return interpolate_pose(
-            self.poses[after - 1], self.poses[after], (t_ns - start_ns) / (end_ns - start_ns)
-        )
+        return interpolate_pose(self.poses[after - 1], self.poses[after], (t_ns - start_ns) / (end_ns - start_ns))
 
     def sampled(self, times_ns: ArrayLike) -> Trajectory:
         """Return the trajectory at the given times (T',)."""

@@ -1,13 +1,25 @@
-"""Monte Carlo localisation: predict → weigh → resample → estimate."""
+"""Monte Carlo localisation: predict → weigh → estimate → resample.
+
+A source yields events in the order of time; `step` takes one and returns what was located. Replay and live share it.
+An image is weighed as soon as odometry up to its time is known, so it may wait for the next odometry event.
+"""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from localiser import geometry, particles
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
+from localiser.landmarks import LandmarkMap
+from localiser.motion import MotionParameters, predict
+from localiser.observation import Observation, ObservationParameters, independent_share
 from localiser.particles import Estimate, Particles
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
@@ -55,4 +67,113 @@ class Located:
     ess: float
     edges: Edges
     increment: Increment
-    odometry: Array = field(default_factory=lambda: np.full(3, np.nan))
+    odometry: Array
+
+
+# -- the filter -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class MclParameters:
+    """The particle filter itself."""
+
+    particles: Annotated[int, Field(ge=1, le=10_000_000, description="number of particles")] = 2000
+    resample_below: Annotated[
+        float, Field(gt=0, le=1, description="resample when the effective sample size falls below this share")
+    ] = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mcl:
+    """Everything that stays the same during a run."""
+
+    landmark_map: LandmarkMap
+    observation: Observation
+    parameters: MclParameters = field(default_factory=MclParameters)
+    motion: MotionParameters = field(default_factory=MotionParameters)
+    correlation: ObservationParameters = field(default_factory=ObservationParameters)
+
+
+@dataclass(slots=True, eq=False)
+class FilterState:
+    """Everything that changes during a run; with the generator it is all that must be saved to go on later.
+
+    odometry: poses since the last image. waiting: sightings that odometry has not reached yet. weighed: the motion
+    since particles were last weighed; None before the first time.
+    """
+
+    particles: Particles | None = None
+    odometry: deque[Odometry] = field(default_factory=deque)
+    waiting: deque[Sighting] = field(default_factory=deque)
+    located_ns: int | None = None
+
+
+def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -> Iterator[Located]:
+    """Take one event and yield what was located: nothing, or one result for every image that odometry now covers."""
+    match event:
+        case Start():
+            state.particles = particles.from_gaussian(event.mean, event.cov, mcl.parameters.particles, rng)
+        case Odometry():
+            state.odometry.append(event)
+        case Sighting():
+            state.waiting.append(event)
+    while state.waiting and state.odometry and state.odometry[-1].t_ns >= state.waiting[0].t_ns:
+        yield locate(mcl, state, state.waiting.popleft(), rng)
+
+
+def finish(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Iterator[Located]:
+    """Yield the images that came after the last odometry; the robot is taken to have stood still since then."""
+    while state.waiting:
+        yield locate(mcl, state, state.waiting.popleft(), rng)
+
+
+def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Generator) -> Located:
+    """Predict, weigh, estimate, resample: Monte Carlo localisation [Thrun, Burgard, Fox 2005, table 8.2].
+
+    Raises ValueError when no start has been given.
+    """
+    if state.particles is None:
+        raise ValueError("an image came before any start pose")
+
+    # Predict: move every particle by what the wheels say, each with its own error.
+    increment, odometry_pose = increment_until(state, sighting.t_ns)
+    moved = predict(state.particles, increment, mcl.motion, rng)
+
+    # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
+    share = 1.0 if state.located_ns is None else independent_share(increment, mcl.correlation)
+    log_likelihood = mcl.observation.log_likelihood(moved, sighting.edges, mcl.landmark_map)
+    weighed = Particles(moved.names, moved.columns, moved.log_weight + share * log_likelihood, moved.circular)
+
+    # Estimate before resampling, which only adds noise.
+    ess = particles.effective_sample_size(weighed.weight)
+    located = Located(
+        sighting.t_ns, particles.estimate(weighed), weighed, ess, sighting.edges, increment, odometry_pose
+    )
+
+    # Resample when few particles carry most of the weight.
+    if ess < mcl.parameters.resample_below * len(weighed):
+        index = particles.systematic_resample(weighed.weight, len(weighed), rng)
+        weighed = particles.take(weighed, index)
+    state.particles, state.located_ns = weighed, sighting.t_ns
+    return located
+
+
+def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:
+    """Return the motion from the last image until `t_ns`, and the odometry's pose (3,) then; forget what lies before.
+
+    Poses are interpolated at both ends, so the increment is exact whatever the rates of the two sensors.
+    """
+    start_ns = state.located_ns if state.located_ns is not None else t_ns
+    if not state.odometry:
+        return Increment.from_mean(np.zeros(3)), np.zeros(3)
+    times = np.array([event.t_ns for event in state.odometry])
+    track = geometry.Trajectory(times, np.array([event.pose for event in state.odometry]))
+    inside = times[(times > start_ns) & (times < t_ns)]
+    knots = track.sampled([start_ns, *inside, t_ns]).poses
+    moves = geometry.between(knots[:-1], knots[1:])
+    path_m, turned_rad = np.hypot(moves[:, 0], moves[:, 1]).sum(), np.abs(moves[:, 2]).sum()
+    mean = geometry.between(knots[0], knots[-1])
+    # Keep the last pose at or before this image: the next increment starts between it and its successor.
+    while len(state.odometry) > 1 and state.odometry[1].t_ns <= t_ns:
+        state.odometry.popleft()
+    return Increment(mean, np.zeros((3, 3)), float(path_m), float(turned_rad), "wheel"), knots[-1]

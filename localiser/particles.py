@@ -26,11 +26,11 @@ class Particles:
     circular: frozenset[str] = frozenset({"heading"})
 
     def __len__(self) -> int:
-        return self.columns.shape[1]
+        return int(self.columns.shape[1])
 
     def __getitem__(self, name: str) -> Array:
         """Return the column (N,) of this name."""
-        return self.columns[self.names.index(name)]
+        return np.asarray(self.columns[self.names.index(name)])
 
     @property
     def poses(self) -> Array:

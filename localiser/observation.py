@@ -1,0 +1,194 @@
+"""How well measured edges fit a pose: log-likelihood with unknown association.
+
+Each measured edge is a draw from a mixture: with `inlier_share` it belongs to one of the landmarks that the camera
+can see from the pose, each as likely as the other, else it is clutter, spread evenly over the field of view:
+
+    p(q_e | pose) = (1 - w) / span + (w / n) Σ_l N(q_e; q_l(pose), σ_el²)
+
+q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
+observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
+
+Consecutive images see the same texture from almost the same place, so their errors repeat: taking them as independent
+makes the filter too sure. `independent_share` is the part of a frame that counts as new.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from localiser import geometry
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, Increment
+from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight
+from localiser.particles import Particles
+
+GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationParameters:
+    """The mixture of landmarks and clutter."""
+
+    kind: Annotated[
+        Literal["line", "slope"],
+        Field(description="what is compared: the line held through the nadir point, or the slope alone (the paper's)"),
+    ] = "line"
+    inlier_share: Annotated[
+        float, Field(gt=0, lt=1, description="share of measured edges that belong to a landmark of the map")
+    ] = 0.5
+    landmark_sigma_m: Annotated[
+        float,
+        Field(ge=0, description="how far a landmark may stand from where the map has it, where that is silent (m)"),
+    ] = 0.02
+    decorrelation_m: Annotated[
+        float, Field(ge=0, description="driving after which errors of an edge are new (m); 0: always new")
+    ] = 0.1
+    decorrelation_deg: Annotated[
+        float, Field(ge=0, description="turning after which errors of an edge are new (degrees); 0: always new")
+    ] = 5.0
+    sight: SightParameters = field(default_factory=SightParameters)
+
+
+class Observation(Protocol):
+    """Anything that weighs particles by edges."""
+
+    def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
+        """Return log p(edges | particle) (N,), up to a constant that all particles share."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Which landmark each edge belongs to, seen from one pose.
+
+    landmark: (E,) index into the map, -1 for clutter. residual: (E,) measured minus predicted, rad, nan for clutter.
+    visible: (L,) whether the landmark is inside the field of view.
+    """
+
+    landmark: NDArray[np.int64]
+    residual: Array
+    visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeObservation:
+    """The observation of vertical edges, as `slope` or as `line`, seen by one camera."""
+
+    camera: Camera
+    parameters: ObservationParameters
+
+    def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
+        """Return log p(edges | particle) (N,), relative to all edges being clutter.
+
+        Only pairs of edge and landmark within the gate are computed, so the cost grows with the pairs that matter,
+        not with N · L · E.
+        """
+        count = len(particles)
+        if len(edges) == 0:
+            return np.zeros(count)
+        seen = sight(self.camera, self.camera.pose_in_map(particles.poses), landmark_map, self.parameters.sight)
+        pair, edge, density = self._densities(edges, landmark_map, seen)
+        total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
+        visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
+        share = self.parameters.inlier_share
+        per_landmark = share / visible * (self._span(edges) / (1.0 - share))
+        log_ratio = np.log1p(total.reshape(count, len(edges)) * per_landmark[:, None]).sum(axis=1)
+        # A particle that sees no landmark can explain no edge: all of them are clutter.
+        return np.asarray(log_ratio)
+
+    def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
+        """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
+        seen = sight(self.camera, self.camera.pose_in_map(pose[None]), landmark_map, self.parameters.sight)
+        visible = np.zeros(len(landmark_map), dtype=bool)
+        visible[seen.landmark] = True
+        landmark = np.full(len(edges), -1)
+        residual = np.full(len(edges), np.nan)
+        if len(edges) and len(seen.pose):
+            pair, edge, density = self._densities(edges, landmark_map, seen)
+            share = self.parameters.inlier_share
+            best = density * (share / len(seen.pose))
+            clutter = (1.0 - share) / self._span(edges)
+            # Ascending, so that the last write of an edge is its best pair.
+            for row in np.argsort(best, kind="stable"):
+                if best[row] > clutter:
+                    landmark[edge[row]] = seen.landmark[pair[row]]
+                    residual[edge[row]] = (
+                        self._measured(edges)[0][edge[row]] - self._predicted(seen.tangent[pair[row]])[0]
+                    )
+        return Matches(landmark, residual, visible)
+
+    def _densities(
+        self, edges: Edges, landmark_map: LandmarkMap, seen: Sight
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Return N(q_e; q_l, σ_el²) of every pair within the gate: indices into `seen` and `edges`, and the density."""
+        predicted, per_bearing = self._predicted(seen.tangent)
+        position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
+        measured, measured_var = self._measured(edges)
+        order = np.argsort(measured)
+        reach = GATE_SIGMAS * np.sqrt(position_sigma**2 + measured_var.max(initial=0.0))
+        first = np.searchsorted(measured[order], predicted - reach)
+        last = np.searchsorted(measured[order], predicted + reach)
+        pair = np.repeat(np.arange(len(predicted)), last - first)
+        within = np.arange(len(pair)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
+        edge = order[first[pair] + within]
+        variance = position_sigma[pair] ** 2 + measured_var[edge]
+        residual = measured[edge] - predicted[pair]
+        density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
+        return pair, edge, density
+
+    def _measured(self, edges: Edges) -> tuple[Array, Array]:
+        """Return the measured angle (E,) and its variance (E,), the mount's common error included.
+
+        The common error is shared by all edges of a frame; here it widens each of them (safe, not efficient).
+        """
+        common = edges.common
+        if self.parameters.kind == "line":
+            spread = np.einsum("ek,kl,el->e", common.bearing_from_line, common.cov, common.bearing_from_line)
+            return edges.bearing, edges.bearing_sigma**2 + spread
+        spread = np.einsum("ek,kl,el->e", common.bearing_from_lean, common.cov, common.bearing_from_lean)
+        lean_per_bearing = 1.0 / geometry.bearing_per_lean(
+            geometry.bearing_from_lean(edges.lean, self.camera.mount.tilt_rad), self.camera.mount.tilt_rad
+        )
+        return edges.lean, edges.lean_sigma**2 + spread * lean_per_bearing**2
+
+    def _predicted(self, tangent: Array) -> tuple[Array, Array]:
+        """Return the angle that is compared (P,) for tan(bearing) (P,), and its derivative by the bearing."""
+        if self.parameters.kind == "line":
+            return np.arctan(tangent), np.ones_like(tangent)
+        s = np.sin(self.camera.mount.tilt_rad)
+        return np.arctan(s * tangent), s * (1 + tangent**2) / (1 + (s * tangent) ** 2)
+
+    def _landmark_sigma(self, landmark_map: LandmarkMap) -> Array:
+        """Return the sigma (L,) in metres of each landmark's position, the mean over directions."""
+        trace = np.trace(landmark_map.cov, axis1=1, axis2=2)
+        return np.where(np.isnan(trace), self.parameters.landmark_sigma_m, np.sqrt(np.maximum(trace, 0) / 2))
+
+    def _span(self, edges: Edges) -> float:
+        """Return the angle (rad) that clutter is spread over."""
+        a_left, a_right, _, _ = self.camera.upright_bounds
+        predicted, _ = self._predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
+        return float(predicted[1] - predicted[0])
+
+
+def independent_share(increment: Increment, parameters: ObservationParameters) -> float:
+    """Return the share of a frame's log-likelihood that is new after moving by `increment`, 0 … 1.
+
+    Errors of an edge are taken as a first-order Markov process over the path: their correlation between two frames is
+    ρ = exp(-path/decorrelation_m - turned/decorrelation_rad). Such a chain tells as much about a constant as if each
+    frame counted (1 - ρ)/(1 + ρ); so a robot that stands still learns nothing from seeing the same image again.
+    """
+    exponent = 0.0
+    for moved, scale in (
+        (increment.path_m, parameters.decorrelation_m),
+        (increment.turned_rad, np.radians(parameters.decorrelation_deg)),
+    ):
+        if scale == 0:
+            return 1.0
+        exponent += moved / scale
+    return float(np.tanh(exponent / 2))
