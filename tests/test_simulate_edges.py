@@ -1,0 +1,133 @@
+"""Simulated edges: unbiased, as certain as they say, and nothing that the camera could not see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localiser import geometry
+from localiser.camera import Camera, Mount
+from localiser.geometry import Trajectory
+from localiser.landmarks import LandmarkMap
+from localiser.simulate import EdgeNoise, simulated_edges
+
+CAMERA = Camera(
+    640,
+    480,
+    554.0,
+    554.0,
+    319.5,
+    239.5,
+    Mount(np.deg2rad(20), 0.9, roll_rad=np.deg2rad(1), yaw_rad=np.deg2rad(2), back_m=-0.1),
+    "plumb_bob",
+    (-0.25, 0.0, 0.0, 0.0),
+)
+
+
+@pytest.fixture
+def landmark_map() -> LandmarkMap:
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-5, 5, size=(40, 2))
+    return LandmarkMap.from_points(points, bottom_m=np.zeros(40), top_m=rng.uniform(0.5, 2.5, size=40))
+
+
+def still(count: int, pose: tuple[float, float, float] = (0.3, 2.0, 0.2)) -> Trajectory:
+    return Trajectory(np.arange(count) * 100_000_000, np.tile(pose, (count, 1)))
+
+
+def test_without_noise_edges_are_where_the_landmarks_project(landmark_map: LandmarkMap) -> None:
+    truth = still(1)
+    (edges,) = simulated_edges(
+        landmark_map, CAMERA, truth, np.random.default_rng(0), noise=EdgeNoise(endpoint_sigma_px=0.0)
+    )
+    assert len(edges) >= 3
+    camera_pose = CAMERA.pose_in_map(truth.poses[0])
+    seen = geometry.robot_from_map(camera_pose, landmark_map.points[edges.landmark_id])
+    bearing = geometry.bearing_from_point(seen[:, 0], seen[:, 1])
+    np.testing.assert_allclose(edges.bearing, bearing, atol=1e-12)
+    np.testing.assert_allclose(edges.lean, geometry.lean_from_bearing(bearing, CAMERA.mount.tilt_rad), atol=1e-12)
+    np.testing.assert_allclose(CAMERA.bearing_of_segments(edges.ends_px), bearing, atol=1e-9)
+
+
+def test_ends_lie_inside_the_image_and_between_bottom_and_top(landmark_map: LandmarkMap) -> None:
+    truth = still(1)
+    (edges,) = simulated_edges(
+        landmark_map, CAMERA, truth, np.random.default_rng(0), noise=EdgeNoise(endpoint_sigma_px=0.0)
+    )
+    ends = edges.ends_px
+    assert (ends > -0.5).all()
+    assert (ends[..., 0] < CAMERA.width - 0.5).all()
+    assert (ends[..., 1] < CAMERA.height - 0.5).all()
+    for which, height in enumerate((landmark_map.bottom_m, landmark_map.top_m)):
+        points = landmark_map.points[edges.landmark_id]
+        at_height = np.stack([points[:, 0], height[edges.landmark_id], points[:, 1]], axis=-1)
+        v = CAMERA.project(truth.poses[0], at_height)[:, 1]
+        assert ((ends[:, which, 1] - v) * (1, -1)[which] <= 1e-6).all(), "nothing is seen beyond the edge's own ends"
+
+
+@pytest.mark.parametrize("tilt_deg", [20.0, 0.0, -15.0])
+def test_visible_part_agrees_with_projecting_many_heights(landmark_map: LandmarkMap, tilt_deg: float) -> None:
+    camera = CAMERA.with_mount(tilt_rad=np.deg2rad(tilt_deg), roll_rad=0.0).undistorted()
+    truth = still(1)
+    noise = EdgeNoise(endpoint_sigma_px=0.0, length_min_px=1.0)
+    (edges,) = simulated_edges(landmark_map, camera, truth, np.random.default_rng(0), noise=noise)
+    heights = np.linspace(0, 1, 2001)[:, None] * landmark_map.top_m
+    points = np.broadcast_to(landmark_map.points, (2001, 40, 2))
+    pixels = camera.project(truth.poses[0], np.stack([points[..., 0], heights, points[..., 1]], axis=-1))
+    inside = (pixels >= 0).all(-1) & (pixels[..., 0] <= camera.width - 1) & (pixels[..., 1] <= camera.height - 1)
+    shown = np.flatnonzero(inside.sum(axis=0) > 20)
+    assert set(shown) <= set(edges.landmark_id)
+    for landmark in shown:
+        v = pixels[inside[:, landmark], landmark, 1]
+        ends = edges.ends_px[edges.landmark_id == landmark][0]
+        np.testing.assert_allclose(ends[:, 1], [v[0], v[-1]], atol=2.5)
+
+
+def test_errors_are_gaussian_with_the_stated_sigmas(landmark_map: LandmarkMap) -> None:
+    count = 4000
+    frames = simulated_edges(landmark_map, CAMERA, still(count), np.random.default_rng(1))
+    (exact,) = simulated_edges(
+        landmark_map, CAMERA, still(1), np.random.default_rng(0), noise=EdgeNoise(endpoint_sigma_px=0.0)
+    )
+    bearing = np.array([(f.bearing - exact.bearing) / f.bearing_sigma for f in frames])
+    lean = np.array([(f.lean - exact.lean) / f.lean_sigma for f in frames])
+    for score in (bearing, lean):
+        np.testing.assert_allclose(score.mean(axis=0), 0.0, atol=4 / np.sqrt(count))
+        np.testing.assert_allclose((score**2).mean(axis=0), 1.0, atol=4 * np.sqrt(2 / count))
+
+
+def test_stated_sigmas_are_those_of_the_camera(landmark_map: LandmarkMap) -> None:
+    (edges,) = simulated_edges(landmark_map, CAMERA, still(1), np.random.default_rng(0), noise=EdgeNoise())
+    np.testing.assert_allclose(edges.bearing_sigma, CAMERA.bearing_sigma_of_segments(edges.ends_px, 0.5), rtol=0.01)
+
+
+def test_detection_probability_and_clutter_have_the_stated_means(landmark_map: LandmarkMap) -> None:
+    truth = still(2000)
+    everything = simulated_edges(landmark_map, CAMERA, still(1), np.random.default_rng(0))[0]
+    noise = EdgeNoise(detection_probability=0.7, clutter_per_frame=3.0)
+    frames = simulated_edges(landmark_map, CAMERA, truth, np.random.default_rng(2), noise=noise)
+    clutter = np.array([(f.landmark_id < 0).sum() for f in frames])
+    found = np.array([(f.landmark_id >= 0).sum() for f in frames])
+    assert abs(clutter.mean() - 3.0) < 4 * np.sqrt(3.0 / 2000)
+    assert abs(found.mean() / len(everything) - 0.7) < 4 * np.sqrt(0.21 / 2000 / len(everything))
+    false = np.concatenate([f.ends_px[f.landmark_id < 0] for f in frames[:50]])
+    assert np.abs(CAMERA.nadir_miss_px(false)).max() < 3.0, "clutter is what cannot be told from a vertical edge"
+
+
+def test_hidden_landmarks_are_not_seen(landmark_map: LandmarkMap) -> None:
+    visible = np.zeros((3, len(landmark_map)), dtype=bool)
+    visible[1] = True
+    frames = simulated_edges(landmark_map, CAMERA, still(3), np.random.default_rng(0), visible=visible)
+    assert len(frames[0]) == 0
+    assert len(frames[1]) > 0
+    assert len(frames[2]) == 0
+
+
+def test_the_same_seed_gives_the_same_edges(landmark_map: LandmarkMap) -> None:
+    noise = EdgeNoise(clutter_per_frame=2.0, detection_probability=0.9)
+    one, two = (
+        simulated_edges(landmark_map, CAMERA, still(5), np.random.default_rng(3), noise=noise) for _ in range(2)
+    )
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.bearing, b.bearing)
+        np.testing.assert_array_equal(a.landmark_id, b.landmark_id)
