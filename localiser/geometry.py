@@ -203,7 +203,7 @@ def slope_from_point(x: ArrayLike, z: ArrayLike, tilt_rad: float) -> Array:
 
     [Taylor06] eq. 7.
     """
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(-np.asarray(z, dtype=np.float64) / (np.asarray(x, dtype=np.float64) * _sin_of_tilt(tilt_rad)))
 
 
@@ -225,13 +225,13 @@ def bearing_from_lean(lean_rad: ArrayLike, tilt_rad: float) -> Array:
 
 def slope_from_lean(lean_rad: ArrayLike) -> Array:
     """Return the paper's slope m = 1 / tan(lean); infinite for a lean of 0."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(1.0 / np.tan(lean_rad))
 
 
 def lean_from_slope(slope: ArrayLike) -> Array:
     """Return the lean = atan(1/m) in [-pi/2, pi/2]; 0 for an infinite slope."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         return np.asarray(np.arctan(1.0 / np.asarray(slope, dtype=np.float64)))
 
 
@@ -276,12 +276,11 @@ def rotation_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, tilt_rad: float
 def depth_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, motion_m: ArrayLike) -> Array:
     """Return z1 of an edge seen before and after a straight motion d = z1 - z2: z1 = d m1 / (m1 - m2).
 
-    d < 0 when driving forward; computed with 1/m, so an edge straight ahead gives nan, which is the truth: it tells
-    nothing. [Taylor06] eq. 10.
+    d < 0 when driving forward. An edge straight ahead gives nan, which is the truth: it tells nothing.
+    [Taylor06] eq. 10.
     """
-    n1, n2 = 1.0 / np.asarray(slope_1, dtype=np.float64), 1.0 / np.asarray(slope_2, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.asarray(motion_m, dtype=np.float64) * n2 / (n2 - n1))
+        return np.asarray(np.asarray(motion_m, dtype=np.float64) / _motion_per_depth(slope_1, slope_2))
 
 
 def motion_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, depth_1_m: ArrayLike) -> Array:
@@ -289,9 +288,14 @@ def motion_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, depth_1_m: ArrayL
 
     nan for an edge straight ahead. [Taylor06] eq. 11.
     """
-    n1, n2 = 1.0 / np.asarray(slope_1, dtype=np.float64), 1.0 / np.asarray(slope_2, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.asarray(depth_1_m, dtype=np.float64) * _motion_per_depth(slope_1, slope_2))
+
+
+def _motion_per_depth(slope_1: ArrayLike, slope_2: ArrayLike) -> Array:
+    """Return d / z1 = 1 - m2/m1; right beside the camera (m2 = 0), nan straight ahead (both infinite)."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((1.0 - n1 / n2) * np.asarray(depth_1_m, dtype=np.float64))
+        return np.asarray(1.0 - np.asarray(slope_2, dtype=np.float64) / np.asarray(slope_1, dtype=np.float64))
 
 
 # ---------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,457 @@
+"""Floor poses, increments, trajectories and the paper's equations, each against an oracle of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser import geometry as g
+
+settings.register_profile("localiser", derandomize=True, deadline=None, max_examples=100)
+settings.load_profile("localiser")
+
+angles = st.floats(-np.pi, np.pi)
+poses = st.tuples(st.floats(-50, 50), st.floats(-50, 50), angles).map(np.array)
+tilts = st.floats(np.radians(1), np.radians(60))
+bearings = st.floats(np.radians(-85), np.radians(85))
+TILT = np.radians(20)
+
+
+def assert_same_pose(found, expected, atol=1e-9):
+    np.testing.assert_allclose(found[..., :2], expected[..., :2], atol=atol)
+    np.testing.assert_allclose(g.wrap_angle(found[..., 2] - expected[..., 2]), 0, atol=atol)
+
+
+def numerical_jacobian(function, at, step=1e-6):
+    """Central differences: error about step² from curvature and 1e-16 / step from rounding, so 1e-9 is safe."""
+    columns = [(function(at + step * axis) - function(at - step * axis)) / (2 * step) for axis in np.eye(len(at))]
+    return np.stack(columns, axis=-1)
+
+
+# -- angles -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("wrap", "period"), [(g.wrap_angle, 2 * np.pi), (g.wrap_half_turn, np.pi)])
+@given(angle=st.floats(-100, 100))
+def test_wrapping_keeps_the_direction_and_lands_in_one_period(wrap, period, angle):
+    wrapped = wrap(angle)
+    assert -period / 2 <= wrapped < period / 2
+    turns = (angle - wrapped) / period
+    assert abs(turns - round(turns)) < 1e-12
+
+
+def test_both_ends_of_the_period_are_one_angle():
+    np.testing.assert_array_equal(g.wrap_angle([np.pi, -np.pi]), [-np.pi, -np.pi])
+    np.testing.assert_array_equal(g.wrap_half_turn([np.pi / 2, -np.pi / 2]), [-np.pi / 2, -np.pi / 2])
+
+
+def test_circular_mean_across_the_seam_and_with_weights():
+    assert abs(g.circular_mean([np.pi - 0.1, -np.pi + 0.1])) == pytest.approx(np.pi)
+    assert g.circular_mean([0.2, 0.4, 3.0], [1, 1, 0]) == pytest.approx(0.3)
+    # Vectors 3 along 0 and 1 along pi/2.
+    assert g.circular_mean([0.0, np.pi / 2], [3, 1]) == pytest.approx(np.arctan2(1, 3))
+
+
+# -- poses ------------------------------------------------------------------------------------------------------------
+
+
+def test_heading_zero_faces_minus_z_and_turns_anticlockwise_seen_from_above():
+    np.testing.assert_allclose(g.forward([0, np.pi / 2]), [[0, -1], [-1, 0]], atol=1e-15)
+    np.testing.assert_allclose(g.right([0, np.pi / 2]), [[1, 0], [0, -1]], atol=1e-15)
+
+
+@given(pose=poses, right_m=st.floats(-5, 5), ahead_m=st.floats(-5, 5))
+def test_robot_frame_is_right_and_backward(pose, right_m, ahead_m):
+    in_map = pose[:2] + right_m * g.right(pose[2]) + ahead_m * g.forward(pose[2])
+    np.testing.assert_allclose(g.map_from_robot(pose, [right_m, -ahead_m]), in_map, atol=1e-12)
+    np.testing.assert_allclose(g.robot_from_map(pose, in_map), [right_m, -ahead_m], atol=1e-12)
+
+
+@given(start=poses, end=poses)
+def test_between_undoes_compose(start, end):
+    assert_same_pose(g.compose(start, g.between(start, end)), end)
+    assert_same_pose(g.between(start, g.compose(start, end)), end)
+
+
+@given(first=poses, second=poses, third=poses)
+def test_compose_is_associative(first, second, third):
+    assert_same_pose(g.compose(g.compose(first, second), third), g.compose(first, g.compose(second, third)))
+
+
+@given(start=poses, motion=poses)
+def test_composed_headings_are_wrapped(start, motion):
+    assert -np.pi <= g.compose(start, motion)[2] < np.pi
+    assert -np.pi <= g.between(start, motion)[2] < np.pi
+
+
+def test_poses_broadcast_against_one_motion():
+    starts = np.array([[1.0, 2.0, 0.3], [-1.0, 0.0, 3.0]])
+    motion = np.array([0.1, -0.5, 0.4])
+    expected = np.array([g.compose(start, motion) for start in starts])
+    np.testing.assert_array_equal(g.compose(starts, motion), expected)
+
+
+# -- interpolation along arcs -----------------------------------------------------------------------------------------
+
+
+def drive(pose, velocity, turn_rate, duration, steps=2000):
+    """Integrate x' = velocity turned by the heading, heading' = turn_rate; velocity is (right, backward).
+
+    The midpoint rule errs by (turn / steps)² / 24 of the path: 1e-7 for a full half turn in 2000 steps.
+    """
+    step = duration / steps
+    heading = pose[2] + turn_rate * step * (np.arange(steps) + 0.5)
+    in_map = velocity[0] * g.right(heading) - velocity[1] * g.forward(heading)
+    return np.array([*(pose[:2] + in_map.sum(axis=0) * step), pose[2] + turn_rate * duration])
+
+
+@given(
+    start=poses,
+    velocity=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
+    turn_rate=st.floats(-3.1, 3.1),
+    fraction=st.floats(0, 1),
+)
+def test_interpolation_follows_the_path_of_constant_velocity(start, velocity, turn_rate, fraction):
+    end = drive(start, velocity, turn_rate, 1.0)
+    expected = drive(start, velocity, turn_rate, fraction)
+    assert_same_pose(g.interpolate_pose(start, end, fraction), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-9, 2e-9, 1e-6])
+def test_interpolation_of_nearly_straight_motion_is_the_chord(turn):
+    found = g.interpolate_pose([0, 0, 0], [0.2, -1.0, turn], 0.25)
+    np.testing.assert_allclose(found, [0.05, -0.25, turn / 4], atol=1e-6)
+
+
+def test_interpolation_crosses_the_seam_the_short_way():
+    found = g.interpolate_pose([1, 2, np.pi - 0.1], [1, 2, -np.pi + 0.1], 0.75)
+    assert_same_pose(found, np.array([1, 2, np.pi + 0.05]))
+
+
+@given(start=poses, end=poses)
+def test_interpolation_meets_both_ends(start, end):
+    # A turn of nearly pi stretches the chord, up to 100 m here, by the inverse of a sine; 1e-9 leaves room for that.
+    assert_same_pose(g.interpolate_pose(start, end, 0.0), start)
+    assert_same_pose(g.interpolate_pose(start, end, 1.0), end)
+
+
+@given(velocity=st.tuples(st.floats(-2, 2), st.floats(-2, 2)).map(np.array), turn=st.floats(-3.1, 3.1))
+def test_arc_log_undoes_arc_motion(velocity, turn):
+    np.testing.assert_allclose(g.arc_log(g.arc_motion(velocity, turn, 1.0)), velocity, atol=1e-12)
+
+
+def test_trajectory_interpolates_between_poses_and_holds_the_ends():
+    start_ns = 1_700_000_000_000_000_001  # of the size of a clock's time, where a float64 cannot hold single ns
+    path = g.Trajectory(start_ns + np.array([0, 100, 300]), np.array([[0, 0, 3.1], [0, -1, -3.1], [2, -1, -3.1]]))
+    np.testing.assert_allclose(path.at(start_ns + 100), path.poses[1], atol=1e-15)
+    assert_same_pose(path.at(start_ns + 200), np.array([1, -1, -3.1]))
+    assert path.at(start_ns + 101)[0] == pytest.approx(0.01, abs=1e-12)
+    assert abs(path.at(start_ns + 50)[2]) == pytest.approx(np.pi, abs=1e-12)
+    np.testing.assert_array_equal(path.at(start_ns - 7), path.poses[0])
+    np.testing.assert_array_equal(path.at(start_ns + 900), path.poses[-1])
+    assert [path.covers(start_ns + t) for t in (-1, 0, 300, 301)] == [False, True, True, False]
+
+
+def test_sampled_trajectory_is_the_trajectory_at_each_time():
+    path = g.Trajectory(np.array([0, 10, 20]), np.array([[0, 0, 0], [0, -1, 0.5], [-1, -2, 1.0]]))
+    sampled = path.sampled([-5, 3, 10, 14])
+    np.testing.assert_array_equal(sampled.t_ns, [-5, 3, 10, 14])
+    np.testing.assert_array_equal(sampled.poses, [path.at(t) for t in (-5, 3, 10, 14)])
+    assert path.sampled([]).poses.shape == (0, 3)
+
+
+# -- increments -------------------------------------------------------------------------------------------------------
+
+FIRST = g.Increment.from_mean([0.05, -0.8, 0.7], cov=np.array([[4, 1, 0], [1, 9, 2], [0, 2, 3]]) * 1e-6)
+SECOND = g.Increment.from_mean([-0.1, 0.4, -1.2], cov=np.array([[5, -1, 1], [-1, 4, 0], [1, 0, 2]]) * 1e-6)
+
+
+def test_increments_compose_and_add_their_paths():
+    both = FIRST.then(SECOND)
+    np.testing.assert_allclose(both.mean, g.compose(FIRST.mean, SECOND.mean))
+    assert both.path_m == pytest.approx(np.hypot(0.05, 0.8) + np.hypot(0.1, 0.4))
+    assert both.turned_rad == pytest.approx(0.7 + 1.2)
+
+
+def test_increments_remember_where_they_came_from():
+    seen = g.Increment.from_mean([0, 0, 0], source="vision")
+    assert FIRST.then(SECOND).source == "wheel"
+    assert FIRST.then(seen).source == seen.then(FIRST).source == "both"
+
+
+def test_covariance_of_composed_increments_is_of_first_order():
+    both = np.concatenate([FIRST.mean, SECOND.mean])
+    jacobian = numerical_jacobian(lambda v: g.compose(v[:3], v[3:]), both)
+    cov = np.block([[FIRST.cov, np.zeros((3, 3))], [np.zeros((3, 3)), SECOND.cov]])
+    # Relative 1e-8: the numerical Jacobian is good to 1e-9.
+    np.testing.assert_allclose(FIRST.then(SECOND).cov, jacobian @ cov @ jacobian.T, rtol=1e-8, atol=1e-16)
+
+
+def test_covariance_of_composed_increments_matches_samples():
+    rng, count = np.random.default_rng(1), 100_000
+    first = rng.multivariate_normal(FIRST.mean, FIRST.cov, count)
+    second = rng.multivariate_normal(SECOND.mean, SECOND.cov, count)
+    expected, sampled = FIRST.then(SECOND).cov, np.cov(g.compose(first, second).T)
+    # An entry of a sample covariance errs by √((C_ii C_jj + C_ij²) / n); 4.5 sigma: all nine stay inside in 99.99 %.
+    variance = np.diag(expected)
+    standard_error = np.sqrt((np.outer(variance, variance) + expected**2) / count)
+    assert (np.abs(sampled - expected) < 4.5 * standard_error).all()
+
+
+# -- ROS --------------------------------------------------------------------------------------------------------------
+
+
+def test_ros_axes_and_yaw():
+    # Facing map -z is facing +y of ROS; one metre ahead is one metre up in y.
+    np.testing.assert_allclose(g.ros_from_pose([2.0, -3.0, 0.0]), [2, 3, np.pi / 2])
+    np.testing.assert_allclose(g.pose_from_ros([2.0, 3.0, np.pi / 2]), [2, -3, 0], atol=1e-15)
+
+
+@given(pose=poses)
+def test_ros_conversion_goes_both_ways(pose):
+    assert_same_pose(g.pose_from_ros(g.ros_from_pose(pose)), pose)
+    assert_same_pose(g.ros_from_pose(g.pose_from_ros(pose)), pose)
+
+
+@given(pose=poses, step_m=st.floats(0.1, 5))
+def test_forward_in_ros_is_along_its_yaw(pose, step_m):
+    ahead = np.append(pose[:2] + step_m * g.forward(pose[2]), pose[2])
+    start, end = g.ros_from_pose(pose), g.ros_from_pose(ahead)
+    np.testing.assert_allclose(end[:2] - start[:2], step_m * np.array([np.cos(start[2]), np.sin(start[2])]), atol=1e-9)
+
+
+def test_ros_covariance_is_carried_by_the_jacobian_and_back():
+    cov = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, -2.0], [0.5, -2.0, 3.0]])
+    jacobian = numerical_jacobian(g.ros_from_pose, np.array([1.0, 2.0, 0.3]))
+    np.testing.assert_allclose(g.ros_cov_from_cov(cov), jacobian @ cov @ jacobian.T, atol=1e-8)
+    np.testing.assert_array_equal(g.ros_cov_from_cov(g.ros_cov_from_cov(cov)), cov)
+
+
+# -- slope, lean and bearing (design equations 1, 2 and 6) ------------------------------------------------------------
+
+
+def slope_of_projected_edge(x, z, y_1, y_2, tilt):
+    """The paper's long way, eqs. 1, 2, 5: tilt two points of a vertical edge, project both, take the slope."""
+    s, c = np.sin(tilt), np.cos(tilt)
+    (u_1, v_1), (u_2, v_2) = ((x / (y * s + z * c), (y * c - z * s) / (y * s + z * c)) for y in (y_1, y_2))
+    return (v_2 - v_1) / (u_2 - u_1)
+
+
+@given(
+    bearing=bearings.filter(lambda b: abs(b) > 0.01),
+    range_m=st.floats(0.5, 20),
+    y_1=st.floats(-2, -0.1),
+    y_2=st.floats(0.1, 2),
+    tilt=tilts,
+)
+def test_slope_is_that_of_any_two_points_of_the_edge(bearing, range_m, y_1, y_2, tilt):
+    x, z = range_m * np.sin(bearing), -range_m * np.cos(bearing)
+    slope = g.slope_from_point(x, z, tilt)
+    # The two points' differences cancel up to three digits.
+    assert slope == pytest.approx(slope_of_projected_edge(x, z, y_1, y_2, tilt), rel=1e-9)
+    assert g.lean_from_slope(slope) == pytest.approx(g.lean_from_bearing(g.bearing_from_point(x, z), tilt), abs=1e-12)
+
+
+@given(bearing=bearings, tilt=tilts)
+def test_bearing_survives_lean_and_slope(bearing, tilt):
+    lean = g.lean_from_bearing(bearing, tilt)
+    assert g.bearing_from_lean(lean, tilt) == pytest.approx(bearing, abs=1e-12)
+    assert g.lean_from_slope(g.slope_from_lean(lean)) == pytest.approx(lean, abs=1e-12)
+    assert lean * bearing >= 0
+
+
+def test_edge_straight_ahead_has_infinite_slope_and_no_lean():
+    assert g.slope_from_point(0.0, -3.0, TILT) == np.inf
+    assert g.lean_from_slope(np.inf) == g.lean_from_slope(-np.inf) == 0
+    assert g.slope_from_lean(0.0) == np.inf
+    assert g.lean_from_bearing(0.0, TILT) == g.bearing_from_lean(0.0, TILT) == 0
+
+
+def test_lean_is_smooth_where_slope_changes_its_sign():
+    left, right = g.slope_from_point(np.array([-1e-9, 1e-9]), -1.0, TILT)
+    assert left < -1e9 < 1e9 < right
+    np.testing.assert_allclose(g.lean_from_slope([left, right]), np.sin(TILT) * np.array([-1e-9, 1e-9]), rtol=1e-6)
+
+
+def test_edge_beside_the_camera_lies_flat():
+    assert abs(g.slope_from_point(2.0, 0.0, TILT)) == 0
+    assert g.bearing_from_point([2.0, -2.0], 0.0).tolist() == [np.pi / 2, -np.pi / 2]
+    np.testing.assert_allclose(g.lean_from_bearing([np.pi / 2, -np.pi / 2], TILT), [np.pi / 2, -np.pi / 2])
+    np.testing.assert_allclose(g.bearing_from_lean([np.pi / 2, -np.pi / 2], TILT), [np.pi / 2, -np.pi / 2])
+
+
+@given(bearing=bearings, tilt=tilts)
+def test_edge_behind_the_camera_has_the_line_of_the_one_opposite(bearing, tilt):
+    x, z = np.sin(bearing), -np.cos(bearing)
+    behind = g.bearing_from_point(-x, -z)
+    assert abs(behind) >= np.pi / 2
+    assert g.lean_from_bearing(behind, tilt) == pytest.approx(g.lean_from_bearing(bearing, tilt), abs=1e-9)
+
+
+def test_without_tilt_lean_is_zero_and_says_nothing():
+    np.testing.assert_array_equal(g.lean_from_bearing([-1.0, 0.0, 1.0], 0.0), 0)
+    without_tilt = [
+        lambda: g.bearing_from_lean(0.1, 0.0),
+        lambda: g.slope_from_point(1.0, -1.0, 0.0),
+        lambda: g.nadir_point(0.0),
+        lambda: g.bearing_per_lean(0.1, 0.0),
+        lambda: g.bearing_per_tilt_from_lean(0.1, 0.0),
+        lambda: g.rotation_from_slopes(1.0, 2.0, 0.0),
+    ]
+    for call in without_tilt:
+        with pytest.raises(ValueError, match="tilt is 0"):
+            call()
+
+
+@given(bearing=bearings, tilt=tilts, e=st.floats(-0.5, 0.5))
+def test_bearing_of_any_point_of_the_edge_line(bearing, tilt, e):
+    a = g.edge_a_at(e, bearing, tilt)
+    assert g.bearing_of_image_point(a, e, tilt) == pytest.approx(bearing, abs=1e-12)
+    # The line's inverse slope is the lean's tangent: equation 2 contains equation 1.
+    rise = g.edge_a_at(e + 1, bearing, tilt) - a
+    assert rise == pytest.approx(np.tan(g.lean_from_bearing(bearing, tilt)), abs=1e-9)
+
+
+@given(bearing=bearings, tilt=tilts)
+def test_all_edges_meet_at_the_nadir_point(bearing, tilt):
+    a, e = g.nadir_point(tilt)
+    # At 1° of tilt the point is 57 focal lengths down and tan(85°) is 11: 1e-12 is some 10 units in the last place.
+    assert g.edge_a_at(e, bearing, tilt) == pytest.approx(a, abs=1e-12)
+
+
+def test_nadir_point_lies_f_cot_tilt_below_the_centre():
+    assert round(-554 * g.nadir_point(TILT)[1]) == 1522
+
+
+def test_points_below_the_nadir_point_look_backward():
+    below = g.nadir_point(np.radians(60))[1] - 0.1
+    assert g.bearing_of_image_point(0.05, below, np.radians(60)) > np.pi / 2
+    assert g.bearing_of_image_point(-0.05, below, np.radians(60)) < -np.pi / 2
+
+
+def test_steepest_edge_of_the_paper_is_at_66_degrees():
+    tilt, half_width = np.radians(30), np.tan(np.radians(30))
+    a, e = np.meshgrid(np.linspace(-1, 1, 81) * half_width, np.linspace(-1, 1, 61) * half_width * 3 / 4)
+    steepness = np.degrees(
+        np.arctan(np.abs(g.slope_from_lean(g.lean_from_bearing(g.bearing_of_image_point(a, e, tilt), tilt))))
+    )
+    assert steepness.min() == pytest.approx(66.0, abs=0.05)
+    assert np.unravel_index(steepness.argmin(), steepness.shape)[0] == 0  # in the bottom row
+
+
+# -- two views of one edge (design equations 4 and 5) -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("before_deg", "after_deg", "turn_deg"), [(106.82, 95.16, 20.9), (97.54, 87.54, 19.7)])
+def test_rotation_of_the_papers_table_1(before_deg, after_deg, turn_deg):
+    slopes = np.tan(np.radians([before_deg, after_deg]))
+    turn = np.degrees(g.rotation_from_slopes(*slopes, np.radians(30)))
+    assert turn == pytest.approx(turn_deg, abs=0.05)  # the paper gives one decimal
+
+
+@given(bearing=st.floats(-1, 1), turn=st.floats(-1.5, 1.5), tilt=tilts)
+def test_rotation_is_the_change_of_bearing(bearing, turn, tilt):
+    landmark = np.array([np.sin(bearing), -np.cos(bearing)])
+    turned = g.robot_from_map([0, 0, turn], landmark)
+    slopes = (g.slope_from_point(x, z, tilt) for x, z in (landmark, turned))
+    assert g.rotation_from_slopes(*slopes, tilt) == pytest.approx(turn, abs=1e-9)
+
+
+@pytest.mark.parametrize("infinite", [np.inf, -np.inf])
+def test_rotation_from_and_to_the_image_centre(infinite):
+    slope = g.slope_from_lean(g.lean_from_bearing(0.3, TILT))
+    assert g.rotation_from_slopes(infinite, slope, TILT) == pytest.approx(0.3)
+    assert g.rotation_from_slopes(slope, infinite, TILT) == pytest.approx(-0.3)
+
+
+@given(
+    x=st.floats(0.2, 5) | st.floats(-5, -0.2),
+    z_1=st.floats(-10, -0.5),
+    d=st.floats(-3, -0.01) | st.floats(0.01, 3),
+    tilt=tilts,
+)
+def test_depth_and_motion_from_two_slopes(x, z_1, d, tilt):
+    m_1, m_2 = g.slope_from_point(x, z_1, tilt), g.slope_from_point(x, z_1 - d, tilt)
+    # A motion of 1 cm at 10 m leaves 1e-3 of each slope as their difference.
+    assert g.depth_from_slopes(m_1, m_2, d) == pytest.approx(z_1, rel=1e-11)
+    assert g.motion_from_slopes(m_1, m_2, z_1) == pytest.approx(d, rel=1e-11)
+
+
+def test_driving_forward_is_a_negative_motion():
+    # From 2 m to 1.5 m short of an edge 1 m to the right.
+    m_1, m_2 = g.slope_from_point(1.0, np.array([-2.0, -1.5]), TILT)
+    assert g.motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-0.5)
+
+
+def test_edge_straight_ahead_tells_no_depth_and_no_motion():
+    m_1, m_2 = g.slope_from_point(0.0, np.array([-2.0, -1.5]), TILT)
+    assert np.isnan(g.depth_from_slopes(m_1, m_2, -0.5))
+    assert np.isnan(g.motion_from_slopes(m_1, m_2, -2.0))
+
+
+def test_no_motion_tells_no_depth():
+    assert np.isnan(g.depth_from_slopes(2.0, 2.0, 0.0))
+
+
+def test_edge_that_comes_to_stand_beside_the_camera_gives_its_depth():
+    m_1, m_2 = g.slope_from_point(1.0, np.array([-2.0, 0.0]), TILT)
+    assert g.depth_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
+    assert g.motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
+    assert g.depth_from_slopes(m_2, m_1, 2.0) == 0
+    assert np.isnan(g.motion_from_slopes(m_2, m_1, 0.0))  # 0 m at first: the ratio of the depths is lost
+
+
+# -- sigmas (design equations 7, 8 and 9) -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("bearing_deg", "free_deg", "constrained_deg"), [(0, 0.592, 0.0388), (28, 0.477, 0.0308)])
+def test_sigmas_of_the_design_table(bearing_deg, free_deg, constrained_deg):
+    f, length, sigma, bearing = 554, 200, 0.5, np.radians(bearing_deg)
+    middle = np.array([g.edge_a_at(0.0, bearing, TILT), 0.0])  # on the principal row
+    distance = f * np.linalg.norm(middle - g.nadir_point(TILT))
+    per_lean = g.bearing_per_lean(bearing, TILT)
+    free = np.degrees(per_lean * g.lean_sigma_of_segment(length, sigma))
+    constrained = np.degrees(per_lean * g.constrained_lean_sigma(length, distance, sigma))
+    assert free == pytest.approx(free_deg, abs=5e-4)
+    assert constrained == pytest.approx(constrained_deg, abs=5e-5)
+    assert free / constrained == pytest.approx(np.sqrt(1 + 4 * distance**2 / length**2))
+
+
+@given(bearing=bearings, tilt=tilts)
+def test_derivatives_of_the_bearing_match_finite_differences(bearing, tilt):
+    lean, step = g.lean_from_bearing(bearing, tilt), 1e-6
+    per_lean = (g.bearing_from_lean(lean + step, tilt) - g.bearing_from_lean(lean - step, tilt)) / (2 * step)
+    per_tilt = (g.bearing_from_lean(lean, tilt + step) - g.bearing_from_lean(lean, tilt - step)) / (2 * step)
+    # Third derivatives reach 1/s³ = 2e5 at 1° of tilt: 1e-12 · 2e5 / 6 and more where they mix.
+    assert g.bearing_per_lean(bearing, tilt) == pytest.approx(per_lean, rel=1e-6, abs=1e-6)
+    assert g.bearing_per_tilt_from_lean(bearing, tilt) == pytest.approx(per_tilt, rel=1e-6, abs=1e-6)
+
+
+def test_lean_sigmas_match_noisy_segments():
+    rng, count, length, distance, sigma = np.random.default_rng(2), 20_000, 80.0, 300.0, 0.5
+    low, high = sigma * rng.standard_normal((2, count))
+    free = np.arctan((high - low) / length)
+    # Least squares of a line through the nadir point, at the ends' distances from it.
+    ends = np.array([distance - length / 2, distance + length / 2])
+    held = np.arctan((ends[0] * low + ends[1] * high) / (ends**2).sum())
+    # A standard deviation of n samples errs by 1/√(2n) = 0.5 %; 4 sigma.
+    assert free.std() == pytest.approx(g.lean_sigma_of_segment(length, sigma), rel=0.02)
+    assert held.std() == pytest.approx(g.constrained_lean_sigma(length, distance, sigma), rel=0.02)
+
+
+@given(height=st.floats(0.1, 2), depression=st.floats(0.02, 1.5))
+def test_floor_range_is_where_the_ray_meets_the_floor(height, depression):
+    range_m = g.floor_range(height, depression)
+    assert np.arctan2(height, range_m) == pytest.approx(depression, rel=1e-12)
+    step = 1e-6
+    slope = (g.floor_range(height, depression + step) - g.floor_range(height, depression - step)) / (2 * step)
+    assert g.floor_range_sigma(height, range_m, 0.01) == pytest.approx(0.01 * abs(slope), rel=1e-6)
+
+
+def test_floor_range_at_above_and_straight_below_the_horizon():
+    at, above, below = g.floor_range(1.2, [0.0, -0.1, np.pi / 2])
+    assert at == np.inf
+    assert np.isnan(above)
+    assert below == pytest.approx(0.0, abs=1e-12)
