@@ -1,0 +1,49 @@
+"""Image → vertical edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from localiser.camera import Camera
+from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles
+from localiser.edges.parameters import EdgeParameters
+from localiser.edges.segments import Detector, Segments, hough, lsd
+from localiser.edges.types import Edges
+from localiser.edges.undistort import Image
+from localiser.edges.vertical import is_vertical, same_edge
+from localiser.errors import InputError
+
+DETECTORS: dict[str, Detector] = {"lsd": lsd, "hough": hough}
+
+
+def find_edges(image: Image, camera: Camera, parameters: EdgeParameters) -> Edges:
+    """Return the vertical edges of an image: find segments, keep what meets the nadir point, join what is one edge.
+
+    image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. Raises InputError otherwise.
+    """
+    grey = grey_image(image, camera)
+    mount_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
+    segments = DETECTORS[parameters.detector](grey, camera)
+    vertical = is_vertical(segments, camera, mount_sigma_rad, parameters.gate_sigma)
+    kept = Segments(segments.ends_px[vertical], segments.sigma_px[vertical])
+    polarity = polarity_of_profiles(profiles(kept.ends_px, grey, camera))
+    edge = same_edge(kept, polarity, camera, mount_sigma_rad, parameters.gate_sigma)
+    edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
+    edges = edges.take(edges.length_px >= parameters.min_length_px)
+    rejected = camera.undistorted().image_from_pixels(segments.ends_px[~vertical])
+    return replace(edges, rejected_px=camera.pixels_from_image(rejected))
+
+
+def grey_image(image: Image, camera: Camera) -> Image:
+    """Return the grey image (H, W) of a grey or BGR one. Raises InputError when type or size is not as expected."""
+    size, expected = image.shape[:2], (camera.height, camera.width)
+    is_grey, is_colour = image.ndim == 2, image.ndim == 3 and image.shape[2] == 3
+    if image.dtype != np.uint8 or not (is_grey or is_colour):
+        raise InputError(f"expected 8-bit grey or BGR, found {image.dtype} {image.shape}", field="image")
+    if size != expected:
+        found = f"{size[1]}×{size[0]}"
+        raise InputError(f"expected {camera.width}×{camera.height} as the camera says, found {found}", field="image")
+    return image if is_grey else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -1,0 +1,27 @@
+"""What can be set about finding edges: few numbers, each with a unit and a physical meaning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+DetectorName = Literal["lsd", "hough"]
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeParameters:
+    """How vertical edges are found in an image."""
+
+    detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "lsd"
+    min_length_px: Annotated[float, Field(gt=2, le=1000, description="shortest edge that counts (px)")] = 30.0
+    gate_sigma: Annotated[
+        float, Field(gt=0, le=10, description="how far a vertical edge may miss the nadir point (sigmas)")
+    ] = 3.0
+    tilt_sigma_deg: Annotated[
+        float, Field(ge=0, le=10, description="how certain the camera's stated tilt is (deg, 1 sigma)")
+    ] = 0.5
+    roll_sigma_deg: Annotated[
+        float, Field(ge=0, le=10, description="how certain the camera's stated roll is (deg, 1 sigma)")
+    ] = 0.3
