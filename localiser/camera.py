@@ -119,13 +119,26 @@ class Camera:
         if flat.size == 0:
             return np.zeros(points.shape)
         if self.distortion_model == "equidistant":
-            flat = cv2.fisheye.distortPoints(flat, self.matrix, np.array(self.distortion))
+            found = cv2.fisheye.distortPoints(flat, self.matrix, np.array(self.distortion))
         elif self.is_distorted:
             rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1)
-            flat, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
+            found, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
         else:
-            flat = flat * [self.fx, self.fy] + [self.cx, self.cy]
-        return np.asarray(flat.reshape(points.shape))
+            found = flat * [self.fx, self.fy] + [self.cx, self.cy]
+        return np.asarray(found.reshape(points.shape))
+
+    @cached_property
+    def lens_radius(self) -> float:
+        """The normalised distance from the image centre up to which the lens model is one to one; inf if everywhere.
+
+        A polynomial such as 1 + k1 r² with k1 < 0 turns back at some radius: beyond it, points far outside the field
+        of view would land inside the image again.
+        """
+        axes = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        radii = np.linspace(0.0, 10.0, 2001)
+        bent = (self.pixels_from_image(radii[:, None, None] * axes) - [self.cx, self.cy]) / [self.fx, -self.fy]
+        grows = (np.diff((bent * axes).sum(axis=-1), axis=0) > 0).all(axis=1)
+        return np.inf if grows.all() else float(radii[np.argmin(grows)])
 
     def upright_from_image(self, image_points: ArrayLike) -> Array:
         """Return (a, e) (..., 2) with the mount's roll undone."""
@@ -178,11 +191,16 @@ class Camera:
         return np.asarray(rays @ self.level_from_camera.T)
 
     def project_level(self, points: ArrayLike) -> Array:
-        """Return pixels (..., 2) of points (x, y, z) (..., 3) of the level frame; nan for points behind the image."""
+        """Return pixels (..., 2) of points (x, y, z) (..., 3) of the level frame; nan where the camera cannot see.
+
+        That is behind the image plane, or so far to the side that the lens model would fold the point back inside.
+        """
         in_camera = np.asarray(points, dtype=np.float64) @ self.level_from_camera
         depth = -in_camera[..., 2]
         depth = np.where(depth > 1e-9, depth, np.nan)
-        return self.pixels_from_image(in_camera[..., :2] / depth[..., None])
+        image_points = in_camera[..., :2] / depth[..., None]
+        seen = np.hypot(image_points[..., 0], image_points[..., 1]) < self.lens_radius
+        return self.pixels_from_image(np.where(seen[..., None], image_points, np.nan))
 
     def project(self, robot_pose: ArrayLike, points_in_map: ArrayLike) -> Array:
         """Return pixels (..., 2) of map points (x, y, z) (..., 3), y above the floor, seen from `robot_pose` (3,)."""
