@@ -1,0 +1,140 @@
+"""Errors against the truth: our figures, and evo's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser.errors import InputError
+from localiser.evaluate import Track, errors_against, metrics
+from localiser.evaluate.accuracy import dead_reckoning
+from localiser.geometry import Array, Trajectory, between, compose, ros_from_pose, wrap_angle
+
+SECOND = 1_000_000_000
+
+
+def random_trajectory(seed: int, count: int = 60) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    poses = np.cumsum(rng.normal(size=(count, 3)) * [0.2, 0.2, 0.5], axis=0)
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return Trajectory(np.cumsum(rng.integers(SECOND // 20, SECOND, count)), poses)
+
+
+def disturbed(trajectory: Trajectory, seed: int, sigma: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> Array:
+    poses = trajectory.poses + np.random.default_rng(seed).normal(size=trajectory.poses.shape) * sigma
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
+
+
+def write_tum(path: Path, t_ns: Array, poses: Array) -> None:
+    x, y, yaw = ros_from_pose(poses).T
+    zero = np.zeros(len(poses))
+    np.savetxt(path, np.stack([t_ns / 1e9, x, y, zero, zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1), "%.12f")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_figures_are_those_of_evo(seed: int, tmp_path: Path) -> None:
+    from evo.core import metrics as evo_metrics
+    from evo.core import sync
+    from evo.tools import file_interface
+
+    truth = random_trajectory(seed)
+    track = Track.from_poses(truth.t_ns, disturbed(truth, seed + 100))
+    write_tum(tmp_path / "truth.tum", truth.t_ns, truth.poses)
+    write_tum(tmp_path / "run.tum", track.t_ns, track.poses)
+    pair = sync.associate_trajectories(
+        file_interface.read_tum_trajectory_file(tmp_path / "truth.tum"),
+        file_interface.read_tum_trajectory_file(tmp_path / "run.tum"),
+    )
+
+    def evo(relation: evo_metrics.PoseRelation) -> dict[str, float]:
+        ape = evo_metrics.APE(relation)
+        ape.process_data(pair)
+        return ape.get_all_statistics()
+
+    ours = metrics(track, truth, log="random")
+    position, heading = evo(evo_metrics.PoseRelation.translation_part), evo(evo_metrics.PoseRelation.rotation_angle_deg)
+    assert ours["position_rmse_m"] == pytest.approx(position["rmse"], abs=1e-6)
+    assert ours["position_median_m"] == pytest.approx(position["median"], abs=1e-6)
+    assert ours["position_max_m"] == pytest.approx(position["max"], abs=1e-6)
+    assert ours["heading_rmse_deg"] == pytest.approx(heading["rmse"], abs=1e-5)
+
+
+def test_error_of_known_offsets() -> None:
+    truth = Trajectory(np.array([0, 1, 2]) * SECOND, np.array([[0.0, 0, 3.1], [1, 0, 3.1], [2, 0, 3.1]]))
+    offset = np.array([[0.3, 0.4, 0.1], [0, 0, 0], [0, -2, -0.2]])
+    track = Track.from_poses(truth.t_ns, truth.poses + offset)
+    errors = errors_against(track, truth)
+    np.testing.assert_allclose(errors.position_m, [0.5, 0, 2], atol=1e-12)
+    np.testing.assert_allclose(errors.heading_rad, [0.1, 0, -0.2], atol=1e-12)
+    figures = metrics(track, truth, log="three")
+    assert figures["position_rmse_m"] == pytest.approx(np.sqrt(4.25 / 3), abs=1e-6)
+    assert (figures["position_median_m"], figures["position_max_m"], figures["position_end_m"]) == (0.5, 2.0, 2.0)
+    assert figures["heading_rmse_deg"] == pytest.approx(np.degrees(np.sqrt(0.05 / 3)), abs=1e-6)
+
+
+def test_truth_is_interpolated_along_the_arc() -> None:
+    """A quarter circle of radius 1 between two true poses: the robot is on the arc, not on its chord."""
+    start = np.array([0.0, 0.0, 0.0])
+    quarter_left = np.array([-1.0, -1.0, np.pi / 2])
+    truth = Trajectory(np.array([0, 2 * SECOND]), np.stack([start, compose(start, quarter_left)]))
+    middle = [np.sqrt(0.5) - 1, -np.sqrt(0.5), np.pi / 4]
+    errors = errors_against(Track.from_poses([SECOND], [middle]), truth)
+    np.testing.assert_allclose(errors.truth, [middle], atol=1e-12)
+    assert errors.position_m[0] < 1e-12
+
+
+@settings(derandomize=True, max_examples=60)
+@given(st.floats(-np.pi, np.pi), st.floats(-3, 3))
+def test_heading_error_ignores_full_turns(heading: float, error: float) -> None:
+    truth = Trajectory(np.array([0]), np.array([[0.0, 0.0, heading]]))
+    estimate = np.array([[0.0, 0.0, heading + error + 2 * np.pi]])
+    assert errors_against(Track.from_poses([0], estimate), truth).heading_rad[0] == pytest.approx(error, abs=1e-9)
+
+
+@settings(derandomize=True, max_examples=30)
+@given(st.integers(0, 1000), st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3)))
+def test_odometry_counts_by_its_increments_alone(seed: int, frame: tuple[float, float, float]) -> None:
+    """The odometry's own frame may lie anywhere: what counts is the motion, set on at the first true pose."""
+    truth = random_trajectory(seed, 20)
+    elsewhere = compose(np.array(frame), between(truth.poses[0], truth.poses))
+    np.testing.assert_allclose(dead_reckoning(elsewhere, truth.poses[0])[:, :2], truth.poses[:, :2], atol=1e-9)
+    errors = errors_against(Track.from_poses(truth.t_ns, truth.poses, odometry=elsewhere), truth)
+    np.testing.assert_allclose(errors.odometry_m, 0, atol=1e-9)
+
+
+def test_odometry_that_scales_the_path_is_off_by_that_share() -> None:
+    straight = np.stack([np.zeros(5), -np.arange(5.0), np.zeros(5)], axis=-1)
+    truth = Trajectory(np.arange(5) * SECOND, straight)
+    track = Track.from_poses(truth.t_ns, straight, odometry=straight * [1, 1.1, 1])
+    figures = metrics(track, truth, log="straight")
+    assert figures["odometry_position_rmse_m"] == pytest.approx(0.1 * np.sqrt(30 / 5), abs=1e-6)
+    assert figures["position_rmse_m"] == 0
+
+
+def test_images_outside_the_truth_are_left_out() -> None:
+    truth = Trajectory(np.array([1, 2]) * SECOND, np.zeros((2, 3)))
+    track = Track.from_poses(np.array([0, 1, 2, 3]) * SECOND, [[9.0, 0, 0], [1, 0, 0], [1, 0, 0], [9, 0, 0]])
+    errors = errors_against(track, truth)
+    np.testing.assert_array_equal(np.isnan(errors.position_m), [True, False, False, True])
+    figures = metrics(track, truth, log="part")
+    assert (figures["frames"], figures["position_max_m"], figures["position_end_m"]) == (4, 1.0, 1.0)
+
+
+def test_truth_of_another_time_is_an_error_that_says_so() -> None:
+    truth = Trajectory(np.array([100, 200]) * SECOND, np.zeros((2, 3)))
+    with pytest.raises(InputError, match=r"groundtruth: .*0\.000 s to 1\.000 s.*100\.000 s to 200\.000 s"):
+        errors_against(Track.from_poses([0, SECOND], np.zeros((2, 3))), truth)
+
+
+def test_sigma_of_the_position_is_the_rms_distance_expected() -> None:
+    cov = np.diag([0.09, 0.16, 0.01])[None]
+    track = Track.from_poses([0], np.zeros((1, 3)), covs=cov)
+    assert track.position_sigma_m[0] == pytest.approx(0.5)
+    assert track.heading_sigma_rad[0] == pytest.approx(0.1)
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), cov[0], 200_000)
+    assert np.sqrt(np.square(draws[:, :2]).sum(axis=1).mean()) == pytest.approx(0.5, rel=0.01)
