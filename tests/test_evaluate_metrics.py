@@ -1,0 +1,131 @@
+"""The dictionary of figures, and what it says about pauses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from localiser.evaluate import Track, metrics, timing_metrics
+from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
+from localiser.geometry import Trajectory
+
+SECOND = 1_000_000_000
+KEYS = [
+    "log", "observation", "seed", "particles", "frames",
+    "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
+    "odometry_position_rmse_m", "nees_mean", "pcrb_position_m", "efficiency", "edges_per_frame",
+    "frame_ms_median", "frame_ms_p95", "stage_ms",
+]  # fmt: skip
+
+
+def run_with_a_pause() -> tuple[Track, Trajectory]:
+    """40 images at 1 Hz; no edges from 10 s to 17 s, during which the error grows by 0.2 m a second.
+
+    It stays 1.4 m until 20 s, three seconds after the first edges, and is 0.1 m otherwise.
+    """
+    seconds = np.arange(40)
+    edges = np.where((seconds >= 10) & (seconds < 17), 0, 5)
+    error = np.full(40, 0.1)
+    error[10:17] = 0.2 * np.arange(1, 8)
+    error[17:20] = 1.4
+    poses = np.stack([error, np.zeros(40), np.zeros(40)], axis=-1)
+    covs = np.tile(np.diag([0.01, 0.01, 0.01]), (40, 1, 1))
+    track = Track.from_poses(seconds * SECOND, poses, covs=covs, odometry=poses, edges=edges)
+    return track, Trajectory(seconds * SECOND, np.zeros((40, 3)))
+
+
+def test_every_key_of_the_format_is_there_and_survives_json() -> None:
+    track, truth = run_with_a_pause()
+    bound = np.tile(np.diag([0.02, 0.02, 0.01]) / 4, (40, 1, 1))
+    figures = metrics(track, truth, log="l", observation="line", seed=3, particles=500, bound=bound)
+    figures |= timing_metrics(
+        {"load": [1.0, 2, 3], "edges": [10.0, 10, 40], "filter": [5.0, 5, 5], "sinks": [0.0, 0, 1]}
+    )
+    assert [key for key in figures if key in KEYS] == KEYS
+    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
+    assert figures["pcrb_position_m"] == pytest.approx(0.1)
+    assert figures["efficiency"] == pytest.approx(figures["position_rmse_m"] / 0.1, abs=1e-5)
+    assert figures["nees_mean"] == pytest.approx(100 * figures["position_rmse_m"] ** 2, abs=1e-3)
+    assert figures["edges_per_frame"] == 33 * 5 / 40
+
+
+def test_frame_time_is_the_sum_of_its_stages() -> None:
+    figures = timing_metrics({"load": [1.0, 2, 3], "edges": [10.0, 10, 40]})
+    assert figures == {"frame_ms_median": 12.0, "frame_ms_p95": 39.9, "stage_ms": {"load": 2.0, "edges": 10.0}}
+
+
+def test_without_truth_error_figures_are_null() -> None:
+    track, _ = run_with_a_pause()
+    figures = metrics(track, None, log="l")
+    unknown = [key for key in KEYS if "position" in key or key in ("heading_rmse_deg", "nees_mean", "efficiency")]
+    assert all(figures[key] is None for key in unknown)
+    assert (figures["frames"], figures["edges_per_frame"]) == (40, 33 * 5 / 40)
+    assert figures["pauses"][0]["recovery_s"] is None
+    assert figures["seen_2s"] == {"frames": 35, "position_rmse_m": None, "position_median_m": None, "nees_mean": None}
+    json.dumps(figures, allow_nan=False)
+
+
+def test_a_bare_trajectory_has_errors_but_no_nees_nor_edges() -> None:
+    truth = Trajectory(np.arange(3) * SECOND, np.zeros((3, 3)))
+    figures = metrics(Track.from_poses(truth.t_ns, [[1.0, 0, 0]] * 3), truth, log="tum")
+    assert figures["position_rmse_m"] == 1.0
+    assert figures["nees_mean"] is None
+    assert figures["edges_per_frame"] is None
+    assert figures["odometry_position_rmse_m"] is None
+    assert figures["pauses"] == []
+
+
+def test_pause_is_reported_apart() -> None:
+    track, truth = run_with_a_pause()
+    figures = metrics(track, truth, log="l")
+    # The last edges came at 9 s, the next at 17 s; images at 10 s and 11 s still count as "seen".
+    assert figures["pauses"] == [
+        {
+            "start_s": 9.0,
+            "duration_s": 8.0,
+            "position_end_m": 1.4,
+            "position_rmse_after_m": pytest.approx(np.sqrt((3 * 1.4**2 + 8 * 0.01) / 11), abs=1e-6),
+            "recovery_s": 3.0,
+        }
+    ]
+    assert figures["seen_2s"]["frames"] == 40 - 5
+    assert figures["after_pause_10s"]["frames"] == 11
+    assert figures["steady"]["frames"] == 40 - 5 - 11
+    assert figures["steady"]["position_rmse_m"] == pytest.approx(np.sqrt((22 * 0.01 + 0.04 + 0.16) / 24), abs=1e-6)
+
+
+def test_pauses_are_found_by_their_length() -> None:
+    t_ns = np.arange(20) * SECOND
+    sighted = np.ones(20, dtype=bool)
+    sighted[[5, 6]] = False  # 3 s from sighting to sighting: not longer than 3 s
+    assert find_pauses(t_ns, sighted) == ()
+    sighted[7] = False
+    assert find_pauses(t_ns, sighted) == (Pause(4 * SECOND, 8 * SECOND),)
+    sighted[:4] = False  # begins blind
+    assert find_pauses(t_ns, sighted) == (Pause(0, 4 * SECOND), Pause(4 * SECOND, 8 * SECOND))
+    sighted[12:] = False  # ends blind: nothing comes after
+    assert len(find_pauses(t_ns, sighted)) == 2
+    assert find_pauses(t_ns, np.zeros(20, dtype=bool)) == ()
+
+
+def test_a_pause_between_images_counts_too() -> None:
+    """Logs that hold a frame only when something was seen: the gap lies between two frames."""
+    t_ns = np.array([0, 1, 9, 10]) * SECOND
+    everything = np.ones(4, dtype=bool)
+    assert find_pauses(t_ns, everything) == (Pause(SECOND, 9 * SECOND),)
+    assert after_pauses(t_ns, find_pauses(t_ns, everything)).tolist() == [False, False, True, True]
+
+
+def test_seen_recently_is_never_before_the_first_sighting() -> None:
+    t_ns = np.arange(8) * SECOND
+    sighted = np.array([0, 0, 1, 0, 0, 0, 0, 1], dtype=bool)
+    assert seen_recently(t_ns, sighted).tolist() == [False, False, True, True, True, False, False, True]
+
+
+def test_recovery_ends_at_the_next_pause() -> None:
+    t_ns, pause = np.arange(6) * SECOND, Pause(0, 2 * SECOND)
+    position_m = np.array([0.0, 1, 2, 1, 1, 0.1])
+    assert recovery_s(t_ns, position_m, pause) == 3.0
+    assert np.isnan(recovery_s(t_ns, position_m, pause, until_ns=4 * SECOND))

@@ -1,0 +1,50 @@
+"""The table of errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from localiser.evaluate.table import errors_table, summaries
+
+
+def run(log: str, observation: str, seed: int, rmse: float | None, edges: float = 10.0) -> dict[str, Any]:
+    return {
+        "log": log, "observation": observation, "seed": seed, "position_rmse_m": rmse, "position_median_m": 0.03,
+        "nees_mean": 2.96, "efficiency": None, "edges_per_frame": edges,
+    }  # fmt: skip
+
+
+def rendered(runs: dict[str, dict[str, Any]]) -> list[str]:
+    console = Console(width=160, color_system=None)
+    with console.capture() as capture:
+        console.print(errors_table(runs))
+    return [" ".join(line.split()) for line in capture.get().splitlines() if line.strip()]
+
+
+def test_one_run_has_no_summary() -> None:
+    lines = rendered({"results/house/1": run("house", "line", 0, 0.0416)})
+    assert lines[-1] == "results/house/1 house line 0 0.042 0.030 – – – – 3.0 – 10.0"
+    assert not any(line.startswith(("median", "worst")) for line in lines)
+
+
+def test_runs_of_one_kind_have_their_median_and_worst() -> None:
+    runs = {f"r{seed}": run("house", "line", seed, rmse) for seed, rmse in enumerate([0.02, 0.09, 0.03])}
+    lines = rendered(runs | {"other": run("house", "slope", 0, 0.5)})
+    starts = [line.split()[0] for line in lines[-6:]]
+    assert starts == ["r0", "r1", "r2", "median", "worst", "other"]
+    assert lines[-3].split()[1] == "0.030"
+    assert lines[-2].split()[1] == "0.090"
+
+
+def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:
+    known = summaries([run("h", "line", 0, None), run("h", "line", 1, 0.2), run("h", "line", 2, 0.1)])
+    assert known["median"]["position_rmse_m"] == pytest.approx(0.15)
+    assert known["worst"]["position_rmse_m"] == 0.2
+    assert known["worst"]["efficiency"] is None
+
+
+def test_fewest_edges_are_the_worst() -> None:
+    assert summaries([run("h", "l", s, 0.1, edges) for s, edges in enumerate((5, 50))])["worst"]["edges_per_frame"] == 5
