@@ -1,0 +1,171 @@
+"""The panels of the report: the path on the map, errors inside their band, edges a frame.
+
+Colours are those of Okabe and Ito, which people with any colour vision can tell apart; lines differ in style as well.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from localiser.evaluate.accuracy import Errors, Track, dead_reckoning
+from localiser.evaluate.bound import position_bound
+from localiser.evaluate.pauses import find_pauses
+from localiser.geometry import Array, forward
+from localiser.landmarks import LandmarkMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INK, MUTED, FAINT = "#1f2933", "#6b7785", "#e3e8ed"
+ESTIMATE, BAND, TRUTH, ODOMETRY = "#0072b2", "#56b4e9", "#1f2933", "#e69f00"
+MATCHED, EDGES, WARNING = "#009e73", "#b8c2cc", "#d55e00"
+LANDMARK = "#9aa5b1"
+
+GRID_STEPS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+ELLIPSES = 80  # as many 3σ ellipses along the path as can be told apart
+FEWEST_THAT_FIX_A_POSE = 3
+
+
+def draw_map(axes: Axes, track: Track, errors: Errors | None, landmark_map: LandmarkMap | None) -> None:
+    """Draw landmarks, truth, odometry and estimate as seen from above: x to the right, map -z up, equal scales."""
+    odometry = errors.odometry if errors else dead_reckoning(track.odometry, track.poses[0])
+    if landmark_map is not None:
+        axes.plot(*landmark_map.points.T, ".", color=LANDMARK, markersize=4, zorder=1, label="landmark")
+    if np.isfinite(odometry).any():
+        axes.plot(*odometry[:, :2].T, "--", color=ODOMETRY, linewidth=1.8, zorder=2, label="odometry")
+    if errors:
+        axes.plot(*errors.truth[:, :2].T, color=TRUTH, linewidth=3.2, alpha=0.9, zorder=3, label="truth")
+    _draw_ellipses(axes, track)
+    axes.plot(*track.poses[:, :2].T, color=ESTIMATE, linewidth=1.5, zorder=5, label="estimate")
+    _draw_ends(axes, track.poses)
+
+    box = framed([track.poses, odometry, errors.truth if errors else odometry], landmark_map)
+    _set_equal_limits(axes, box)
+    axes.set(xlabel="x (m)", ylabel="z (m), heading 0 faces up")
+    axes.grid(color=FAINT, linewidth=0.8)
+    _legend_above(axes)
+    axes.set_title("Path on the map")
+
+
+def framed(paths: list[Array], landmark_map: LandmarkMap | None) -> Array:
+    """Return ((x_low, x_high), (z_low, z_high)): the paths, and landmarks around them up to as far again."""
+    points = np.concatenate([path[:, :2] for path in paths])
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    if landmark_map is not None and len(landmark_map):
+        around = max(5.0, float((high - low).max()))
+        low = np.minimum(low, np.maximum(low - around, landmark_map.points.min(axis=0)))
+        high = np.maximum(high, np.minimum(high + around, landmark_map.points.max(axis=0)))
+    margin = 0.03 * float((high - low).max()) + 0.1
+    return np.stack([low - margin, high + margin], axis=-1)
+
+
+def draw_position_error(axes: Axes, track: Track, errors: Errors | None, bound: Array | None) -> None:
+    """Draw the distance from the truth inside three times the distance that the filter expects to be off."""
+    seconds, limit = track.seconds, 3 * track.position_sigma_m
+    axes.fill_between(seconds, 0, limit, color=BAND, alpha=0.25, linewidth=0, label="3σ")
+    if errors:
+        axes.plot(seconds, errors.position_m, color=ESTIMATE, linewidth=1.4, label="error")
+    if bound is not None:
+        axes.plot(seconds, 3 * position_bound(bound), ":", color=INK, linewidth=1.4, label="bound, 3σ")
+    axes.set(ylabel="m", ylim=(0, _top(limit, errors.position_m if errors else None)))
+    _finish(axes, track, "Position error" if errors else "Position uncertainty, no truth")
+
+
+def draw_heading_error(axes: Axes, track: Track, errors: Errors | None) -> None:
+    """Draw estimate minus true heading inside ±3σ."""
+    seconds, limit = track.seconds, np.degrees(3 * track.heading_sigma_rad)
+    axes.fill_between(seconds, -limit, limit, color=BAND, alpha=0.25, linewidth=0, label="±3σ")
+    axes.axhline(0, color=MUTED, linewidth=0.8)
+    error = np.degrees(errors.heading_rad) if errors else None
+    if error is not None:
+        axes.plot(seconds, error, color=ESTIMATE, linewidth=1.4, label="error")
+    top = _top(limit, None if error is None else np.abs(error))
+    axes.set(ylabel="degrees", ylim=(-top, top))
+    _finish(axes, track, "Heading error" if errors else "Heading uncertainty, no truth")
+
+
+def draw_edges(axes: Axes, track: Track) -> None:
+    """Draw the number of edges a frame, those that were matched where known, and a mark where there are too few."""
+    seconds = track.seconds
+    style: dict[str, Any] = {"step": "mid", "linewidth": 0}
+    axes.fill_between(seconds, 0, track.edges, color=EDGES, label="measured", **style)
+    if np.isfinite(track.matched).any():
+        axes.fill_between(seconds, 0, track.matched, color=MATCHED, alpha=0.75, label="matched", **style)
+    counted = track.matched if np.isfinite(track.matched).any() else track.edges
+    few = counted < FEWEST_THAT_FIX_A_POSE
+    if few.any():
+        height, across = np.full(int(few.sum()), 0.03), axes.get_xaxis_transform()
+        label = f"< {FEWEST_THAT_FIX_A_POSE}"
+        axes.plot(seconds[few], height, "|", color=WARNING, markersize=7, transform=across, label=label)
+    if find_pauses(track.t_ns, track.sighted):
+        axes.fill([], [], color=FAINT, alpha=0.7, label="pause")
+    axes.set(ylabel="edges a frame", ylim=(0, 1.12 * max(float(np.nanmax(track.edges, initial=0)), 1)))
+    _finish(axes, track, "Edges")
+
+
+def _set_equal_limits(axes: Axes, box: Array) -> None:
+    from matplotlib.ticker import MultipleLocator
+
+    # Widen the box to the panel's own shape, so that one metre is as long both ways and the panel is filled.
+    low, high = box.T
+    panel = axes.get_window_extent().size
+    span = panel * ((high - low) / panel).max()
+    left, top = (low + high - span) / 2
+    right, bottom = (low + high + span) / 2
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    step = next((step for step in GRID_STEPS_M if span.max() <= 12 * step), GRID_STEPS_M[-1])
+    axes.xaxis.set_major_locator(MultipleLocator(step))
+    axes.yaxis.set_major_locator(MultipleLocator(step))
+
+
+def _draw_ellipses(axes: Axes, track: Track) -> None:
+    from matplotlib.collections import EllipseCollection
+
+    known = np.flatnonzero(np.isfinite(track.covs[:, :2, :2]).all(axis=(1, 2)))
+    if not len(known):
+        return
+    chosen = known[np.unique(np.linspace(0, len(known) - 1, ELLIPSES).astype(int))]
+    variance, directions = np.linalg.eigh(track.covs[chosen, :2, :2])
+    minor, major = 2 * 3 * np.sqrt(np.maximum(variance, 0)).T
+    angle_deg = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
+    centres: dict[str, Any] = {"units": "xy", "offsets": track.poses[chosen, :2], "offset_transform": axes.transData}
+    style: dict[str, Any] = {"facecolors": BAND, "alpha": 0.22, "zorder": 4}
+    axes.add_collection(EllipseCollection(major, minor, angle_deg, **centres, **style))
+    axes.fill([], [], color=BAND, alpha=0.4, linewidth=0, label="3σ")  # a legend knows no collection of ellipses
+
+
+def _draw_ends(axes: Axes, poses: Array) -> None:
+    text: dict[str, Any] = {"textcoords": "offset points", "color": ESTIMATE, "fontweight": "bold", "zorder": 7}
+    start, end = (poses[0, 0], poses[0, 1]), (poses[-1, 0], poses[-1, 1])
+    axes.plot(*start, "o", color="white", markeredgecolor=ESTIMATE, markeredgewidth=2, markersize=13, zorder=6)
+    axes.annotate("start", start, xytext=(-8, -17), ha="right", **text)
+    # A triangle that points where the robot faces; -z is up on the page.
+    right, up = forward(poses[-1, 2]) * [1, -1]
+    turn_deg = np.degrees(np.arctan2(up, right)) - 90
+    axes.plot(*end, marker=(3, 0, turn_deg), color=ESTIMATE, markersize=12, markeredgecolor="white", zorder=6)
+    axes.annotate("end", end, xytext=(9, 8), **text)
+
+
+def _top(limit: Array, error: Array | None) -> float:
+    # The band of a pause, or of the start, may be much higher than any error: cut it rather than flatten the curve.
+    known = limit[np.isfinite(limit)]
+    tops = [1.15 * float(np.quantile(known, 0.95))] if len(known) else []
+    if error is not None and np.isfinite(error).any():
+        tops.append(1.15 * float(np.nanmax(error)))
+    return max(tops, default=1.0) or 1.0
+
+
+def _finish(axes: Axes, track: Track, title: str) -> None:
+    axes.set_title(title)
+    axes.set_xlim(0, max(float(track.seconds[-1]), 1e-3))
+    axes.grid(axis="y", color=FAINT, linewidth=0.8)
+    for pause in find_pauses(track.t_ns, track.sighted):
+        start, end = (np.array([pause.start_ns, pause.end_ns]) - track.t_ns[0]) / 1e9
+        axes.axvspan(start, end, color=FAINT, alpha=0.7, linewidth=0, zorder=0)
+    _legend_above(axes)
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, handlelength=1.5, columnspacing=1.2)

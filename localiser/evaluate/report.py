@@ -1,0 +1,139 @@
+"""The picture of a run: path, errors over time inside their bands, edges a frame, and the key figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from localiser.evaluate import panels
+from localiser.evaluate.accuracy import Track, errors_against
+from localiser.geometry import Array, Trajectory
+from localiser.landmarks import LandmarkMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DPI = 100
+SIZE_IN = (16.0, 10.0)
+WIDE = 2.0  # a map at least this many times wider than high gets the whole width
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so the picture is the same everywhere
+    "font.size": 10.5,
+    "text.color": panels.INK,
+    "axes.labelcolor": panels.MUTED,
+    "axes.edgecolor": panels.LANDMARK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.titlesize": 11.5,
+    "axes.titlepad": 8,
+    "axes.axisbelow": True,
+    "xtick.color": panels.MUTED,
+    "ytick.color": panels.MUTED,
+    "legend.frameon": False,
+    "legend.fontsize": 9.5,
+    "legend.borderaxespad": 0.2,
+}
+# Label, key in the metrics, format: the figures at the top.
+KEY_FIGURES = (
+    ("position RMSE", "position_rmse_m", "{:.3f} m"),
+    ("position median", "position_median_m", "{:.3f} m"),
+    ("position maximum", "position_max_m", "{:.3f} m"),
+    ("heading RMSE", "heading_rmse_deg", "{:.2f}°"),
+    ("odometry alone, RMSE", "odometry_position_rmse_m", "{:.3f} m"),
+    ("NEES (consistent: 3)", "nees_mean", "{:.1f}"),
+    ("RMSE / bound", "efficiency", "{:.2f}"),
+    ("edges a frame", "edges_per_frame", "{:.1f}"),
+    ("time a frame", "frame_ms_median", "{:.0f} ms"),
+)
+
+
+def save_report(
+    path: Path,
+    track: Track,
+    figures: Mapping[str, Any],
+    *,
+    truth: Trajectory | None = None,
+    landmark_map: LandmarkMap | None = None,
+    bound: Array | None = None,
+) -> None:
+    """Write the report of a run as a PNG of 1600×1000 pixels; the same run gives the same bytes.
+
+    figures: as `metrics` returns them. bound: (T, 3, 3) posterior Cramér-Rao bound. Raises InputError when truth and
+    run share no time.
+    """
+    from matplotlib import style
+
+    figure = draw_report(track, figures, truth=truth, landmark_map=landmark_map, bound=bound)
+    with style.context(["default", STYLE]):  # fonts are looked up on drawing
+        # Without "Software", which names matplotlib's version.
+        figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})
+
+
+def draw_report(
+    track: Track,
+    figures: Mapping[str, Any],
+    *,
+    truth: Trajectory | None = None,
+    landmark_map: LandmarkMap | None = None,
+    bound: Array | None = None,
+) -> Figure:
+    """Return the report as a figure that no window or global state holds."""
+    from matplotlib import style
+
+    # From the defaults, not from the user's own settings: the picture is the same everywhere.
+    with style.context(["default", STYLE]):
+        return _drawn(track, figures, truth, landmark_map, bound)
+
+
+def _drawn(
+    track: Track,
+    figures: Mapping[str, Any],
+    truth: Trajectory | None,
+    landmark_map: LandmarkMap | None,
+    bound: Array | None,
+) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    errors = errors_against(track, truth) if truth is not None else None
+    width, height = np.diff(panels.framed([track.poses], landmark_map), axis=1)[:, 0]
+    wide = bool(width > WIDE * height)
+    on_map, position, heading, edges = _lay_out(figure, wide=wide)
+    panels.draw_map(on_map, track, errors, landmark_map)
+    panels.draw_position_error(position, track, errors, bound)
+    panels.draw_heading_error(heading, track, errors)
+    panels.draw_edges(edges, track)
+    for axes in (position, heading, edges) if wide else (edges,):
+        axes.set_xlabel("time (s)")
+    _draw_header(figure, figures)
+    return figure
+
+
+def _lay_out(figure: Figure, *, wide: bool) -> list[Axes]:
+    frame = {"left": 0.05, "right": 0.975, "bottom": 0.065, "top": 0.80}
+    if wide:
+        grid = figure.add_gridspec(2, 3, height_ratios=(1.25, 1), hspace=0.3, wspace=0.2, **frame)
+        return [figure.add_subplot(grid[0, :]), *(figure.add_subplot(grid[1, i]) for i in range(3))]
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1), hspace=0.32, wspace=0.14, **frame)
+    return [figure.add_subplot(grid[:, 0]), *(figure.add_subplot(grid[i, 1]) for i in range(3))]
+
+
+def _draw_header(figure: Figure, figures: Mapping[str, Any]) -> None:
+    figure.text(0.05, 0.955, str(figures["log"]), fontsize=22, fontweight="bold", va="center")
+    units = (("observation", "{}"), ("seed", "seed {}"), ("particles", "{} particles"), ("frames", "{} frames"))
+    parts = [text.format(figures[key]) for key, text in units if figures.get(key) is not None]
+    figure.text(0.975, 0.955, "  ·  ".join(parts), fontsize=12, color=panels.MUTED, ha="right", va="center")
+
+    known = [(label, text.format(figures[key])) for label, key, text in KEY_FIGURES if figures.get(key) is not None]
+    for place, (label, value) in enumerate(known):
+        left = 0.05 + place * 0.925 / len(KEY_FIGURES)
+        figure.text(left, 0.902, value, fontsize=15, fontweight="bold", va="center")
+        figure.text(left, 0.875, label, fontsize=9, color=panels.MUTED, va="center")

@@ -1,0 +1,103 @@
+"""The picture of a run: same run, same bytes; nothing needed but poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from localiser.evaluate import Track, metrics
+from localiser.evaluate.report import draw_report, save_report
+from localiser.geometry import Trajectory
+from localiser.landmarks import LandmarkMap
+
+SECOND = 1_000_000_000
+
+
+def run(height: float = 1.0) -> dict[str, Any]:
+    """A circle (an ellipse for other heights), with a pause, and all that a run can know."""
+    angle = np.linspace(0, 2 * np.pi, 90)
+    poses = np.stack([3 * np.cos(angle), 3 * height * np.sin(angle), -angle], axis=-1)
+    truth = Trajectory((np.arange(90) * SECOND) // 2, poses)
+    rng = np.random.default_rng(0)
+    edges = rng.integers(0, 20, 90)
+    edges[40:50] = 0
+    covs = np.tile(np.diag([0.01, 0.04, 0.001]), (90, 1, 1))
+    track = Track.from_poses(
+        truth.t_ns, poses + rng.normal(size=poses.shape) * [0.1, 0.2, 0.03], covs=covs, odometry=poses * 1.02,
+        edges=edges, matched=edges // 2,
+    )  # fmt: skip
+    points = rng.uniform(-5, 5, (40, 2)) * [1, height]
+    figures = metrics(track, truth, log="circle", observation="line", seed=1, particles=100, bound=covs / 2)
+    return {
+        "track": track, "figures": figures, "truth": truth, "landmark_map": LandmarkMap.from_points(points),
+        "bound": covs / 2,
+    }  # fmt: skip
+
+
+def test_same_run_same_bytes_of_the_promised_size(tmp_path: Path) -> None:
+    save_report(tmp_path / "a.png", **run())
+    save_report(tmp_path / "b.png", **run())
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    image = cv2.imread(str(tmp_path / "a.png"))
+    assert image is not None
+    assert image.shape == (1000, 1600, 3)
+    assert b"Software" not in (tmp_path / "a.png").read_bytes()[:400]
+
+
+def test_map_is_seen_from_above_with_equal_scales() -> None:
+    on_map = draw_report(**run()).axes[0]
+    origin, right, ahead = on_map.transData.transform([[0, 0], [1, 0], [0, -1]])
+    assert right[0] - origin[0] == pytest.approx(ahead[1] - origin[1])  # display coordinates grow upwards
+    assert right[0] > origin[0]
+    assert [label.get_text() for label in on_map.get_legend().get_texts()] == [
+        "landmark", "odometry", "truth", "3σ", "estimate",
+    ]  # fmt: skip
+
+
+def test_whole_path_is_inside_the_map_panel() -> None:
+    for height in (0.1, 1.0, 5.0):
+        given = run(height)
+        on_map = draw_report(**given).axes[0]
+        inside = on_map.get_window_extent()
+        at = on_map.transData.transform(given["truth"].poses[:, :2])
+        assert inside.x0 < at[:, 0].min() < at[:, 0].max() < inside.x1
+        assert inside.y0 < at[:, 1].min() < at[:, 1].max() < inside.y1
+
+
+def test_wide_map_gets_the_whole_width() -> None:
+    square, wide = draw_report(**run()).axes[0], draw_report(**run(0.1)).axes[0]
+    assert wide.get_position().width > 1.5 * square.get_position().width
+
+
+def test_error_curve_is_the_error(tmp_path: Path) -> None:
+    given = run()
+    position = draw_report(**given).axes[1]
+    curve = next(line for line in position.get_lines() if line.get_label() == "error")
+    error = np.hypot(*(given["track"].poses - given["truth"].poses)[:, :2].T)
+    np.testing.assert_allclose(curve.get_ydata(), error)
+    assert position.get_ylim()[1] > error.max()
+
+
+def test_without_truth_map_and_edges_uncertainty_is_drawn(tmp_path: Path) -> None:
+    track = run()["track"]
+    bare = Track.from_poses(track.t_ns, track.poses, covs=track.covs)
+    figure = draw_report(bare, metrics(bare, None, log="bare"))
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [
+        "Path on the map", "Position uncertainty, no truth", "Heading uncertainty, no truth", "Edges",
+    ]  # fmt: skip
+    save_report(tmp_path / "bare.png", bare, metrics(bare, None, log="bare"))
+    assert (tmp_path / "bare.png").stat().st_size > 20_000
+
+
+def test_a_trajectory_alone_and_a_single_image_make_a_picture(tmp_path: Path) -> None:
+    track = run()["track"]
+    poses_only = Track.from_poses(track.t_ns, track.poses)
+    save_report(tmp_path / "poses.png", poses_only, metrics(poses_only, None, log="poses"))
+    single = Track.from_poses([0], [[1.0, 2.0, 0.3]], edges=[4])
+    truth = Trajectory(np.array([0]), np.array([[1.0, 2.0, 0.3]]))
+    save_report(tmp_path / "single.png", single, metrics(single, truth, log="single"), truth=truth)
+    assert (tmp_path / "single.png").stat().st_size > 20_000
