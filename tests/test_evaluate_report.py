@@ -101,3 +101,15 @@ def test_a_trajectory_alone_and_a_single_image_make_a_picture(tmp_path: Path) ->
     truth = Trajectory(np.array([0]), np.array([[1.0, 2.0, 0.3]]))
     save_report(tmp_path / "single.png", single, metrics(single, truth, log="single"), truth=truth)
     assert (tmp_path / "single.png").stat().st_size > 20_000
+
+
+def test_nothing_is_drawn_across_a_time_without_images() -> None:
+    given = run()
+    keep = np.r_[0:30, 60:90]  # 15 s without an image
+    track = given["track"]
+    cut = Track.from_poses(track.t_ns[keep], track.poses[keep], covs=track.covs[keep], edges=track.edges[keep])
+    position = draw_report(cut, given["figures"], truth=given["truth"]).axes[1]
+    curve = next(line for line in position.get_lines() if line.get_label() == "error")
+    error = np.asarray(curve.get_ydata())
+    assert np.flatnonzero(np.isnan(error)).tolist() == [30]
+    assert np.isfinite(error).sum() == 60

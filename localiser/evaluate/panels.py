@@ -12,7 +12,7 @@ import numpy as np
 from localiser.evaluate.accuracy import Errors, Track, dead_reckoning
 from localiser.evaluate.bound import position_bound
 from localiser.evaluate.pauses import find_pauses
-from localiser.geometry import Array, forward
+from localiser.geometry import Array, Trajectory, forward
 from localiser.landmarks import LandmarkMap
 
 if TYPE_CHECKING:
@@ -28,21 +28,28 @@ ELLIPSES = 80  # as many 3σ ellipses along the path as can be told apart
 FEWEST_THAT_FIX_A_POSE = 3
 
 
-def draw_map(axes: Axes, track: Track, errors: Errors | None, landmark_map: LandmarkMap | None) -> None:
-    """Draw landmarks, truth, odometry and estimate as seen from above: x to the right, map -z up, equal scales."""
+def draw_map(
+    axes: Axes, track: Track, errors: Errors | None, truth: Trajectory | None, landmark_map: LandmarkMap | None
+) -> None:
+    """Draw landmarks, truth, odometry and estimate as seen from above: x to the right, map -z up, equal scales.
+
+    The truth is drawn whole from the first image to the last; odometry starts at it, or at the estimate.
+    """
     odometry = errors.odometry if errors else dead_reckoning(track.odometry, track.poses[0])
+    paths = [track.poses, odometry]
     if landmark_map is not None:
         axes.plot(*landmark_map.points.T, ".", color=LANDMARK, markersize=4, zorder=1, label="landmark")
     if np.isfinite(odometry).any():
         axes.plot(*odometry[:, :2].T, "--", color=ODOMETRY, linewidth=1.8, zorder=2, label="odometry")
-    if errors:
-        axes.plot(*errors.truth[:, :2].T, color=TRUTH, linewidth=3.2, alpha=0.9, zorder=3, label="truth")
+    if truth is not None:
+        during = truth.poses[(truth.t_ns >= track.t_ns[0]) & (truth.t_ns <= track.t_ns[-1])]
+        paths.append(during)
+        axes.plot(*during[:, :2].T, color=TRUTH, linewidth=3.2, alpha=0.9, zorder=3, label="truth")
     _draw_ellipses(axes, track)
     axes.plot(*track.poses[:, :2].T, color=ESTIMATE, linewidth=1.5, zorder=5, label="estimate")
     _draw_ends(axes, track.poses)
 
-    box = framed([track.poses, odometry, errors.truth if errors else odometry], landmark_map)
-    _set_equal_limits(axes, box)
+    _set_equal_limits(axes, framed(paths, landmark_map))
     axes.set(xlabel="x (m)", ylabel="z (m), heading 0 faces up")
     axes.grid(color=FAINT, linewidth=0.8)
     _legend_above(axes)
@@ -137,7 +144,10 @@ def _draw_ellipses(axes: Axes, track: Track) -> None:
 
 
 def _draw_ends(axes: Axes, poses: Array) -> None:
+    from matplotlib.patheffects import withStroke
+
     text: dict[str, Any] = {"textcoords": "offset points", "color": ESTIMATE, "fontweight": "bold", "zorder": 7}
+    text["path_effects"] = [withStroke(linewidth=3, foreground="white")]
     start, end = (poses[0, 0], poses[0, 1]), (poses[-1, 0], poses[-1, 1])
     axes.plot(*start, "o", color="white", markeredgecolor=ESTIMATE, markeredgewidth=2, markersize=13, zorder=6)
     axes.annotate("start", start, xytext=(-8, -17), ha="right", **text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from localiser.evaluate import panels
 from localiser.evaluate.accuracy import Track, errors_against
+from localiser.evaluate.pauses import PAUSE_LONGER_THAN_S
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 
@@ -103,11 +105,12 @@ def _drawn(
 
     figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
+    track, bound = _broken_at_gaps(track, bound)
     errors = errors_against(track, truth) if truth is not None else None
     width, height = np.diff(panels.framed([track.poses], landmark_map), axis=1)[:, 0]
     wide = bool(width > WIDE * height)
     on_map, position, heading, edges = _lay_out(figure, wide=wide)
-    panels.draw_map(on_map, track, errors, landmark_map)
+    panels.draw_map(on_map, track, errors, truth, landmark_map)
     panels.draw_position_error(position, track, errors, bound)
     panels.draw_heading_error(heading, track, errors)
     panels.draw_edges(edges, track)
@@ -115,6 +118,15 @@ def _drawn(
         axes.set_xlabel("time (s)")
     _draw_header(figure, figures)
     return figure
+
+
+def _broken_at_gaps(track: Track, bound: Array | None) -> tuple[Track, Array | None]:
+    # Where there was no image for long nothing is known: a row of nan keeps a line from being drawn across.
+    after = np.flatnonzero(np.diff(track.t_ns) > PAUSE_LONGER_THAN_S * 1e9) + 1
+    columns = {f.name: getattr(track, f.name) for f in fields(Track) if f.name != "t_ns"}
+    broken = {name: np.insert(column, after, np.nan, axis=0) for name, column in columns.items()}
+    t_ns = np.insert(track.t_ns, after, track.t_ns[after - 1] + 1)
+    return Track(t_ns, **broken), None if bound is None else np.insert(bound, after, np.nan, axis=0)
 
 
 def _lay_out(figure: Figure, *, wide: bool) -> list[Axes]:
