@@ -149,7 +149,7 @@ def test_floor_point_comes_back_from_the_pixel_of_a_foot(lens, data, robot_pose,
 @pytest.mark.parametrize("lens", LENSES)
 @given(data=st.data(), robot_pose=poses)
 def test_projection_is_that_of_opencv(lens, data, robot_pose):
-    camera = data.draw(cameras(lens, tilts=st.floats(np.radians(-30), np.radians(80))))
+    camera = data.draw(cameras(lens, tilts=st.floats(np.radians(-60), np.radians(70))))
     _, ends = data.draw(edges(camera, robot_pose))
     pixels = project_with_opencv(camera, robot_pose, ends)
     np.testing.assert_allclose(camera.project(robot_pose, ends), pixels, atol=1e-8)
