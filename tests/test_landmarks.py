@@ -1,0 +1,165 @@
+"""Maps and visibility; the oracle of visibility projects points along every edge, one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localiser import geometry as g
+from localiser.camera import Camera, Mount
+from localiser.landmarks import LandmarkMap, SightParameters, in_camera, sight, visible_length_px
+
+MARGIN_NONE = SightParameters(range_max_m=8.0, range_min_m=0.3, length_min_px=20.0, margin_px=0.0)
+
+
+def make_camera(tilt_deg=20.0, **mount):
+    mount = {"tilt_rad": np.radians(tilt_deg), "height_m": 1.2, **mount}
+    return Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(**mount))
+
+
+def visible_length_by_points(camera, tangent, ahead_m, bottom_m, top_m):
+    """Project points along one edge, evenly by angle, and measure between the outermost that lie in the image."""
+    low, high = (-1e9 if np.isnan(bottom_m) else bottom_m), (1e9 if np.isnan(top_m) else top_m)
+    elevations = np.linspace(*np.arctan((np.array([low, high]) - camera.mount.height_m) / ahead_m), 20_001)
+    points = np.stack(
+        [np.full_like(elevations, tangent * ahead_m), ahead_m * np.tan(elevations), np.full_like(elevations, -ahead_m)],
+        axis=-1,
+    )
+    pixels = camera.project_level(points)
+    inside = ((pixels >= 0) & (pixels <= [camera.width - 1, camera.height - 1])).all(axis=-1)
+    return np.hypot(*np.ptp(pixels[inside], axis=0)) if inside.any() else 0.0
+
+
+# -- the map ----------------------------------------------------------------------------------------------------------
+
+
+def test_map_of_points_knows_nothing_else():
+    landmark_map = LandmarkMap.from_points(np.array([[1.0, -2.0], [3.0, -4.0]]), name="two")
+    assert len(landmark_map) == 2
+    assert landmark_map.ids == (0, 1)
+    for unknown in (landmark_map.cov, landmark_map.bottom_m, landmark_map.top_m):
+        assert len(unknown) == 2
+        assert np.isnan(unknown).all()
+    assert landmark_map.polarity.tolist() == [0, 0]
+
+
+def test_map_keeps_what_is_given():
+    landmark_map = LandmarkMap.from_points(
+        np.array([[1.0, -2.0]]), ids=("door",), bottom_m=np.array([0.0]), top_m=np.array([2.1]), source="survey"
+    )
+    assert (landmark_map.ids, landmark_map.source) == (("door",), ("survey",))
+    assert (landmark_map.bottom_m[0], landmark_map.top_m[0]) == (0.0, 2.1)
+
+
+def test_map_of_no_points_has_columns_of_no_length():
+    landmark_map = LandmarkMap.from_points(np.zeros((0, 2)))
+    assert len(landmark_map) == 0
+    assert landmark_map.points.shape == (0, 2)
+    assert landmark_map.cov.shape == (0, 2, 2)
+
+
+# -- frames -----------------------------------------------------------------------------------------------------------
+
+
+def test_points_in_the_frames_of_many_cameras():
+    rng = np.random.default_rng(1)
+    poses, points = rng.uniform(-4, 4, (5, 3)), rng.uniform(-4, 4, (7, 2))
+    right, ahead = in_camera(poses, points)
+    level = g.robot_from_map(poses[:, None], points[None])
+    np.testing.assert_allclose(right, level[..., 0], atol=1e-12)
+    np.testing.assert_allclose(ahead, -level[..., 1], atol=1e-12)
+
+
+# -- visible length ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 50.0, -15.0])
+@pytest.mark.parametrize("known", ["both", "bottom", "top", "neither"])
+def test_visible_length_is_that_of_the_projected_edge(tilt_deg, known):
+    rng, count = np.random.default_rng(2), 120
+    camera = make_camera(tilt_deg)
+    tangent, ahead_m = rng.uniform(-2.5, 2.5, count), rng.uniform(0.3, 6, count)
+    bottom_m = rng.uniform(0, 1, count)
+    top_m = bottom_m + rng.uniform(0.1, 2, count)
+    bottom_m = np.where(known in {"both", "bottom"}, bottom_m, np.nan)
+    top_m = np.where(known in {"both", "top"}, top_m, np.nan)
+    expected = [visible_length_by_points(camera, *edge) for edge in zip(tangent, ahead_m, bottom_m, top_m, strict=True)]
+    assert 5 < np.count_nonzero(expected) < count  # the draw has edges inside and outside
+    found = visible_length_px(camera, tangent, ahead_m, bottom_m, top_m)
+    # Two neighbouring points are less than π/2e4 rad apart, which is 0.1 px; times two ends, more off the axis.
+    np.testing.assert_allclose(found, expected, atol=0.5)
+
+
+def test_with_roll_no_more_is_expected_than_the_image_shows():
+    # The upright rectangle inside a rolled image is smaller than the image: corners are left out, nothing is made up.
+    rng, count = np.random.default_rng(4), 120
+    camera = make_camera(roll_rad=np.radians(5))
+    tangent, ahead_m, bottom_m = rng.uniform(-0.9, 0.9, count), rng.uniform(0.3, 6, count), rng.uniform(0, 1, count)
+    top_m = bottom_m + rng.uniform(0.1, 2, count)
+    shown = [visible_length_by_points(camera, *edge) for edge in zip(tangent, ahead_m, bottom_m, top_m, strict=True)]
+    found = visible_length_px(camera, tangent, ahead_m, bottom_m, top_m)
+    assert np.count_nonzero(found) > 40
+    assert (found <= np.array(shown) + 0.5).all()
+
+
+def test_margin_counts_edges_just_outside():
+    camera = make_camera(0.0)
+    tangent = np.array([322.0 / 554])  # 2.5 px right of the image's last column
+    unknown = np.array([np.nan])
+    assert visible_length_px(camera, tangent, np.array([2.0]), unknown, unknown)[0] == 0
+    assert visible_length_px(camera, tangent, np.array([2.0]), unknown, unknown, margin_px=5.0)[0] == pytest.approx(489)
+
+
+def test_edge_straight_ahead_is_seen_from_bottom_to_top_of_the_image():
+    unknown = np.array([np.nan])
+    length = visible_length_px(make_camera(), np.array([0.0]), np.array([2.0]), unknown, unknown)
+    assert length[0] == pytest.approx(479)
+
+
+def test_edge_that_is_known_to_lie_overhead_is_not_expected():
+    length = visible_length_px(make_camera(), np.array([0.0]), np.array([2.0]), np.array([2.0]), np.array([2.5]))
+    assert length[0] == 0
+
+
+# -- which landmarks are seen -----------------------------------------------------------------------------------------
+
+
+def test_pairs_are_those_that_a_plain_loop_finds():
+    rng = np.random.default_rng(3)
+    camera = make_camera(25.0)
+    poses = np.column_stack([rng.uniform(-5, 5, (30, 2)), rng.uniform(-np.pi, np.pi, 30)])
+    points, top_m = rng.uniform(-9, 9, (40, 2)), rng.uniform(0.2, 2.5, 40)
+    landmark_map = LandmarkMap.from_points(points, bottom_m=np.zeros(40), top_m=top_m)
+    found = sight(camera, poses, landmark_map, MARGIN_NONE)
+
+    expected = {}
+    for n, pose in enumerate(poses):
+        for k, point in enumerate(points):
+            x, z = g.robot_from_map(pose, point)
+            if z < 0 and 0.3 <= np.hypot(x, z) <= 8.0:
+                length = visible_length_by_points(camera, x / -z, -z, 0.0, top_m[k])
+                assert abs(length - 20) > 0.1  # no draw so near the limit that the oracle cannot tell
+                if length > 20:
+                    expected[n, k] = (x / -z, np.hypot(x, z), length)
+    assert len(expected) > 30
+    assert list(zip(found.pose, found.landmark, strict=True)) == sorted(expected)
+    columns = np.stack([found.tangent, found.range_m, found.length_px], axis=-1)
+    np.testing.assert_allclose(columns[:, :2], [expected[pair][:2] for pair in sorted(expected)], atol=1e-9)
+    np.testing.assert_allclose(columns[:, 2], [expected[pair][2] for pair in sorted(expected)], atol=0.1)
+
+
+@pytest.mark.parametrize(("distance_m", "seen"), [(0.25, False), (0.35, True), (7.9, True), (8.1, False)])
+def test_range_limits(distance_m, seen):
+    landmark_map = LandmarkMap.from_points(np.array([[0.0, -distance_m]]))
+    assert (len(sight(make_camera(), np.zeros((1, 3)), landmark_map, MARGIN_NONE).pose) == 1) is seen
+
+
+def test_landmarks_behind_are_not_seen():
+    landmark_map = LandmarkMap.from_points(np.array([[0.0, 2.0], [0.0, -2.0]]))
+    assert sight(make_camera(), np.zeros((1, 3)), landmark_map, MARGIN_NONE).landmark.tolist() == [1]
+
+
+def test_nothing_in_view_gives_no_pairs():
+    landmark_map = LandmarkMap.from_points(np.array([[100.0, 100.0]]))
+    found = sight(make_camera(), np.zeros((4, 3)), landmark_map)
+    assert [len(column) for column in (found.pose, found.landmark, found.tangent, found.range_m)] == [0, 0, 0, 0]
