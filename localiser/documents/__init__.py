@@ -1,0 +1,22 @@
+"""YAML documents in which every value knows its place, so that an error can name file, line, column and field."""
+
+from localiser.documents.document import Document, Key, Place, dump, field_name, shown
+from localiser.documents.files import read_bytes, read_text
+from localiser.documents.models import load_model, nearest, validate
+from localiser.documents.parse import load, parse
+
+__all__ = [
+    "Document",
+    "Key",
+    "Place",
+    "dump",
+    "field_name",
+    "load",
+    "load_model",
+    "nearest",
+    "parse",
+    "read_bytes",
+    "read_text",
+    "shown",
+    "validate",
+]

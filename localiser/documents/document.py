@@ -1,0 +1,103 @@
+"""Plain data in which every value knows its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+from localiser.errors import InputError
+
+Key = tuple[str | int, ...]
+
+_Dumper: type[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a value was written: a file or an option, and line and column from 1 where there are any."""
+
+    source: str
+    line: int | None = None
+    column: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """Plain data (mappings, lists, scalars) and the place of every part, by its keys from the root; () is the root."""
+
+    value: Any
+    places: dict[Key, Place]
+
+    def place(self, key: Key) -> Place:
+        """Return the place of the value at `key`, or of the nearest part around it that was written."""
+        while key not in self.places and key:
+            key = key[:-1]
+        return self.places.get(key, Place(""))
+
+    def error(self, key: Key, problem: str) -> InputError:
+        """Return the error that says what is wrong with the value at `key`."""
+        place = self.place(key)
+        return InputError(
+            problem, path=place.source or None, line=place.line, column=place.column, field=field_name(key) or None
+        )
+
+    def under(self, *key: str) -> Document:
+        """Return the document in which this one is the value at `key`."""
+        value = self.value
+        for name in reversed(key):
+            value = {name: value}
+        root = self.place(())
+        around = {key[:depth]: root for depth in range(len(key))}
+        return Document(value, around | {key + inner: place for inner, place in self.places.items()})
+
+    def overlaid(self, upper: Document) -> Document:
+        """Return this document with what `upper` says instead, mapping by mapping; lists are replaced whole."""
+        replaced = {key for key, value in items(upper.value) if not isinstance(value, dict)}
+        kept = {
+            key: place
+            for key, place in self.places.items()
+            if not any(key[:depth] in replaced for depth in range(1, len(key) + 1))
+        }
+        return Document(_merged(self.value, upper.value), kept | {k: p for k, p in upper.places.items() if k})
+
+
+def field_name(key: Key) -> str:
+    """Return `key` as a person writes it: landmarks[3].x."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).removeprefix(".")
+
+
+def _merged(lower: Any, upper: Any) -> Any:
+    if not (isinstance(lower, dict) and isinstance(upper, dict)):
+        return upper
+    both = {key: _merged(lower[key], value) if key in lower else value for key, value in upper.items()}
+    return lower | both
+
+
+def items(value: Any, key: Key = ()) -> Iterator[tuple[Key, Any]]:
+    """Yield every part of plain data with its keys, the root excepted."""
+    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for name, child in children:
+        yield (*key, name), child
+        yield from items(child, (*key, name))
+
+
+def shown(value: Any, longest: int = 60) -> str:
+    """Return a value as an error message shows it: short, on one line."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, (dict, list)):
+        return f"a {'mapping' if isinstance(value, dict) else 'list'} of {len(value)}"
+    text = value if isinstance(value, str) else repr(value)
+    shown = text if len(text) <= longest else text[:longest] + "…"
+    return repr(shown) if isinstance(value, str) else shown
+
+
+def dump(value: Any) -> str:
+    """Return plain data as YAML: keys in the order given, innermost lists and mappings each on one line."""
+    text: str = yaml.dump(
+        value, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=2**31 - 1
+    )
+    return text
