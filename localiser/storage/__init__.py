@@ -1,0 +1,29 @@
+"""Every file format: logs, cameras, maps, trajectories, results."""
+
+from localiser.storage.cameras import load_camera, save_camera
+from localiser.storage.folder import write_log
+from localiser.storage.images import Image, ImageEvent
+from localiser.storage.log import Event, Frame, Log, LogReader
+from localiser.storage.maps import load_map, save_map
+from localiser.storage.open import FORMATS, open_log
+from localiser.storage.trajectories import load_poses, load_tum, save_poses, save_tum
+
+__all__ = [
+    "FORMATS",
+    "Event",
+    "Frame",
+    "Image",
+    "ImageEvent",
+    "Log",
+    "LogReader",
+    "load_camera",
+    "load_map",
+    "load_poses",
+    "load_tum",
+    "open_log",
+    "save_camera",
+    "save_map",
+    "save_poses",
+    "save_tum",
+    "write_log",
+]

@@ -1,0 +1,113 @@
+"""Edges that were measured already: CSV, one row an edge, all rows of one time are one frame.
+
+In a file a bearing is measured from the robot's forward axis; inside the program from the camera's, which is turned
+by the mount's yaw. It is converted here, both ways, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser import mcl
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.edges.bearings import complete
+from localiser.geometry import Array, wrap_angle
+from localiser.storage.files import write_text
+from localiser.storage.tables import (
+    Column,
+    Table,
+    integer,
+    integer_or_none,
+    number_or_unknown,
+    positive_or_unknown,
+    read_table,
+    sign,
+)
+
+_MEASURED = ("bearing_rad", "bearing_sigma_rad", "lean_rad", "lean_sigma_rad", "length_px")
+COLUMNS = (
+    Column("t_ns", integer),
+    Column("bearing_rad", number_or_unknown),
+    Column("bearing_sigma_rad", positive_or_unknown),
+    Column("lean_rad", number_or_unknown),
+    Column("lean_sigma_rad", positive_or_unknown),
+    Column("length_px", positive_or_unknown),
+    Column("polarity", sign),
+    Column("landmark_id", integer_or_none, required=False),
+)
+
+
+def load_edges(path: Path, camera: Camera) -> list[mcl.Sighting]:
+    """Return one sighting for each time in the table, at least one.
+
+    A row with a time and nothing else is a frame in which no edge was found. Of bearing and lean the one that is
+    missing follows from the other and the tilt. Raises InputError.
+    """
+    table = read_table(path, COLUMNS, rows_at_least=1)
+    table.require_time_order(strictly=False)
+    measured = table.numbers(*_MEASURED)
+    measured[:, 0] = wrap_angle(measured[:, 0] + camera.mount.yaw_rad)
+    found = np.isfinite(measured[:, 0]) | np.isfinite(measured[:, 2])
+    for row in range(len(table)):
+        _check_row(table, row, measured[row], found[row])
+
+    frames = []
+    times = table.columns["t_ns"]
+    for t_ns, rows in groupby(range(len(table)), key=lambda row: times[row]):
+        index = np.array([row for row in rows if found[row]], dtype=np.int64)
+        frames.append(mcl.Sighting(t_ns, _edges(table, measured, index, camera)))
+    return frames
+
+
+def _edges(table: Table, measured: Array, index: NDArray[np.int64], camera: Camera) -> Edges:
+    """Return the edges in the rows `index` (E,); measured: (R, 5), bearings from the camera's axis."""
+    bearing, bearing_sigma, lean, lean_sigma, length_px = measured[index].T
+    identified = table.columns.get("landmark_id", [-1] * len(table))
+    return Edges.from_columns(
+        *complete(bearing, bearing_sigma, lean, lean_sigma, camera.mount.tilt_rad),
+        length_px=length_px,
+        polarity=np.array(table.columns["polarity"], dtype=np.int8)[index],
+        landmark_id=np.array(identified, dtype=np.int64)[index],
+    )
+
+
+def _check_row(table: Table, row: int, measured: Array, found: np.bool_) -> None:
+    """Raise InputError unless every angle lies in front of the camera and has a sigma, and an edge has an angle."""
+    known = dict(zip(_MEASURED, ~np.isnan(measured), strict=True))
+    if not found and (any(known.values()) or table.columns["polarity"][row]):
+        raise table.error(row, "bearing_rad", "expected a bearing or a lean, found neither")
+    for place, name in ((0, "bearing"), (2, "lean")):
+        if known[f"{name}_rad"] != known[f"{name}_sigma_rad"]:
+            missing = "sigma_rad" if known[f"{name}_rad"] else "rad"
+            raise table.error(row, f"{name}_{missing}", f"expected {name}_rad and {name}_sigma_rad, found one of them")
+        if abs(measured[place]) >= np.pi / 2:
+            given = table.columns[f"{name}_rad"][row]
+            raise table.error(row, f"{name}_rad", f"expected a {name} within ±90° of the camera's axis, found {given}")
+
+
+def save_edges(frames: Iterable[mcl.Sighting], camera: Camera, path: Path) -> None:
+    """Write the table of edges, a frame without any as a row with the time alone. Raises OutputError."""
+    lines = [",".join(column.name for column in COLUMNS)]
+    for frame in frames:
+        edges = frame.edges
+        columns = (
+            wrap_angle(edges.bearing - camera.mount.yaw_rad),
+            edges.bearing_sigma,
+            edges.lean,
+            edges.lean_sigma,
+            edges.length_px,
+        )
+        for row in range(len(edges)):
+            cells = ["" if np.isnan(column[row]) else repr(float(column[row])) for column in columns]
+            polarity = str(edges.polarity[row]) if edges.polarity[row] else ""
+            landmark = str(edges.landmark_id[row]) if edges.landmark_id[row] >= 0 else ""
+            lines.append(",".join([str(frame.t_ns), *cells, polarity, landmark]))
+        if len(edges) == 0:
+            lines.append(f"{frame.t_ns}" + "," * (len(COLUMNS) - 1))
+    write_text(path, "\n".join(lines) + "\n")

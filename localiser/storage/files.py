@@ -1,0 +1,52 @@
+"""Paths inside a folder, and files that are either written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from localiser.errors import OutputError
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a file that is named relative to `folder` and lies in it, symbolic links followed.
+
+    Raises ValueError, with what was expected, for an absolute path, a path that leaves the folder, or no path at all.
+    """
+    if not name.strip() or "\0" in name:
+        raise ValueError("expected the name of a file")
+    if PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor or ".." in Path(name).parts:
+        raise ValueError("expected a path inside the log's folder")
+    root, path = os.path.realpath(folder), os.path.realpath(folder / name)
+    if not Path(path).is_relative_to(root):
+        raise ValueError(f"expected a path inside the log's folder, found a link to {path}")
+    return folder / name
+
+
+@contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn what the operating system says about writing `path` into an OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def write_text(path: Path, content: str) -> None:
+    """Write a UTF-8 file whole or not at all: an interruption leaves what was there before. Raises OutputError."""
+    write_bytes(path, content.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all: an interruption leaves what was there before. Raises OutputError."""
+    draft = path.with_name(f".{path.name}.part")
+    with output_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            draft.write_bytes(content)
+            draft.replace(path)
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise

@@ -1,0 +1,208 @@
+"""The project's own log folder: `log.yaml` and the files beside it that it names."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from localiser import mcl
+from localiser.camera import Camera
+from localiser.documents import Document, dump, load, validate
+from localiser.errors import OutputError
+from localiser.geometry import Trajectory
+from localiser.landmarks import LandmarkMap
+from localiser.storage.cameras import FileModel, degrees, load_camera, save_camera
+from localiser.storage.edge_tables import load_edges, save_edges
+from localiser.storage.files import inside, output_errors, write_bytes, write_text
+from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event
+from localiser.storage.log import Frame, Log, require_overlap
+from localiser.storage.maps import load_map, save_map
+from localiser.storage.tables import Column, integer, read_table, text
+from localiser.storage.trajectories import load_poses, save_poses
+
+LOG_FILE = "log.yaml"
+FORMAT = "localiser-log/1"
+FileName = Annotated[str, Field(min_length=1)]
+
+
+class StartFile(BaseModel):
+    """Where the robot is said to be at the first event, and how certain that is."""
+
+    model_config = FileModel
+
+    x: Annotated[float, Field(ge=-1e6, le=1e6)]
+    z: Annotated[float, Field(ge=-1e6, le=1e6)]
+    heading_deg: Annotated[float, Field(ge=-360, le=360)]
+    sigma_m: Annotated[float, Field(ge=0, le=1000)]
+    sigma_deg: Annotated[float, Field(ge=0, le=360)]
+
+
+class LogFile(BaseModel):
+    """`log.yaml`: the names of the other files, relative to the folder."""
+
+    model_config = FileModel
+
+    format: Literal["localiser-log/1"]
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    camera: FileName
+    odometry: FileName
+    images: FileName | None = None
+    edges: FileName | None = None
+    groundtruth: FileName | None = None
+    map: FileName | None = None
+    start: StartFile | None = None
+
+
+class FolderReader:
+    """Reads log folders."""
+
+    format = "folder"
+
+    def recognises(self, path: Path) -> bool:
+        """Whether `path` is a folder with a log.yaml, or that file itself."""
+        return (path / LOG_FILE).exists() or path.name == LOG_FILE
+
+    def read(self, path: Path) -> Log:
+        """Return the log. That all images are there and of the camera's size is checked now. Raises InputError."""
+        folder = path.parent if path.name == LOG_FILE else path
+        document = load(folder / LOG_FILE)
+        file = validate(document, LogFile)
+        camera = load_camera(_named(document, folder, "camera", file.camera))
+        odometry = load_poses(_named(document, folder, "odometry", file.odometry))
+        frames = _frames(document, folder, file, camera)
+        truth = load_poses(_named(document, folder, "groundtruth", file.groundtruth)) if file.groundtruth else None
+        first_ns = min(int(odometry.t_ns[0]), frames[0].t_ns)
+        log = Log(
+            name=file.name,
+            path=folder,
+            camera=camera,
+            odometry=odometry,
+            frames=frames,
+            landmark_map=load_map(_named(document, folder, "map", file.map)) if file.map else None,
+            start=_start(file.start, first_ns) if file.start else None,
+            groundtruth=truth,
+        )
+        return require_overlap(log)
+
+
+def _named(document: Document, folder: Path, field: str, name: str) -> Path:
+    try:
+        return inside(folder, name)
+    except ValueError as error:
+        raise document.error((field,), f"{error}, found {name!r}") from None
+
+
+def _frames(document: Document, folder: Path, file: LogFile, camera: Camera) -> list[Frame]:
+    if file.images and file.edges:
+        raise document.error(("edges",), "expected images or edges, found both")
+    if file.images:
+        return list(_images(_named(document, folder, "images", file.images), folder, camera))
+    if file.edges:
+        return list(load_edges(_named(document, folder, "edges", file.edges), camera))
+    raise document.error(("images",), "expected images or edges, found neither")
+
+
+def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
+    table = read_table(path, (Column("t_ns", integer), Column("file", text)), rows_at_least=1)
+    table.require_time_order(strictly=True)
+    size = (camera.width, camera.height)
+    events = []
+    for row, (t_ns, name) in enumerate(zip(table.columns["t_ns"], table.columns["file"], strict=True)):
+        try:
+            image = inside(folder, name)
+        except ValueError as error:
+            raise table.error(row, "file", f"{error}, found {name!r}") from None
+        check_head(image, size)
+        events.append(image_event(t_ns, name, image, size))
+    return events
+
+
+def _start(file: StartFile, t_ns: int) -> mcl.Start:
+    mean = np.array([file.x, file.z, math.radians(file.heading_deg)])
+    sigma = np.array([file.sigma_m, file.sigma_m, math.radians(file.sigma_deg)])
+    return mcl.Start(t_ns, mean, np.diag(sigma**2))
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def write_log(
+    folder: Path,
+    *,
+    name: str,
+    camera: Camera,
+    odometry: Trajectory,
+    images: Iterable[tuple[int, Image]] | None = None,
+    sightings: Iterable[mcl.Sighting] | None = None,
+    landmark_map: LandmarkMap | None = None,
+    groundtruth: Trajectory | None = None,
+    start: mcl.Start | None = None,
+    image_suffix: Literal[".jpg", ".png"] = ".jpg",
+    jpeg_quality: int = 90,
+) -> None:
+    """Write a log folder, either whole or not at all; images or sightings, in the order of time, are taken one by one.
+
+    images: (t_ns, (H, W) grey or (H, W, 3) BGR uint8). start: the covariance is written as one sigma for the position
+    and one for the heading. Raises OutputError when the folder holds something already or cannot be written, ValueError
+    unless there are images or sightings, not both.
+    """
+    if (images is None) == (sightings is None):
+        raise ValueError("expected images or sightings")
+    with output_errors(folder):
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise OutputError(f"{folder}: expected a new or empty folder, found files in it")
+        draft = folder.with_name(f".{folder.name}.part")
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.mkdir(parents=True)
+    try:
+        names = {"camera": "camera.yaml", "odometry": "odometry.csv"}
+        save_camera(camera, draft / "camera.yaml")
+        save_poses(odometry, draft / "odometry.csv")
+        if groundtruth is not None:
+            names["groundtruth"] = "groundtruth.csv"
+            save_poses(groundtruth, draft / "groundtruth.csv")
+        if landmark_map is not None:
+            names["map"] = "map.yaml"
+            save_map(landmark_map, draft / "map.yaml")
+        if images is not None:
+            names["images"] = "images.csv"
+            _write_images(images, draft, image_suffix, jpeg_quality)
+        if sightings is not None:
+            names["edges"] = "edges.csv"
+            save_edges(sightings, camera, draft / "edges.csv")
+        data: dict[str, Any] = {"format": FORMAT, "name": name, **names}
+        if start is not None:
+            data["start"] = _start_data(start)
+        write_text(draft / LOG_FILE, dump(data))
+        with output_errors(folder):
+            draft.replace(folder)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def _write_images(images: Iterable[tuple[int, Image]], folder: Path, suffix: str, jpeg_quality: int) -> None:
+    lines = ["t_ns,file"]
+    for index, (t_ns, image) in enumerate(images):
+        name = f"images/{index:06d}{suffix}"
+        write_bytes(folder / name, encode_image(image, suffix, jpeg_quality))
+        lines.append(f"{t_ns},{name}")
+    write_text(folder / "images.csv", "\n".join(lines) + "\n")
+
+
+def _start_data(start: mcl.Start) -> dict[str, float]:
+    x, z, heading = (float(value) for value in start.mean)
+    position_var = (start.cov[0, 0] + start.cov[1, 1]) / 2
+    return {
+        "x": x,
+        "z": z,
+        "heading_deg": degrees(heading),
+        "sigma_m": float(np.sqrt(position_var)),
+        "sigma_deg": degrees(float(np.sqrt(start.cov[2, 2]))),
+    }

@@ -1,0 +1,92 @@
+"""A recorded log: what was measured, in the order of time, whatever format it was stored in."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from localiser import mcl
+from localiser.camera import Camera
+from localiser.errors import InputError
+from localiser.geometry import Trajectory
+from localiser.landmarks import LandmarkMap
+from localiser.storage.images import ImageEvent
+
+Frame = ImageEvent | mcl.Sighting
+Event = mcl.Start | mcl.Odometry | ImageEvent | mcl.Sighting
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Log:
+    """What a robot recorded.
+
+    odometry: poses in the odometry's own frame. frames: images, or edges that were measured already, in the order of
+    time. landmark_map, start, groundtruth (in the map frame): where the log has them. path: what was read.
+    """
+
+    name: str
+    path: Path
+    camera: Camera
+    odometry: Trajectory
+    frames: Sequence[Frame]
+    landmark_map: LandmarkMap | None = None
+    start: mcl.Start | None = None
+    groundtruth: Trajectory | None = None
+
+    @property
+    def start_ns(self) -> int:
+        """The time of the first event."""
+        return min(int(self.odometry.t_ns[0]), self.frames[0].t_ns)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last event."""
+        return (max(int(self.odometry.t_ns[-1]), self.frames[-1].t_ns) - self.start_ns) / 1e9
+
+    @property
+    def has_images(self) -> bool:
+        """Whether the frames are images, not edges."""
+        return isinstance(self.frames[0], ImageEvent)
+
+    def events(self, start: mcl.Start | None = None) -> Iterator[Event]:
+        """Yield everything in the order of time: the start first, odometry before an image of the same time.
+
+        start: used in place of the log's own.
+        """
+        if first := start or self.start:
+            yield first
+        wheels = (
+            mcl.Odometry(int(t_ns), pose) for t_ns, pose in zip(self.odometry.t_ns, self.odometry.poses, strict=True)
+        )
+        yield from heapq.merge(wheels, self.frames, key=lambda event: event.t_ns)
+
+
+class LogReader(Protocol):
+    """Reads logs of one format."""
+
+    @property
+    def format(self) -> str:
+        """The name of the format, as `--format` takes it."""
+        ...
+
+    def recognises(self, path: Path) -> bool:
+        """Whether `path` looks like a log of this format."""
+        ...
+
+    def read(self, path: Path) -> Log:
+        """Return the log; images are read later, one by one. Raises InputError."""
+        ...
+
+
+def require_overlap(log: Log) -> Log:
+    """Return the log if odometry and frames share some time. Raises InputError."""
+    if not any(log.odometry.covers(frame.t_ns) for frame in log.frames):
+        raise InputError(
+            f"expected odometry during the images, found odometry from {log.odometry.t_ns[0]} to "
+            f"{log.odometry.t_ns[-1]} ns and images from {log.frames[0].t_ns} to {log.frames[-1].t_ns} ns",
+            path=log.path,
+        )
+    return log

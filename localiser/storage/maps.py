@@ -1,0 +1,148 @@
+"""Landmark maps as YAML. What a newer version added to a file is kept, and written back."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
+
+from localiser.documents import Document, dump, load, shown, validate
+from localiser.landmarks import FRAME, LandmarkMap
+from localiser.storage.files import write_text
+
+FORMAT = "localiser-map/1"
+
+Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Variance = Annotated[float, Field(ge=0, le=1e12)]
+Open = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+
+
+class CovFile(BaseModel):
+    """Covariance of a landmark's position, m²."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    xx: Variance
+    xz: Annotated[float, Field(ge=-1e12, le=1e12)]
+    zz: Variance
+
+    @model_validator(mode="after")
+    def _positive(self) -> CovFile:
+        if self.xz**2 > self.xx * self.zz:
+            raise ValueError("expected a covariance with xz² ≤ xx·zz")
+        return self
+
+
+class LandmarkFile(BaseModel):
+    """One landmark; keys that are not known here are kept."""
+
+    model_config = Open
+
+    id: StrictInt | StrictStr
+    x: Metres
+    z: Metres
+    cov: CovFile | None = None
+    bottom_m: Metres = math.nan
+    top_m: Metres = math.nan
+    polarity: Literal[-1, 1] | None = None
+    source: Annotated[str, Field(min_length=1)] = ""
+
+
+class MapFile(BaseModel):
+    """A map file; keys that are not known here are kept."""
+
+    model_config = Open
+
+    format: Literal["localiser-map/1"]
+    landmarks: Annotated[list[LandmarkFile], Field(min_length=1)]
+    name: str = ""
+    frame: dict[str, Any] = Field(default_factory=lambda: dict(FRAME))
+
+
+def load_map(path: Path) -> LandmarkMap:
+    """Return the map that a file describes. Raises InputError."""
+    return map_from_document(load(path))
+
+
+def map_from_document(document: Document) -> LandmarkMap:
+    """Return the map that a document describes. Raises InputError."""
+    file = validate(document, MapFile)
+    _check_frame(document, file.frame)
+    _check_landmarks(document, file.landmarks)
+    landmarks = file.landmarks
+    return LandmarkMap(
+        name=file.name,
+        ids=tuple(landmark.id for landmark in landmarks),
+        points=np.array([[landmark.x, landmark.z] for landmark in landmarks]),
+        cov=np.array([_cov(landmark.cov) for landmark in landmarks]),
+        bottom_m=np.array([landmark.bottom_m for landmark in landmarks]),
+        top_m=np.array([landmark.top_m for landmark in landmarks]),
+        polarity=np.array([landmark.polarity or 0 for landmark in landmarks], dtype=np.int8),
+        source=tuple(landmark.source for landmark in landmarks),
+        frame=file.frame,
+        extra=tuple(dict(landmark.model_extra or {}) for landmark in landmarks),
+        header=dict(file.model_extra or {}),
+    )
+
+
+def _check_frame(document: Document, frame: dict[str, Any]) -> None:
+    """Refuse a map in other axes or units: it would be read as if it were in ours."""
+    for name, ours in FRAME.items():
+        if frame.get(name, ours) != ours:
+            raise document.error(("frame", name), f"expected {ours!r}, found {shown(frame[name])}")
+
+
+def _check_landmarks(document: Document, landmarks: list[LandmarkFile]) -> None:
+    first: dict[str, int] = {}
+    for index, landmark in enumerate(landmarks):
+        # 7 and "7" would be the same name in a table.
+        other = first.setdefault(str(landmark.id), index)
+        if other != index:
+            line = document.place(("landmarks", other, "id")).line
+            raise document.error(
+                ("landmarks", index, "id"), f"expected an id of its own, found {landmark.id!r} as in line {line}"
+            )
+        if landmark.top_m < landmark.bottom_m:
+            raise document.error(
+                ("landmarks", index, "top_m"),
+                f"expected a top above the bottom at {landmark.bottom_m}, found {landmark.top_m}",
+            )
+
+
+def _cov(cov: CovFile | None) -> list[list[float]]:
+    return [[math.nan] * 2] * 2 if cov is None else [[cov.xx, cov.xz], [cov.xz, cov.zz]]
+
+
+def save_map(landmark_map: LandmarkMap, path: Path) -> None:
+    """Write a map file with everything that the map knows. Raises OutputError."""
+    write_text(path, dump(map_data(landmark_map)))
+
+
+def map_data(landmark_map: LandmarkMap) -> dict[str, Any]:
+    """Return the map as plain data, as its file has it; what is unknown is left out."""
+    return {
+        "format": FORMAT,
+        "name": landmark_map.name,
+        "frame": dict(landmark_map.frame),
+        **landmark_map.header,
+        "landmarks": [_landmark_data(landmark_map, index) for index in range(len(landmark_map))],
+    }
+
+
+def _landmark_data(landmark_map: LandmarkMap, index: int) -> dict[str, Any]:
+    x, z = landmark_map.points[index]
+    data: dict[str, Any] = {"id": landmark_map.ids[index], "x": float(x), "z": float(z)}
+    (xx, xz), (_, zz) = landmark_map.cov[index]
+    if not np.isnan(landmark_map.cov[index]).all():
+        data["cov"] = {"xx": float(xx), "xz": float(xz), "zz": float(zz)}
+    for name, heights in (("bottom_m", landmark_map.bottom_m), ("top_m", landmark_map.top_m)):
+        if not np.isnan(heights[index]):
+            data[name] = float(heights[index])
+    if landmark_map.polarity[index]:
+        data["polarity"] = int(landmark_map.polarity[index])
+    if landmark_map.source[index]:
+        data["source"] = landmark_map.source[index]
+    return data | (landmark_map.extra[index] if landmark_map.extra else {})
