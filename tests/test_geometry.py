@@ -213,6 +213,8 @@ def test_ros_axes_and_yaw():
 def test_ros_conversion_goes_both_ways(pose):
     assert_same_pose(g.pose_from_ros(g.ros_from_pose(pose)), pose)
     assert_same_pose(g.ros_from_pose(g.pose_from_ros(pose)), pose)
+    assert -np.pi <= g.pose_from_ros(pose)[2] < np.pi
+    assert -np.pi <= g.ros_from_pose(pose)[2] < np.pi
 
 
 @given(pose=poses, step_m=st.floats(0.1, 5))
