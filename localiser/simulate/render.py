@@ -1,0 +1,215 @@
+"""Images of a world: exact level columns, textured and lit, then tilted, blurred and noisy as a camera's are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser import geometry
+from localiser.camera import Camera
+from localiser.geometry import Array, Trajectory
+from localiser.simulate.level_view import LevelView, level_view_of
+from localiser.simulate.light import Lighting, lighting_of
+from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
+from localiser.simulate.robot import ImageSpec
+from localiser.simulate.solids import Solids, solids_of
+from localiser.simulate.structure import VerticalEdges, vertical_edges
+from localiser.simulate.textures import Atlas, Image, atlas_of
+from localiser.simulate.world import World
+
+_BLUR_STEP_PX = 1.5  # motion blur averages sharp images no further apart than this
+_BLUR_STEPS_MOST = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A world made ready to be seen by one camera."""
+
+    world: World
+    camera: Camera
+    solids: Solids
+    edges: VerticalEdges
+    atlas: Atlas
+    lighting: Lighting
+    view: LevelView
+
+
+def scene_of(world: World, camera: Camera | None = None) -> Scene:
+    """Return the world made ready for the camera (the world's own when not given).
+
+    Raises ValueError when the camera looks straight down.
+    """
+    camera = camera or world.camera.camera(world.name)
+    solids = solids_of(world)
+    path = np.array([point.to for point in world.drive.path])
+    return Scene(
+        world=world,
+        camera=camera,
+        solids=solids,
+        edges=vertical_edges(solids),
+        atlas=atlas_of(world.materials),
+        lighting=lighting_of(world.light, solids, path),
+        view=level_view_of(camera),
+    )
+
+
+def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return the image, (H, W) grey or (H, W, 3) RGB as the world says, taken from a robot that stands at (3,)."""
+    return _developed(radiance(scene, robot_pose), scene.world.image, rng)
+
+
+def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return the image whose exposure has its middle at `t_ns`, blurred by the robot's motion meanwhile."""
+    half_ns = round(scene.world.image.exposure_s * 5e8)
+    first, last = truth.at(t_ns - half_ns), truth.at(t_ns + half_ns)
+    steps = _blur_steps(scene.camera, first, last) if half_ns else 1
+    shares = (np.arange(steps) + 0.5) / steps
+    poses = [truth.at(t_ns + round((2 * share - 1) * half_ns)) for share in shares]
+    light = sum((radiance(scene, pose) for pose in poses[1:]), start=radiance(scene, poses[0])) / np.float32(steps)
+    return _developed(light, scene.world.image, rng)
+
+
+def radiance(scene: Scene, robot_pose: Array) -> Image:
+    """Return the image (H, W, 3) float32 RGB of a perfect lens and sensor."""
+    pose = scene.camera.pose_in_map(robot_pose)
+    columns = columns_of(scene.view, pose, scene.edges.points)
+    eye = scene.camera.mount.height_m
+    hits = cast(scene.solids, pose, columns.tangent)
+    spans = spans_of(scene.solids, hits, scene.view, columns, (eye, scene.world.ceiling_m))
+    return scene.view.image(_level_image(scene, pose, columns, spans))
+
+
+def _blur_steps(camera: Camera, first: Array, last: Array) -> int:
+    """Return how many sharp images make a blurred one; turning moves the image most, driving at most half as much."""
+    motion = geometry.between(first, last)
+    moved_px = camera.focal_px * (abs(motion[2]) + np.hypot(motion[0], motion[1]) / 2)
+    return int(np.clip(np.ceil(moved_px / _BLUR_STEP_PX), 1, _BLUR_STEPS_MOST))
+
+
+def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return the 8-bit image: lens blur, vignette, gain, grey, noise, rounding."""
+    if spec.blur_px > 0:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), spec.blur_px), dtype=np.float32)
+    height, width = image.shape[:2]
+    if spec.vignette > 0:
+        u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
+        image = image * (1 - spec.vignette * (u**2 + v**2) / 2).astype(np.float32)[..., None]
+    image = image * np.float32(spec.gain)
+    if not spec.colour:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.float32)
+    noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
+# -- colouring the level view ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Where samples of the level view lie on their textures: S of them.
+
+    place: (S,) index in the flat view. material: (S,). across_m, up_m: (S,) on the texture. footprint_m: (S,) that a
+    sample stands for. brightness: (S,).
+    """
+
+    place: NDArray[np.intp]
+    material: NDArray[np.intp]
+    across_m: NDArray[np.float32]
+    up_m: NDArray[np.float32]
+    footprint_m: NDArray[np.float32]
+    brightness: NDArray[np.float32]
+
+
+def _level_image(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> Image:
+    """Return the level view (columns, rows, 3): each column the mean of its rays, weighted by their shares."""
+    rows = scene.view.rows
+    rays = np.zeros((len(columns.tangent), rows, 3), dtype=np.float32)
+    flat = rays.reshape(-1, 3)
+    for colour in (_upright, _level):
+        samples = colour(scene, pose, columns, spans)
+        colours = scene.atlas.sample(samples.material, samples.across_m, samples.up_m, samples.footprint_m)
+        colours *= samples.brightness[:, None]
+        flat[samples.place] = colours
+    first = np.searchsorted(columns.owner, np.arange(scene.view.columns))
+    image = rays[first]
+    stop = np.append(first[1:], len(columns.owner))
+    for column in np.flatnonzero(stop - first > 1):
+        part = slice(first[column], stop[column])
+        image[column] = np.tensordot(columns.share[part].astype(np.float32), rays[part], axes=1)
+    return image
+
+
+def _rows_of(view: LevelView, spans: Spans, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.intp], ...]:
+    """Return for every sample of the chosen spans: index among them, row, and place in the flat view."""
+    count = spans.count[chosen]
+    span = np.repeat(np.arange(len(count)), count)
+    before = np.cumsum(count) - count
+    row = np.arange(len(span)) + np.repeat(spans.first_row[chosen] - before, count)
+    return span, row, row + np.repeat(spans.column[chosen] * view.rows, count)
+
+
+def _upright(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Samples:
+    """Return samples of faces: along the face from where the ray meets it, upwards with the elevation."""
+    chosen = spans.is_upright
+    solid, distance = spans.solid[chosen], spans.distance_m[chosen]
+    tangent = columns.tangent[spans.column[chosen]]
+    ray = geometry.forward(pose[2]) + tangent[:, None] * geometry.right(pose[2])
+    points = pose[:2] + distance[:, None] * ray
+    normals, offsets = scene.solids.half_planes()
+    side = np.abs((normals[solid] * points[:, None]).sum(axis=-1) - offsets[solid]).argmin(axis=1)
+    normal, corner = normals[solid, side], scene.solids.corners[solid, side]
+    along = np.stack([normal[:, 1], -normal[:, 0]], axis=-1)
+    across = ((points - corner) * along).sum(axis=1) + scene.solids.along_m[solid]
+    facing = np.abs((normal * ray).sum(axis=1)) / np.hypot(1.0, tangent)
+    footprint = distance / scene.view.per_unit / np.sqrt(np.maximum(facing, 0.05))
+    bright = scene.lighting.of_faces(points, normal)
+    above = scene.camera.mount.height_m - scene.solids.above_m[solid]
+    material = _materials(scene)[solid]
+    span, row, place = _rows_of(scene.view, spans, chosen)
+    elevation = scene.view.elevation_of_rows(row)
+    up = _at(span, above) + _at(span, distance) * elevation
+    return _Samples(
+        place,
+        material[span],
+        _at(span, across),
+        up,
+        _at(span, footprint),
+        _at(span, bright),
+    )
+
+
+def _level(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Samples:
+    """Return samples of floor, ceiling, tops and undersides: where the ray meets their height."""
+    chosen = ~spans.is_upright
+    solid, above = spans.solid[chosen], spans.above_m[chosen]
+    tangent = columns.tangent[spans.column[chosen]]
+    ray = geometry.forward(pose[2]) + tangent[:, None] * geometry.right(pose[2])
+    span, row, place = _rows_of(scene.view, spans, chosen)
+    above_s = _at(span, above)
+    distance = above_s / scene.view.elevation_of_rows(row)
+    x = np.float32(pose[0]) + distance * _at(span, ray[:, 0])
+    z = np.float32(pose[1]) + distance * _at(span, ray[:, 1])
+    # One sample is distance / per_unit wide and distance² / (height · per_unit) long; the mean of both decides.
+    footprint = distance * np.sqrt(distance / np.abs(above_s)) / np.float32(scene.view.per_unit)
+    world = scene.world
+    floor, ceiling = (scene.atlas.index[surface.material] for surface in (world.floor, world.ceiling))
+    materials = np.append(_materials(scene), [ceiling, floor])  # CEILING is -2, FLOOR is -1
+    turn = np.where(solid == CEILING, np.deg2rad(world.ceiling.direction_deg), np.deg2rad(world.floor.direction_deg))
+    cos, sin = _at(span, np.cos(turn)), _at(span, np.sin(turn))
+    is_floor = (solid == FLOOR)[span]
+    middle_row = np.minimum(spans.first_row[chosen] + spans.count[chosen] // 2, scene.view.rows - 1)
+    middle = (above / scene.view.elevation_of_rows(middle_row))[:, None] * ray + pose[:2]
+    bright = _at(span, scene.lighting.of_tops(middle, above > 0))
+    bright[is_floor] = scene.lighting.of_floor(x[is_floor], z[is_floor])
+    return _Samples(place, materials[solid][span], cos * x - sin * z, -(sin * x + cos * z), footprint, bright)
+
+
+def _at(index: NDArray[np.intp], values: Array) -> NDArray[np.float32]:
+    return values.astype(np.float32)[index]
+
+
+def _materials(scene: Scene) -> NDArray[np.intp]:
+    return np.array([scene.atlas.index[name] for name in scene.solids.material], dtype=np.intp)

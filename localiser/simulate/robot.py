@@ -1,0 +1,133 @@
+"""The robot's part of a world file: camera, drive, and what is wrong with odometry and images."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from localiser.camera import DISTORTION_COUNTS, Camera, Mount
+
+# YAML knows lists, not tuples; the numbers inside stay strict.
+Point = Annotated[tuple[float, float], Field(strict=False)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class Model(BaseModel):
+    """A part of a world file: strict types, no unknown keys, no nan."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MountSpec(Model):
+    """Where the camera sits on the robot, as in a log's camera file."""
+
+    tilt_deg: Annotated[float, Field(ge=-45, le=60)]
+    height_m: Positive
+    roll_deg: Annotated[float, Field(ge=-45, le=45)] = 0.0
+    yaw_deg: float = 0.0
+    right_m: float = 0.0
+    back_m: float = 0.0
+
+
+class CameraSpec(Model):
+    """Pinhole and lens; the principal point is the image centre when not given."""
+
+    width: Annotated[int, Field(ge=16, le=4096)] = 640
+    height: Annotated[int, Field(ge=16, le=4096)] = 480
+    focal_px: Positive
+    cx: float | None = None
+    cy: float | None = None
+    distortion_model: Literal["none", "plumb_bob", "rational_polynomial", "equidistant"] = "none"
+    distortion: tuple[float, ...] = Field(default=(), strict=False)
+    mount: MountSpec
+
+    @model_validator(mode="after")
+    def _distortion_is_complete(self) -> CameraSpec:
+        counts = DISTORTION_COUNTS[self.distortion_model]
+        if len(self.distortion) not in counts:
+            expected = " or ".join(map(str, counts))
+            raise ValueError(
+                f"{self.distortion_model}: expected {expected} distortion coefficients, found {len(self.distortion)}"
+            )
+        return self
+
+    def camera(self, name: str = "") -> Camera:
+        """Return the camera in SI units and radians."""
+        mount = self.mount
+        return Camera(
+            width=self.width,
+            height=self.height,
+            fx=self.focal_px,
+            fy=self.focal_px,
+            cx=(self.width - 1) / 2 if self.cx is None else self.cx,
+            cy=(self.height - 1) / 2 if self.cy is None else self.cy,
+            mount=Mount(
+                tilt_rad=float(np.deg2rad(mount.tilt_deg)),
+                height_m=mount.height_m,
+                roll_rad=float(np.deg2rad(mount.roll_deg)),
+                yaw_rad=float(np.deg2rad(mount.yaw_deg)),
+                right_m=mount.right_m,
+                back_m=mount.back_m,
+            ),
+            distortion_model=self.distortion_model,
+            distortion=self.distortion,
+            name=name,
+        )
+
+
+class WayPoint(Model):
+    """A point of the path. corner_radius_m: of the arc that rounds this corner; 0 turns on the spot.
+
+    speed_m_s: on the way to this point, the drive's when not given. pause_s: standing still there.
+    """
+
+    to: Point
+    speed_m_s: Positive | None = None
+    corner_radius_m: NotNegative = 0.0
+    pause_s: NotNegative = 0.0
+
+
+class DriveSpec(Model):
+    """The path from its first point, heading for the second, with constant speed and turn rate on each piece."""
+
+    path: Annotated[tuple[WayPoint, ...], Field(strict=False, min_length=2)]
+    speed_m_s: Positive = 0.5
+    turn_deg_s: Positive = 40.0
+    end_turn_deg: float = 0.0
+    image_hz: Annotated[float, Field(gt=0, le=1000)] = 5.0
+    odometry_hz: Annotated[float, Field(gt=0, le=1000)] = 20.0
+
+
+class OdometrySpec(Model):
+    """Errors of the odometry, systematic first. The slow scales are Ornstein–Uhlenbeck processes in time."""
+
+    distance_scale: Annotated[float, Field(gt=-1)] = 0.0
+    rotation_scale: Annotated[float, Field(gt=-1)] = 0.0
+    veer_deg_per_m: float = 0.0
+    distance_noise_m_per_sqrt_m: NotNegative = 0.0
+    heading_walk_deg_per_sqrt_m: NotNegative = 0.0
+    turn_noise_deg_per_sqrt_deg: NotNegative = 0.0
+    slow_scale_sigma: NotNegative = 0.0
+    slow_scale_time_s: Positive = 10.0
+
+
+class ImageSpec(Model):
+    """What lens, sensor and storage do to an image. exposure_s blurs it by the robot's own motion."""
+
+    colour: bool = True
+    noise_sigma: NotNegative = 1.0
+    blur_px: NotNegative = 0.0
+    exposure_s: NotNegative = 0.0
+    gain: Positive = 1.0
+    vignette: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 90
+
+
+class StartSpec(Model):
+    """How well the start is known: the log states the true start plus an error with these sigmas."""
+
+    sigma_m: NotNegative = 0.1
+    sigma_deg: NotNegative = 3.0

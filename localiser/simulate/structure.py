@@ -1,0 +1,135 @@
+"""The vertical edges of a building: wherever a horizontal cut through it has a corner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
+from localiser.simulate.solids import Solids, solids_of
+from localiser.simulate.world import World
+
+MERGE_M = 0.02  # edges nearer to each other are one landmark: no camera here tells them apart
+SHORTEST_M = 0.1  # what is lower is no landmark
+_CIRCLE_M = 0.0015
+_DIRECTIONS = (np.arange(96) + 0.5) * 2 * np.pi / 96
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VerticalEdges:
+    """Vertical edges of the geometry, M of them: points (M, 2) x, z, bottom_m, top_m (M,), is_flat (M,) of pictures."""
+
+    points: Array
+    bottom_m: Array
+    top_m: Array
+    is_flat: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def vertical_edges(solids: Solids) -> VerticalEdges:
+    """Return every vertical edge of the solids together, with the heights between which it stands.
+
+    Candidates are corners of footprints and crossings of their sides. One is an edge at the heights at which the
+    solids, cut there, neither fill its neighbourhood, nor leave it empty, nor are straight.
+    """
+    structure = _edges_of(solids, ~solids.is_flat)
+    with_pictures = _edges_of(solids, np.ones(len(solids), dtype=bool)) if solids.is_flat.any() else []
+    known = {(round(x, 4), round(z, 4)) for x, z, _, _ in structure}
+    pictures = [edge for edge in with_pictures if (round(edge[0], 4), round(edge[1], 4)) not in known]
+    columns = np.array(structure + pictures).reshape(-1, 4)
+    is_flat = np.arange(len(columns)) >= len(structure)
+    return VerticalEdges(columns[:, :2], columns[:, 2], columns[:, 3], is_flat)
+
+
+def landmarks_of(world: World) -> LandmarkMap:
+    """Return the landmarks of the world: its vertical edges, merged where they stand within 2 cm of each other."""
+    edges = vertical_edges(solids_of(world))
+    return landmark_map_of(edges, landmark_of_edges(edges), world.name)
+
+
+def landmark_of_edges(edges: VerticalEdges) -> NDArray[np.int64]:
+    """Return for each edge (M,) the landmark that it is part of, counted from 0, or -1 for one that is none."""
+    stands = ~edges.is_flat & (edges.top_m - edges.bottom_m >= SHORTEST_M)
+    index = np.flatnonzero(stands)
+    distance = np.linalg.norm(edges.points[index, None] - edges.points[None, index], axis=-1)
+    group = np.arange(len(index))
+    for i, j in zip(*np.nonzero(np.triu(distance < MERGE_M, k=1)), strict=True):
+        group[group == group[j]] = group[i]
+    landmark = np.full(len(edges), -1, dtype=np.int64)
+    landmark[index] = np.unique(group, return_inverse=True)[1]
+    return landmark
+
+
+def landmark_map_of(edges: VerticalEdges, landmark: NDArray[np.int64], name: str) -> LandmarkMap:
+    """Return the map of landmarks (L), each in the middle of its edges and from the lowest to the highest of them."""
+    groups = [np.flatnonzero(landmark == k) for k in range(landmark.max(initial=-1) + 1)]
+    return LandmarkMap.from_points(
+        np.array([edges.points[group].mean(axis=0) for group in groups]).reshape(-1, 2),
+        name=name,
+        bottom_m=np.array([edges.bottom_m[group].min() for group in groups]),
+        top_m=np.array([edges.top_m[group].max() for group in groups]),
+        source="simulated",
+    )
+
+
+def _edges_of(solids: Solids, chosen: NDArray[np.bool_]) -> list[tuple[float, float, float, float]]:
+    normals, offsets = (column[chosen] for column in solids.half_planes())
+    corners, bottom, top = solids.corners[chosen], solids.bottom_m[chosen], solids.top_m[chosen]
+    circle = _CIRCLE_M * np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)], axis=-1)
+    edges = []
+    for point in _candidates(corners):
+        near = (((normals @ point) - offsets) <= 2 * _CIRCLE_M).all(axis=1)
+        across = np.einsum("pkd,sd->psk", normals[near], point + circle) - offsets[near, None, :]
+        filled = (across <= 1e-9).all(axis=2)
+        for low, high in _heights_of_corner(filled, bottom[near], top[near]):
+            edges.append((float(point[0]), float(point[1]), low, high))
+    return edges
+
+
+def _heights_of_corner(filled: NDArray[np.bool_], bottom: Array, top: Array) -> Iterator[tuple[float, float]]:
+    """Yield the height ranges at which the cut round one point, filled (P, S) by each solid, has a corner."""
+    levels = np.unique(np.concatenate([bottom, top]))
+    start = None
+    for low, high in pairwise(levels):
+        standing = (bottom <= low) & (top >= high)
+        is_corner = _is_corner(filled[standing].any(axis=0))
+        if is_corner and start is None:
+            start = float(low)
+        if not is_corner and start is not None:
+            yield start, float(low)
+            start = None
+    if start is not None:
+        yield start, float(levels[-1])
+
+
+def _is_corner(filled: NDArray[np.bool_]) -> bool:
+    """Whether a small circle, filled or not in each direction (S,), shows more than nothing, all, or one half."""
+    count, changes = int(filled.sum()), int((filled != np.roll(filled, 1)).sum())
+    return changes > 2 or (changes == 2 and abs(count - len(filled) / 2) > 1)
+
+
+def _candidates(corners: Array) -> Array:
+    """Return corners and crossings of sides (C, 2) of footprints (P, K, 2), each once."""
+    start = corners.reshape(-1, 2)
+    side = np.roll(corners, -1, axis=1).reshape(-1, 2) - start
+    real = np.linalg.norm(side, axis=1) > 1e-9
+    start, side = start[real], side[real]
+    gap = start[None] - start[:, None]
+    turn = side[:, None, 0] * side[None, :, 1] - side[:, None, 1] * side[None, :, 0]
+    parallel = np.abs(turn) < 1e-12
+    turn = np.where(parallel, 1.0, turn)
+    along = (gap[..., 0] * side[None, :, 1] - gap[..., 1] * side[None, :, 0]) / turn
+    other = (gap[..., 0] * side[:, None, 1] - gap[..., 1] * side[:, None, 0]) / turn
+    crosses = ~parallel & (along >= 0) & (along <= 1) & (other >= 0) & (other <= 1)
+    first, second = np.nonzero(np.triu(crosses, k=1))
+    crossings = start[first] + along[first, second, None] * side[first]
+    points = np.concatenate([corners.reshape(-1, 2), crossings])
+    _, once = np.unique(np.round(points, 6), axis=0, return_index=True)
+    return points[np.sort(once)]
