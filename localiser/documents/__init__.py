@@ -2,13 +2,14 @@
 
 from localiser.documents.document import Document, Key, Place, dump, field_name, shown
 from localiser.documents.files import read_bytes, read_text
-from localiser.documents.models import load_model, nearest, validate
+from localiser.documents.models import Schema, load_model, nearest, validate
 from localiser.documents.parse import load, parse
 
 __all__ = [
     "Document",
     "Key",
     "Place",
+    "Schema",
     "dump",
     "field_name",
     "load",

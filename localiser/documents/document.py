@@ -61,7 +61,7 @@ class Document:
             for key, place in self.places.items()
             if not any(key[:depth] in replaced for depth in range(1, len(key) + 1))
         }
-        return Document(_merged(self.value, upper.value), kept | {k: p for k, p in upper.places.items() if k})
+        return Document(_merged(self.value, upper.value), upper.places | kept)
 
 
 def field_name(key: Key) -> str:
@@ -97,7 +97,18 @@ def shown(value: Any, longest: int = 60) -> str:
 
 def dump(value: Any) -> str:
     """Return plain data as YAML: keys in the order given, innermost lists and mappings each on one line."""
+    if isinstance(value, dict) and value:
+        return "".join(_dump({key: part}, isinstance(part, (dict, list))) for key, part in value.items())
+    return _dump(value, True)
+
+
+def _dump(value: Any, compact: bool) -> str:
     text: str = yaml.dump(
-        value, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=2**31 - 1
+        value,
+        Dumper=_Dumper,
+        sort_keys=False,
+        default_flow_style=None if compact else False,
+        allow_unicode=True,
+        width=2**31 - 1,
     )
     return text

@@ -33,7 +33,7 @@ def validate(document: Document, model: type[Model], build: Callable[[Any], Mode
     Raises InputError for the first thing that is wrong, with its place; an unknown key gets the nearest known one.
     """
     adapter = TypeAdapter(model)
-    schema = _SchemaWalk(adapter)
+    schema = Schema(adapter)
     for key, value in items(document.value):
         # pydantic would take yes for 1; in YAML a bare yes, no, on or off is true or false.
         if isinstance(value, bool) and schema.kind(key) in ("number", "integer"):
@@ -44,7 +44,7 @@ def validate(document: Document, model: type[Model], build: Callable[[Any], Mode
         raise _first_problem(document, error, schema) from None
 
 
-def _first_problem(document: Document, error: ValidationError, schema: _SchemaWalk) -> InputError:
+def _first_problem(document: Document, error: ValidationError, schema: Schema) -> InputError:
     problems = error.errors(include_url=False)
     problem = problems[0]
     key = _written_key(document.value, problem["loc"])
@@ -88,8 +88,8 @@ def nearest(name: str, known: list[str]) -> str:
     return f"the nearest known is {close[0]!r}" if close else f"known are {', '.join(sorted(known)) or 'none'}"
 
 
-class _SchemaWalk:
-    """Looks up names and kinds in the JSON schema of a model; the schema is made when it is first needed."""
+class Schema:
+    """Looks things up in the JSON schema of a model; the schema is made when it is first needed."""
 
     def __init__(self, adapter: TypeAdapter[Any]) -> None:
         self._make: Callable[[], dict[str, Any]] = adapter.json_schema
@@ -97,14 +97,15 @@ class _SchemaWalk:
 
     def names(self, key: Key) -> list[str]:
         """Return the keys that the model knows at `key`."""
-        return sorted({name for schema in self._at(key) for name in schema.get("properties", {})})
+        return sorted({name for schema in self.at(key) for name in schema.get("properties", {})})
 
     def kind(self, key: Key) -> str | None:
         """Return the JSON type that the model wants at `key`, None when there are several or none."""
-        kinds = {schema.get("type") for schema in self._at(key)} - {"null"}
+        kinds = {schema.get("type") for schema in self.at(key)} - {"null"}
         return kinds.pop() if len(kinds) == 1 else None
 
-    def _at(self, key: Key) -> list[dict[str, Any]]:
+    def at(self, key: Key) -> list[dict[str, Any]]:
+        """Return what the model takes at `key`: one schema, more for a union, none for a key that it does not know."""
         if self._schema is None:
             self._schema = self._make()
         schemas = self._alternatives(self._schema)

@@ -1,0 +1,142 @@
+"""Typed configuration: every parameter of the program, read from YAML and from the command line.
+
+The parameters themselves stand beside the models they belong to; this module puts them together. What is in force is,
+from weak to strong: the defaults, what a log asks for, the file given with --config, each --set.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from localiser import __version__, documents
+from localiser.documents import Document, Place, Schema
+from localiser.edges import EdgeParameters
+from localiser.edges.bearings import BearingSensor
+from localiser.errors import InputError
+from localiser.mcl import MclParameters
+from localiser.motion import MotionParameters
+from localiser.observation import ObservationParameters
+
+_LIBRARIES = ("numpy", "opencv-python-headless", "pydantic", "rerun-sdk")
+_BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+
+
+class Config(BaseModel):
+    """Everything that can be set. A section is the parameters of the module of that name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, title="localiser configuration")
+
+    seed: Annotated[int, Field(ge=0, lt=2**32, description="of the one random generator; same seed, same result")] = 0
+    mcl: MclParameters = MclParameters()
+    motion: MotionParameters = MotionParameters()
+    observation: ObservationParameters = ObservationParameters()
+    edges: EdgeParameters = EdgeParameters()
+    sensor: BearingSensor = BearingSensor()
+    versions: Annotated[
+        dict[str, str], Field(description="what wrote this file; read by people, not by the program")
+    ] = {}
+
+
+def load_config(
+    path: Path | None = None,
+    overrides: Iterable[str] = (),
+    log_overrides: Mapping[str, Any] | None = None,
+) -> Config:
+    """Return the configuration in force.
+
+    path: a YAML file; what it leaves out is the default. overrides: texts `section.name=value`, later ones win.
+    log_overrides: values that a log asks for, by their names `section.name`. Raises InputError, with file, line and
+    column or with the option.
+    """
+    document = Document({}, {(): Place("")})
+    for name, value in (log_overrides or {}).items():
+        document = document.overlaid(_option("the log's own settings", name, Document(value, {(): Place("")})))
+    if path is not None:
+        document = document.overlaid(_file(path))
+    for override in overrides:
+        document = document.overlaid(_override(override))
+    return documents.validate(document, Config)
+
+
+def _file(path: Path) -> Document:
+    document = documents.load(path)
+    if document.value is None:  # a file of comments changes nothing
+        return Document({}, document.places)
+    if not isinstance(document.value, dict):
+        raise document.error((), f"expected sections and values, found {documents.shown(document.value)}")
+    return document
+
+
+def _override(text: str) -> Document:
+    """Return the document that `section.name=value` stands for."""
+    option = f"--set {text}"
+    name, equals, value = text.partition("=")
+    if not equals or not value.strip() or not all(part.strip() for part in name.split(".")):
+        raise InputError("expected section.name=value", path=option)
+    try:
+        return _option(option, name, documents.parse(value, option))
+    except InputError as error:
+        raise InputError(error.problem, path=option) from None
+
+
+def _option(source: str, name: str, document: Document) -> Document:
+    """Return the document as the value at `name`; the place of all of it is the option as a whole."""
+    whole = Document(document.value, {key: Place(source) for key in document.places})
+    return whole.under(*(part.strip() for part in name.split(".")))
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def in_force(config: Config) -> Config:
+    """Return the configuration with the versions of what runs it, to be kept beside results."""
+    found = {"localiser": __version__, "python": platform.python_version()}
+    for library in _LIBRARIES:
+        try:
+            found[library] = metadata.version(library)
+        except metadata.PackageNotFoundError:
+            continue
+    return config.model_copy(update={"versions": found})
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of a configuration file, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema()}
+
+
+def to_yaml(config: Config) -> str:
+    """Return the configuration as YAML that `load_config` reads, each value with its meaning, unit and range."""
+    return "".join(_lines(config.model_dump(), (), Schema(TypeAdapter(Config)))).lstrip("\n")
+
+
+def _lines(values: dict[str, Any], key: tuple[str, ...], schema: Schema) -> Iterable[str]:
+    indent = "  " * len(key)
+    for name, value in values.items():
+        (found,) = schema.at((*key, name))
+        section = isinstance(value, dict)
+        if section and not value:
+            continue
+        if section and not key:
+            yield "\n"
+        yield from (f"{indent}# {line}\n" for line in _meaning(found))
+        if section and "properties" in found:
+            yield f"{indent}{name}:\n"
+            yield from _lines(value, (*key, name), schema)
+        else:
+            yield f"{indent}{documents.dump({name: value}).strip()}\n"
+
+
+def _meaning(schema: dict[str, Any]) -> Iterable[str]:
+    """Return what a comment says of a field or a section."""
+    text = schema.get("description", "").strip().split("\n\n")[0].split("\n")
+    bounds = [f"{sign} {schema[bound]}" for bound, sign in _BOUNDS.items() if bound in schema]
+    if "enum" in schema:
+        bounds = ["one of " + ", ".join(map(str, schema["enum"]))]
+    text[-1] += f"; {', '.join(bounds)}" if bounds else ""
+    return [line.strip() for line in text if line.strip()]
