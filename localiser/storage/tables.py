@@ -138,7 +138,7 @@ def plain(cell: str) -> str:
 def read_table(path: Path, columns: Sequence[Column], *, rows_at_least: int = 0, more_columns: bool = False) -> Table:
     """Return the table in a CSV file, with the columns in any order.
 
-    more_columns: whether columns that are not listed are kept, as numbers. Raises InputError with file, line and field.
+    more_columns: whether columns that are not listed are kept, as text. Raises InputError with file, line and field.
     """
     reader = csv.reader(io.StringIO(read_text(path, MAX_TABLE_BYTES), newline=""), strict=True)
     try:
@@ -191,7 +191,7 @@ def _checked_header(
                 path=path,
                 line=line,
             )
-    return [known.get(name, Column(name, number_or_unknown)) for name in names]
+    return [known.get(name, Column(name, str)) for name in names]
 
 
 def _header(columns: Sequence[Column]) -> str:

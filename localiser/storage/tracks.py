@@ -1,0 +1,102 @@
+"""What a run located, image by image: written as it comes, so that a run that is broken off leaves what it did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.evaluate.accuracy import Track
+from localiser.geometry import Array
+from localiser.mcl import Located
+from localiser.storage.files import output_errors
+from localiser.storage.tables import Column, integer, number, number_or_unknown, read_table
+from localiser.storage.trajectories import tum_line
+
+TRAJECTORY_CSV = "trajectory.csv"
+TRAJECTORY_TUM = "trajectory.tum"
+GROUNDTRUTH_TUM = "groundtruth.tum"
+
+_COV = ("cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh")
+_ODOMETRY = ("odometry_x", "odometry_z", "odometry_heading")
+_UPPER = np.triu_indices(3)
+COLUMNS = (
+    Column("t_ns", integer),
+    *(Column(name, number) for name in ("x", "z", "heading")),
+    *(Column(name, number) for name in (*_COV, "ess")),
+    *(Column(name, number_or_unknown, required=False) for name in ("edges", *_ODOMETRY)),
+)
+
+
+class TrackWriter:
+    """Writes `trajectory.csv`, `trajectory.tum` and, where the truth is known, `groundtruth.tum`, a line an image.
+
+    The CSV holds our frame, the TUM files the ROS frame. Bias columns of the filter follow the listed ones, each with
+    its sigma. Raises OutputError.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files: dict[str, TextIO] = {}
+        self._write(TRAJECTORY_TUM, "")
+
+    def frame(
+        self,
+        located: Located,
+        image: NDArray[np.uint8] | bytes | None,
+        truth: Array | None,
+        stage_ms: Mapping[str, float],
+    ) -> None:
+        """Write what the filter knows after one image. truth: (3,) true pose then."""
+        estimate = located.estimate
+        biases = estimate.names[3:]
+        self._begin_csv(biases)
+        cells = [str(located.t_ns)]
+        cells += [f"{value:.9f}" for value in estimate.pose]
+        cells += [f"{value:.9e}" for value in estimate.pose_cov[_UPPER]]
+        cells += [f"{located.ess:.3f}", str(len(located.edges))]
+        cells += ["" if np.isnan(value) else f"{value:.9f}" for value in located.odometry]
+        for column in range(3, 3 + len(biases)):
+            cells += [f"{estimate.mean[column]:.9e}", f"{np.sqrt(estimate.cov[column, column]):.9e}"]
+        self._write(TRAJECTORY_CSV, ",".join(cells) + "\n")
+        self._write(TRAJECTORY_TUM, tum_line(located.t_ns, estimate.pose))
+        if truth is not None:
+            self._write(GROUNDTRUTH_TUM, tum_line(located.t_ns, truth))
+
+    def close(self, complete: bool) -> None:
+        """End the files; they hold every image so far whether the run is complete or not."""
+        self._begin_csv(())
+        for name, file in self._files.items():
+            with output_errors(self._folder / name):
+                file.close()
+
+    def _begin_csv(self, biases: tuple[str, ...]) -> None:
+        if TRAJECTORY_CSV not in self._files:
+            names = [column.name for column in COLUMNS] + [f"{name}{end}" for name in biases for end in ("", "_sigma")]
+            self._write(TRAJECTORY_CSV, ",".join(names) + "\n")
+
+    def _write(self, name: str, text: str) -> None:
+        """Append to a file, which is made when it is first written, and hand it to the system at once."""
+        with output_errors(self._folder / name):
+            if name not in self._files:
+                self._files[name] = (self._folder / name).open("w", encoding="utf-8", newline="\n")
+            self._files[name].write(text)
+            self._files[name].flush()
+
+
+def load_track(path: Path) -> Track:
+    """Return what a `trajectory.csv` says; columns of a newer version are passed over. Raises InputError."""
+    table = read_table(path, COLUMNS, rows_at_least=1, more_columns=True)
+    table.require_time_order(strictly=True)
+    covs = np.empty((len(table), 3, 3))
+    covs[:, _UPPER[0], _UPPER[1]] = covs[:, _UPPER[1], _UPPER[0]] = table.numbers(*_COV)
+    return Track.from_poses(
+        table.integers("t_ns"),
+        table.numbers("x", "z", "heading"),
+        covs=covs,
+        odometry=table.numbers(*_ODOMETRY) if all(name in table.columns for name in _ODOMETRY) else None,
+        edges=table.numbers("edges") if "edges" in table.columns else None,
+    )
