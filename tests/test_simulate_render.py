@@ -72,7 +72,7 @@ def projected_u(camera: Camera, pose: Array, point: Array, rows: Array) -> Array
 def test_edges_are_where_the_camera_projects_them(scene: Scene, pose: tuple[float, float, float]) -> None:
     robot, camera = np.array(pose), scene.camera
     image = radiance(scene, robot)[..., 0]
-    post = scene.solids.corners[-1]
+    post = scene.structure.solids.corners[-1]
     at_floor = camera.project(robot, np.stack([post[:, 0], np.zeros(4), post[:, 1]], axis=-1))
     errors = []
     for silhouette in (at_floor[:, 0].argmin(), at_floor[:, 0].argmax()):
@@ -149,12 +149,12 @@ def first_solid(scene: Scene, robot: Array, pixel: Array) -> str:
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     step = np.array([cos * x + sin * z, y, -sin * x + cos * z]) / np.linalg.norm([x, y, z])
     points = np.array([pose[0], camera.mount.height_m, pose[1]]) + np.arange(0.05, 12, 0.002)[:, None] * step
-    normals, offsets = scene.solids.half_planes()
+    normals, offsets = scene.structure.solids.half_planes()
     inside = (np.einsum("pkd,td->tpk", normals, points[:, [0, 2]]) <= offsets).all(axis=2)
-    inside &= (points[:, 1:2] >= scene.solids.bottom_m) & (points[:, 1:2] <= scene.solids.top_m)
+    inside &= (points[:, 1:2] >= scene.structure.solids.bottom_m) & (points[:, 1:2] <= scene.structure.solids.top_m)
     outside = (points[:, 1] <= 0) | (points[:, 1] >= scene.world.ceiling_m)
     hit = int((inside.any(axis=1) | outside).argmax())
-    return scene.solids.material[int(inside[hit].argmax())] if inside[hit].any() else "floor"
+    return scene.structure.solids.material[int(inside[hit].argmax())] if inside[hit].any() else "floor"
 
 
 def test_the_same_generator_gives_the_same_image_and_noise_has_its_sigma() -> None:
@@ -184,7 +184,7 @@ def test_exposure_blurs_edges_by_the_motion_and_leaves_them_in_place() -> None:
     turning = Trajectory(np.array([0, 100_000_000]), np.array([[0.0, 2.0, -0.03], [0.0, 2.0, 0.03]]))
     blurred = expose(scene, turning, 50_000_000, np.random.default_rng(0)).astype(float)
     sharp = render(scene, np.array([0.0, 2.0, 0.0]), np.random.default_rng(0)).astype(float)
-    post = scene.solids.corners[-1]
+    post = scene.structure.solids.corners[-1]
     rows = np.arange(20, 200, 5)
     expected = projected_u(scene.camera, np.array([0.0, 2.0, 0.0]), post[post[:, 0].argmin()], rows)
     error = measured_u(blurred, expected, rows, half=10) - expected

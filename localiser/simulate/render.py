@@ -15,8 +15,7 @@ from localiser.simulate.level_view import LevelView, level_view_of
 from localiser.simulate.light import Lighting, lighting_of
 from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
 from localiser.simulate.robot import ImageSpec
-from localiser.simulate.solids import Solids, solids_of
-from localiser.simulate.structure import VerticalEdges, vertical_edges
+from localiser.simulate.structure import Structure, structure_of
 from localiser.simulate.textures import Atlas, Image, atlas_of
 from localiser.simulate.world import World
 
@@ -30,8 +29,7 @@ class Scene:
 
     world: World
     camera: Camera
-    solids: Solids
-    edges: VerticalEdges
+    structure: Structure
     atlas: Atlas
     lighting: Lighting
     view: LevelView
@@ -43,15 +41,14 @@ def scene_of(world: World, camera: Camera | None = None) -> Scene:
     Raises ValueError when the camera looks straight down.
     """
     camera = camera or world.camera.camera(world.name)
-    solids = solids_of(world)
+    structure = structure_of(world)
     path = np.array([point.to for point in world.drive.path])
     return Scene(
         world=world,
         camera=camera,
-        solids=solids,
-        edges=vertical_edges(solids),
+        structure=structure,
         atlas=atlas_of(world.materials),
-        lighting=lighting_of(world.light, solids, path),
+        lighting=lighting_of(world.light, structure.solids, path),
         view=level_view_of(camera),
     )
 
@@ -75,10 +72,10 @@ def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator)
 def radiance(scene: Scene, robot_pose: Array) -> Image:
     """Return the image (H, W, 3) float32 RGB of a perfect lens and sensor."""
     pose = scene.camera.pose_in_map(robot_pose)
-    columns = columns_of(scene.view, pose, scene.edges.points)
+    columns = columns_of(scene.view, pose, scene.structure.edges.points)
     eye = scene.camera.mount.height_m
-    hits = cast(scene.solids, pose, columns.tangent)
-    spans = spans_of(scene.solids, hits, scene.view, columns, (eye, scene.world.ceiling_m))
+    hits = cast(scene.structure.solids, pose, columns.tangent)
+    spans = spans_of(scene.structure.solids, hits, scene.view, columns, (eye, scene.world.ceiling_m))
     return scene.view.image(_level_image(scene, pose, columns, spans))
 
 
@@ -158,15 +155,15 @@ def _upright(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Samp
     tangent = columns.tangent[spans.column[chosen]]
     ray = geometry.forward(pose[2]) + tangent[:, None] * geometry.right(pose[2])
     points = pose[:2] + distance[:, None] * ray
-    normals, offsets = scene.solids.half_planes()
+    normals, offsets = scene.structure.solids.half_planes()
     side = np.abs((normals[solid] * points[:, None]).sum(axis=-1) - offsets[solid]).argmin(axis=1)
-    normal, corner = normals[solid, side], scene.solids.corners[solid, side]
+    normal, corner = normals[solid, side], scene.structure.solids.corners[solid, side]
     along = np.stack([normal[:, 1], -normal[:, 0]], axis=-1)
-    across = ((points - corner) * along).sum(axis=1) + scene.solids.along_m[solid]
+    across = ((points - corner) * along).sum(axis=1) + scene.structure.solids.along_m[solid]
     facing = np.abs((normal * ray).sum(axis=1)) / np.hypot(1.0, tangent)
     footprint = distance / scene.view.per_unit / np.sqrt(np.maximum(facing, 0.05))
     bright = scene.lighting.of_faces(points, normal)
-    above = scene.camera.mount.height_m - scene.solids.above_m[solid]
+    above = scene.camera.mount.height_m - scene.structure.solids.above_m[solid]
     material = _materials(scene)[solid]
     span, row, place = _rows_of(scene.view, spans, chosen)
     elevation = scene.view.elevation_of_rows(row)
@@ -212,4 +209,4 @@ def _at(index: NDArray[np.intp], values: Array) -> NDArray[np.float32]:
 
 
 def _materials(scene: Scene) -> NDArray[np.intp]:
-    return np.array([scene.atlas.index[name] for name in scene.solids.material], dtype=np.intp)
+    return np.array([scene.atlas.index[name] for name in scene.structure.solids.material], dtype=np.intp)

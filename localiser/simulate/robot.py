@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from localiser import geometry
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount
+from localiser.geometry import Array
 
 # YAML knows lists, not tuples; the numbers inside stay strict.
 Point = Annotated[tuple[float, float], Field(strict=False)]
@@ -91,14 +93,48 @@ class WayPoint(Model):
 
 
 class DriveSpec(Model):
-    """The path from its first point, heading for the second, with constant speed and turn rate on each piece."""
+    """The path from its first point, heading for the second, with constant speed and turn rate on each piece.
+
+    end_turn_deg: turn on the spot at the end. image_offset_s: time of the first image.
+    """
 
     path: Annotated[tuple[WayPoint, ...], Field(strict=False, min_length=2)]
     speed_m_s: Positive = 0.5
     turn_deg_s: Positive = 40.0
     end_turn_deg: float = 0.0
     image_hz: Annotated[float, Field(gt=0, le=1000)] = 5.0
+    image_offset_s: NotNegative = 0.0
     odometry_hz: Annotated[float, Field(gt=0, le=1000)] = 20.0
+
+    @property
+    def headings(self) -> Array:
+        """Heading (P - 1,) of each straight between two points of the path (P)."""
+        step = np.diff(np.array([point.to for point in self.path]), axis=0)
+        return np.arctan2(-step[:, 0], -step[:, 1])
+
+    @property
+    def cuts_m(self) -> Array:
+        """Distance (P,) from each point at which the arc that rounds it begins and ends."""
+        half = np.abs(geometry.wrap_angle(np.diff(self.headings))) / 2
+        radius = np.array([point.corner_radius_m for point in self.path[1:-1]])
+        # A turn by half a circle has no arc that touches both straights.
+        tangent = np.where(half > np.pi / 2 - 1e-6, np.inf, np.tan(np.minimum(half, np.pi / 2 - 1e-6)))
+        return np.concatenate([[0.0], np.where(radius > 0, radius * tangent, 0.0), [0.0]])
+
+    @model_validator(mode="after")
+    def _corners_fit(self) -> DriveSpec:
+        points = np.array([point.to for point in self.path])
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if length.min() < 1e-6:
+            raise ValueError(f"expected way points apart, found {self.path[int(length.argmin())].to} twice in a row")
+        needed = self.cuts_m[:-1] + self.cuts_m[1:]
+        if (needed > length + 1e-9).any():
+            k = int((needed - length).argmax())
+            raise ValueError(
+                f"expected room for the corners between way points {k + 1} and {k + 2}: "
+                f"they need {needed[k]:.2f} m, found {length[k]:.2f} m; use a smaller corner_radius_m"
+            )
+        return self
 
 
 class OdometrySpec(Model):

@@ -33,6 +33,24 @@ class VerticalEdges:
         return len(self.points)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """The solids of a world, their vertical edges (M), and the landmark (M,) that each is part of, -1 for none."""
+
+    solids: Solids
+    edges: VerticalEdges
+    landmark: NDArray[np.int64]
+    landmark_map: LandmarkMap
+
+
+def structure_of(world: World) -> Structure:
+    """Return the geometry of a world: what hides things, and what is seen."""
+    solids = solids_of(world)
+    edges = vertical_edges(solids)
+    landmark = landmark_of_edges(edges)
+    return Structure(solids, edges, landmark, landmark_map_of(edges, landmark, world.name))
+
+
 def vertical_edges(solids: Solids) -> VerticalEdges:
     """Return every vertical edge of the solids together, with the heights between which it stands.
 
@@ -50,8 +68,7 @@ def vertical_edges(solids: Solids) -> VerticalEdges:
 
 def landmarks_of(world: World) -> LandmarkMap:
     """Return the landmarks of the world: its vertical edges, merged where they stand within 2 cm of each other."""
-    edges = vertical_edges(solids_of(world))
-    return landmark_map_of(edges, landmark_of_edges(edges), world.name)
+    return structure_of(world).landmark_map
 
 
 def landmark_of_edges(edges: VerticalEdges) -> NDArray[np.int64]:

@@ -22,8 +22,6 @@ from localiser.simulate.robot import (
     StartSpec,
 )
 
-FORMAT = "localiser-world/1"
-
 Colour = Annotated[
     tuple[
         Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]
