@@ -1,0 +1,94 @@
+"""Camera files: ROS keys and the mount."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from small_log import CAMERA
+
+from localiser.camera import Camera, Mount
+from localiser.documents import dump, parse
+from localiser.errors import InputError
+from localiser.storage import load_camera, save_camera
+from localiser.storage.cameras import camera_data, camera_from_document, degrees
+
+
+def assert_same(first: Camera, second: Camera) -> None:
+    for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion_model", "distortion", "name"):
+        assert getattr(first, name) == getattr(second, name), name
+    for name in Mount.__slots__:
+        assert getattr(first.mount, name) == pytest.approx(getattr(second.mount, name), rel=1e-14, abs=1e-15), name
+
+
+def test_camera_is_read_back(tmp_path: Path) -> None:
+    save_camera(CAMERA, tmp_path / "camera.yaml")
+    assert_same(load_camera(tmp_path / "camera.yaml"), CAMERA)
+
+
+def test_file_is_what_ros_reads_with_degrees_as_they_were_given(tmp_path: Path) -> None:
+    save_camera(CAMERA, tmp_path / "camera.yaml")
+    data = yaml.safe_load((tmp_path / "camera.yaml").read_text())
+    assert data["camera_matrix"] == {"rows": 3, "cols": 3, "data": [50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0]}
+    assert data["mount"]["tilt_deg"] == 20.0 and data["mount"]["back_m"] == -0.1
+
+
+@given(st.floats(-180, 180).map(lambda value: round(value, 9)))
+def test_degrees_survive_radians(angle_deg: float) -> None:
+    assert degrees(np.radians(angle_deg)) == angle_deg
+
+
+def test_saving_what_was_loaded_changes_nothing() -> None:
+    text = dump(camera_data(CAMERA))
+    assert dump(camera_data(camera_from_document(parse(text, "f")))) == text
+
+
+def test_mount_gives_what_is_left_out_as_zero() -> None:
+    data = camera_data(CAMERA) | {"mount": {"tilt_deg": 10, "height_m": 1}}
+    camera = camera_from_document(parse(dump(data), "f"))
+    assert camera.mount == Mount(tilt_rad=np.radians(10), height_m=1.0)
+
+
+def test_keys_that_ros_adds_for_stereo_are_accepted_where_they_change_nothing() -> None:
+    unit = {"rows": 3, "cols": 3, "data": [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+    text = dump(camera_data(CAMERA) | {"rectification_matrix": unit})
+    assert_same(camera_from_document(parse(text, "f")), CAMERA)
+    turned = unit | {"data": [0, 1, 0, -1, 0, 0, 0, 0, 1]}
+    with pytest.raises(InputError, match="rectification_matrix.data: expected the unit matrix"):
+        camera_from_document(parse(dump(camera_data(CAMERA) | {"rectification_matrix": turned}), "f"))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"image_width": 0}, "image_width: expected greater than or equal to 2, found 0"),
+        ({"image_widht": 3}, "image_widht: unknown key; the nearest known is 'image_width'"),
+        ({"mount": None}, "mount: expected keys and values, found nothing"),
+        ({"mount": {"height_m": 1}}, "mount.tilt_deg: expected a value, found nothing"),
+        ({"mount": {"tilt_deg": 90, "height_m": 1}}, "mount.tilt_deg: expected less than 90"),
+        ({"mount": {"tilt_deg": 9, "height_m": 0}}, "mount.height_m: expected greater than 0"),
+        ({"distortion_model": "pinhole"}, "distortion_model: expected 'plumb_bob'"),
+        ({"distortion_model": "equidistant"}, "expected 4 numbers for equidistant, found 5"),
+        ({"distortion_coefficients": {"rows": 1, "cols": 3, "data": [0, 0, 0]}}, "expected 0 or 4 or 5 numbers"),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [1, 2]}}, "expected 3 rows, 3 cols and 9 numbers"),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [9, 1, 9, 0, 9, 9, 0, 0, 1]}}, "expected [fx, 0, cx"),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [-9, 0, 9, 0, 9, 9, 0, 0, 1]}}, "expected fx from 1"),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [9, 0, ".nan", 0, 9, 9, 0, 0, 1]}}, "data[2]: expected"),
+    ],
+)
+def test_errors_name_the_field(change: dict[str, object], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        camera_from_document(parse(dump(camera_data(CAMERA) | change), "camera.yaml"))
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith("camera.yaml:")
+
+
+def test_camera_without_distortion(tmp_path: Path) -> None:
+    camera = replace(CAMERA, distortion_model="none", distortion=())
+    save_camera(camera, tmp_path / "camera.yaml")
+    assert_same(load_camera(tmp_path / "camera.yaml"), camera)
