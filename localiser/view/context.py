@@ -1,0 +1,61 @@
+"""What a view must know before the first frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, Trajectory
+from localiser.landmarks import LandmarkMap
+
+Image = NDArray[np.uint8] | bytes
+"""Pixels (height, width) grey or (height, width, 3) BGR as OpenCV has them, or the bytes of a JPEG or PNG file."""
+
+
+class Matches(Protocol):
+    """Which landmark each of E edges shows, and which of L landmarks the camera should see."""
+
+    @property
+    def landmark(self) -> NDArray[np.int64]:
+        """Index (E,) of the landmark, -1 where the edge is clutter."""
+
+    @property
+    def visible(self) -> NDArray[np.bool_]:
+        """Whether each landmark (L,) should be in the image."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """What does not change while a run is shown.
+
+    name: of the log. associate: robot pose (3,) in the map and the edges of its image → `Matches`; a pure function.
+    truth: path of the robot in the map, where known. odometry: path by odometry alone, moved so that it starts at the
+    start pose; without it, `Located.odometry` is moved onto the first estimate. images: False leaves the image out of
+    the layout, for logs that have none.
+    """
+
+    name: str
+    camera: Camera
+    landmark_map: LandmarkMap
+    associate: Callable[[Array, Edges], Matches]
+    truth: Trajectory | None = None
+    odometry: Trajectory | None = None
+    images: bool = True
+
+    @property
+    def landmark_ends(self) -> Array:
+        """Bottom and top (L, 2, 3) of each landmark in the map; from the floor to twice the camera's height if unknown.
+
+        A height that is not known has to be drawn somehow: this spans the part that the camera looks at.
+        """
+        landmarks = self.landmark_map
+        bottom = np.where(np.isnan(landmarks.bottom_m), 0.0, landmarks.bottom_m)
+        top = np.where(np.isnan(landmarks.top_m), bottom + 2 * self.camera.mount.height_m, landmarks.top_m)
+        x, z = landmarks.points.T
+        return np.stack([np.stack([x, bottom, z], axis=-1), np.stack([x, top, z], axis=-1)], axis=1)

@@ -1,0 +1,46 @@
+"""A run as a Rerun recording on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from localiser.errors import OutputError
+from localiser.geometry import Array
+from localiser.mcl import Located
+from localiser.view.context import Context, Image
+
+
+class RrdFile:
+    """Writes every frame to a `.rrd` file, on a stream of its own: no viewer can hold it up.
+
+    Raises OutputError where the file cannot be written.
+    """
+
+    def __init__(self, path: Path, context: Context) -> None:
+        # Rerun takes most of a second to import: only who records pays for it.
+        from localiser.view.layout import blueprint
+        from localiser.view.recorder import Recorder, new_stream
+
+        self._stream = new_stream(context)
+        try:
+            self._stream.save(path, default_blueprint=blueprint(context))
+        except (OSError, RuntimeError) as error:
+            raise OutputError(f"{path}: cannot be written: {error}") from error
+        self._recorder = Recorder(self._stream, context)
+        self._frames = 0
+
+    def frame(self, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]) -> None:
+        """Write what the filter knows after one image; see `Recorder.frame`."""
+        self._recorder.frame(self._frames, located, image, truth, stage_ms)
+        self._frames += 1
+
+    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
+        """Write a line to the text log."""
+        self._recorder.message(t_ns, text, level)
+
+    def close(self, complete: bool) -> None:
+        """End the file, which can be opened from now on; an incomplete run is said to be one in its text log."""
+        self._recorder.end(complete)
+        self._stream.flush()
+        self._stream.disconnect()

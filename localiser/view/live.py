@@ -1,0 +1,165 @@
+"""A run as it happens, in Rerun's native viewer or in the browser.
+
+The viewer is a process of its own that reads the recording from its standard input, fed by a worker thread from a
+bounded queue. Nothing else keeps a viewer that hangs from holding up the robot: a network sink of Rerun blocks in
+`log` once its buffers are full, and blocks again when the process wants to exit.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from threading import Condition, Thread
+from typing import TYPE_CHECKING, Literal
+
+from localiser.geometry import Array
+from localiser.mcl import Located
+from localiser.view.context import Context, Image
+
+if TYPE_CHECKING:
+    from localiser.view.recorder import Recorder
+
+Kind = Literal["native", "web"]
+
+QUEUE_FRAMES = 50
+"""What a viewer may lag behind: ten seconds at 5 Hz, long enough for it to start; 45 MB of 640×480 colour images."""
+
+CLOSE_WAIT_S = 5.0
+"""What a viewer that is behind gets to catch up at the end of a run."""
+
+_LOCALHOST = "127.0.0.1"
+
+
+class LiveView:
+    """Shows every frame in a viewer, and never waits for it: what the viewer is too slow for is dropped, oldest first.
+
+    Frames are drawn on a worker thread: the arrays handed over must not change afterwards, and `Context.associate`
+    must be a pure function. A viewer that is missing or closed ends the view, not the run.
+    kind: "native" leaves its window open after the run; "web" serves a page, on this machine alone, until the process
+    ends. command: what to run instead; it gets the recording on its standard input.
+    """
+
+    def __init__(
+        self, kind: Kind, context: Context, *, command: Sequence[str] | None = None, queue_frames: int = QUEUE_FRAMES
+    ) -> None:
+        self.address: str | None = None
+        if command is None:
+            command, self.address = _viewer(kind)
+        self._context = context
+        self._frames = 0
+        self._queue: deque[Callable[[Recorder], None] | None] = deque(maxlen=queue_frames)
+        self._changed = Condition()
+        self._viewer = _start(command)
+        if kind == "web" and self._viewer is not None:
+            atexit.register(_stop, self._viewer)
+        self._worker = Thread(target=self._work, name="live view", daemon=True)
+        self._worker.start()
+
+    def frame(self, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]) -> None:
+        """Show what the filter knows after one image; see `Recorder.frame`."""
+        number = self._frames
+        self._frames += 1
+        self._put(lambda recorder: recorder.frame(number, located, image, truth, stage_ms))
+
+    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
+        """Show a line in the text log."""
+        self._put(lambda recorder: recorder.message(t_ns, text, level))
+
+    def close(self, complete: bool) -> None:
+        """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
+        self._put(lambda recorder: recorder.end(complete))
+        self._put(None)
+        self._worker.join(CLOSE_WAIT_S)
+
+    def wait(self) -> None:
+        """Wait until the viewer is closed, which for the web is until the user interrupts."""
+        if self._viewer is not None:
+            self._viewer.wait()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether there is a viewer; one that cannot start (no display, say) ends at once."""
+        return self._viewer is not None and self._viewer.poll() is None
+
+    # -- the worker -------------------------------------------------------------------------------------------------
+
+    def _put(self, item: Callable[[Recorder], None] | None) -> None:
+        with self._changed:
+            self._queue.append(item)
+            self._changed.notify()
+
+    def _next(self) -> Callable[[Recorder], None] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue)
+            return self._queue.popleft()
+
+    def _work(self) -> None:
+        if self._viewer is None or self._viewer.stdin is None:
+            return
+        import rerun as rr
+
+        from localiser.view.layout import blueprint
+        from localiser.view.recorder import Recorder, new_stream
+
+        stream = new_stream(self._context)
+        encoded = rr.binary_stream(stream)
+        stream.send_blueprint(blueprint(self._context))
+        recorder = Recorder(stream, self._context)
+        try:
+            while log := self._next():
+                log(recorder)
+                _write(self._viewer.stdin.fileno(), encoded.read() or b"")
+            self._viewer.stdin.close()
+        except OSError:
+            # The viewer was closed: nobody looks any more, and the queue drops what comes.
+            return
+
+
+def _write(descriptor: int, content: bytes) -> None:
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]
+
+
+def _viewer(kind: Kind) -> tuple[list[str], str | None]:
+    """Return the command of Rerun's viewer reading its standard input, and the address of its page."""
+    command = [sys.executable, "-m", "rerun_cli", "--bind", _LOCALHOST]
+    if kind == "native":
+        return [*command, "--port", "auto", "--hide-welcome-screen", "-"], None
+    port, page = _free_port(), _free_port()
+    address = f"http://{_LOCALHOST}:{page}?url=rerun%2Bhttp%3A%2F%2F{_LOCALHOST}%3A{port}%2Fproxy"
+    return [*command, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page), "-"], address
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((_LOCALHOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def _start(command: Sequence[str]) -> subprocess.Popen[bytes] | None:
+    """Return the viewer's process, in a session of its own so that Ctrl-C ends the run and not the view, or None."""
+    try:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            # Not ours: a viewer that outlives the run would keep the shell's pipes open.
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            bufsize=0,
+            start_new_session=True,
+        )
+    except OSError:
+        return None
+
+
+def _stop(viewer: subprocess.Popen[bytes]) -> None:
+    # The group: Rerun's command starts the viewer as a child of its own.
+    if viewer.poll() is None:
+        os.killpg(viewer.pid, signal.SIGTERM)

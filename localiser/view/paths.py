@@ -1,0 +1,33 @@
+"""Names of the entities and time lines in a recording: what the recorder logs and the layout shows."""
+
+FRAME = "frame"
+TIME = "time"
+
+WORLD = "world"
+LANDMARKS = f"{WORLD}/map/unseen"
+VISIBLE = f"{WORLD}/map/visible"
+MATCHED = f"{WORLD}/map/matched"
+SIGHTS = f"{WORLD}/sights"
+PARTICLES = f"{WORLD}/particles"
+ESTIMATE = f"{WORLD}/estimate/arrow"
+ELLIPSE = f"{WORLD}/estimate/ellipse"
+TRUTH = f"{WORLD}/truth/arrow"
+TRUTH_PATH = f"{WORLD}/truth/path"
+ESTIMATE_TRAIL = f"{WORLD}/trails/estimate"
+TRUTH_TRAIL = f"{WORLD}/trails/truth"
+ODOMETRY_TRAIL = f"{WORLD}/trails/odometry"
+TRAILS = (ESTIMATE_TRAIL, TRUTH_TRAIL, ODOMETRY_TRAIL)
+
+CAMERA = f"{WORLD}/camera"
+IMAGE = f"{CAMERA}/image"
+OVERLAY = f"{CAMERA}/overlay"
+REJECTED = f"{OVERLAY}/rejected"
+PREDICTED = f"{OVERLAY}/predicted"
+EDGES = f"{OVERLAY}/edges"
+JOINS = f"{OVERLAY}/joins"
+
+ERROR = "plots/position"
+ESS = "plots/ess"
+COUNTS = "plots/edges"
+STAGES = "plots/stage_ms"
+TEXT = "text"

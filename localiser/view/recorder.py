@@ -1,0 +1,170 @@
+"""Logs frames to a Rerun stream; whoever makes the stream decides where they go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import timedelta
+from itertools import cycle, islice
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from localiser import geometry
+from localiser.geometry import Array
+from localiser.mcl import Located
+from localiser.view import image as image_view
+from localiser.view import palette, paths, world
+from localiser.view.context import Context, Image
+
+CHUNK_BYTES = 1 << 20
+"""What is gathered before it is passed on, about ten frames: what a crash would lose of a file."""
+
+_EPOCH_LIKELY_NS = 10**18
+"""2001-09-09 as Unix time: times from here on are dates, smaller ones count from the start of the log."""
+
+
+def new_stream(context: Context) -> rr.RecordingStream:
+    """Return a stream without a sink whose content depends on nothing but what is logged: no wall clock.
+
+    Rows are gathered into chunks by size, not by time; the default of five ticks a second also makes small chunks.
+    """
+    batches = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1), flush_num_bytes=CHUNK_BYTES)
+    stream = rr.RecordingStream("localiser", send_properties=False, batcher_config=batches)
+    stream.send_recording_name(context.name)
+    stream.set_log_time_enabled(False)
+    return stream
+
+
+_TEXT_LEVELS = {"WARNING": rr.TextLogLevel.WARN}
+
+
+class Recorder:
+    """Knows what a frame looks like in Rerun, and the little that a frame needs of the one before."""
+
+    def __init__(self, stream: rr.RecordingStream, context: Context) -> None:
+        self._stream = stream
+        self._context = context
+        self._ends = context.landmark_ends
+        self._number, self._t_ns = 0, 0
+        self._trails: dict[str, Array] = {}
+        self._map_from_odometry: Array | None = None
+        self._stages: tuple[str, ...] = ()
+        self._log_static()
+
+    def frame(
+        self, number: int, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]
+    ) -> None:
+        """Log one frame; truth (3,) is the robot's pose in the map where known, stage_ms what each stage took."""
+        pose, edges = located.estimate.pose, located.edges
+        matches = self._context.associate(pose, edges)
+        self._number = number
+        self._set_time(located.t_ns)
+        self._log_map(pose, matches.landmark, matches.visible)
+        self._log_poses(located, truth)
+        if self._context.images:
+            self._log_image(located, image, matches.landmark, matches.visible)
+        self._log_plots(located, truth, int((matches.landmark >= 0).sum()), stage_ms)
+
+    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
+        """Log a line of text beside the last frame; level is one of Python's, such as INFO or WARNING."""
+        self._set_time(t_ns)
+        self._stream.log(paths.TEXT, rr.TextLog(text, level=_TEXT_LEVELS.get(level.upper(), level.upper())))
+
+    def end(self, complete: bool) -> None:
+        """Log that the run ended, and whether it got to the end of its log."""
+        text, level = ("run complete", "INFO") if complete else ("run ended early", "WARNING")
+        self.message(self._t_ns, text, level)
+
+    # -- parts of a frame ---------------------------------------------------------------------------------------
+
+    def _set_time(self, t_ns: int) -> None:
+        # Rerun keeps the time per thread: set it where it is used.
+        self._t_ns = t_ns
+        self._stream.set_time(paths.FRAME, sequence=self._number)
+        if t_ns >= _EPOCH_LIKELY_NS:
+            self._stream.set_time(paths.TIME, timestamp=np.datetime64(t_ns, "ns"))
+        else:
+            self._stream.set_time(paths.TIME, duration=np.timedelta64(t_ns, "ns"))
+
+    def _log_map(self, pose: Array, landmark: NDArray[np.int64], visible: NDArray[np.bool_]) -> None:
+        matched = np.unique(landmark[landmark >= 0])
+        expected = visible.copy()
+        expected[matched] = False
+        self._stream.log(paths.VISIBLE, world.landmarks(self._ends[expected], palette.VISIBLE, 2.0))
+        self._stream.log(paths.MATCHED, world.landmarks(self._ends[matched], palette.MATCHED, 3.0))
+        points = self._context.landmark_map.points[matched]
+        self._stream.log(paths.SIGHTS, world.sights(self._context.camera, pose, points))
+
+    def _log_poses(self, located: Located, truth: Array | None) -> None:
+        estimate = located.estimate
+        self._stream.log(paths.PARTICLES, world.particles(located.particles))
+        self._stream.log(paths.ELLIPSE, world.ellipse(estimate))
+        self._stream.log(paths.ESTIMATE, world.arrow(estimate.pose, palette.ESTIMATE, 4.0))
+        self._stream.log(paths.CAMERA, world.camera_transform(self._context.camera, estimate.pose))
+        self._log_trail(paths.ESTIMATE_TRAIL, estimate.pose, palette.ESTIMATE)
+        if truth is not None:
+            self._stream.log(paths.TRUTH, world.arrow(truth, palette.TRUTH, 2.5))
+            self._log_trail(paths.TRUTH_TRAIL, truth, palette.TRUTH)
+        odometry = self._odometry_in_map(located)
+        if np.isfinite(odometry).all():
+            self._log_trail(paths.ODOMETRY_TRAIL, odometry, palette.ODOMETRY)
+
+    def _log_trail(self, path: str, pose: Array, colour: palette.Colour) -> None:
+        # Only the newest piece: the layout shows all pieces up to the cursor, so a frame costs the same at the end of a
+        # long run as at its start, and a frame that was dropped leaves no gap.
+        start = self._trails.get(path, pose)
+        self._trails[path] = pose
+        self._stream.log(path, world.trail(np.stack([start[:2], pose[:2]]), colour))
+
+    def _odometry_in_map(self, located: Located) -> Array:
+        if self._context.odometry is not None:
+            return self._context.odometry.at(located.t_ns)
+        if self._map_from_odometry is None and np.isfinite(located.odometry).all():
+            self._map_from_odometry = geometry.compose(
+                located.estimate.pose, geometry.between(located.odometry, np.zeros(3))
+            )
+        if self._map_from_odometry is None:
+            return np.full(3, np.nan)
+        return geometry.compose(self._map_from_odometry, located.odometry)
+
+    def _log_image(
+        self, located: Located, image: Image | None, landmark: NDArray[np.int64], visible: NDArray[np.bool_]
+    ) -> None:
+        edges, pose = located.edges, located.estimate.pose
+        # Without an image the last one would stay on the screen under the new edges.
+        self._stream.log(paths.IMAGE, rr.Clear(recursive=False) if image is None else image_view.picture(image))
+        shown, lines = image_view.predicted_lines(self._context.camera, pose, self._ends, visible)
+        self._stream.log(paths.REJECTED, image_view.rejected(edges))
+        self._stream.log(paths.PREDICTED, image_view.predicted(lines))
+        self._stream.log(paths.EDGES, image_view.vertical_edges(edges, landmark >= 0))
+        self._stream.log(paths.JOINS, image_view.joins(edges, landmark, shown, lines))
+
+    def _log_plots(self, located: Located, truth: Array | None, matched: int, stage_ms: Mapping[str, float]) -> None:
+        estimate = located.estimate
+        three_sigma = 3 * float(np.sqrt(np.trace(estimate.pose_cov[:2, :2])))
+        error = np.nan if truth is None else float(np.hypot(*(estimate.pose - truth)[:2]))
+        self._stream.log(paths.ERROR, rr.Scalars([error, three_sigma]))
+        self._stream.log(paths.ESS, rr.Scalars([located.ess]))
+        self._stream.log(paths.COUNTS, rr.Scalars([len(located.edges), matched]))
+        if not self._stages and stage_ms:
+            self._stages = tuple(stage_ms)
+            self._log_series(paths.STAGES, self._stages, palette.STAGES)
+        self._stream.log(paths.STAGES, rr.Scalars([stage_ms.get(stage, np.nan) for stage in self._stages]))
+
+    # -- once ---------------------------------------------------------------------------------------------------
+
+    def _log_static(self) -> None:
+        log, context = self._stream.log, self._context
+        log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+        log(paths.LANDMARKS, world.landmarks(self._ends, palette.UNSEEN, 1.2), static=True)
+        log(paths.CAMERA, world.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
+        if context.truth is not None:
+            log(paths.TRUTH_PATH, world.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
+        self._log_series(paths.ERROR, ("error m", "3σ m"), (palette.ESTIMATE, palette.UNSEEN))
+        self._log_series(paths.ESS, ("effective particles",), (palette.ESTIMATE,))
+        self._log_series(paths.COUNTS, ("edges", "matched"), (palette.UNMATCHED, palette.MATCHED))
+
+    def _log_series(self, path: str, names: Sequence[str], colours: Sequence[palette.Colour]) -> None:
+        series = rr.SeriesLines(names=names, colors=list(islice(cycle(colours), len(names))), widths=[1.5] * len(names))
+        self._stream.log(path, series, static=True)

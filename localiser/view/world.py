@@ -1,0 +1,103 @@
+"""The 3-D world: map, particles, estimate and camera as Rerun archetypes, in the map frame (y up)."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from localiser import geometry
+from localiser.camera import Camera
+from localiser.geometry import Array
+from localiser.particles import Estimate, Particles
+from localiser.view import palette
+
+MOST_PARTICLES = 2000
+"""More than this cannot be told apart on a screen, and would make up most of the recording."""
+
+ARROW_M = 0.7
+FRUSTUM_M = 0.9
+CHI2_95_2D = 5.991
+"""Squared Mahalanobis distance that holds 95 % of a Gaussian in the plane."""
+
+# Heights above the floor at which flat things are drawn, so that none hides in another.
+_TRAIL_Y, _PARTICLE_Y, _ESTIMATE_Y = 0.01, 0.02, 0.04
+_CIRCLE = np.linspace(0.0, 2 * np.pi, 49)
+
+
+def at_height(points: Array, y_m: float) -> Array:
+    """Return map points (..., 3) above floor points (x, z) (..., 2)."""
+    return np.insert(np.asarray(points, dtype=np.float64), 1, y_m, axis=-1)
+
+
+def landmarks(ends: Array, colour: palette.Colour, width: float) -> rr.LineStrips3D:
+    """Return landmarks with the given ends (L, 2, 3) as vertical lines, `width` in points on the screen."""
+    return rr.LineStrips3D(ends.astype(np.float32), colors=colour, radii=rr.Radius.ui_points(width / 2))
+
+
+def sights(camera: Camera, pose: Array, points: Array) -> rr.LineStrips3D:
+    """Return lines from the camera of a robot at `pose` (3,) to landmarks (M, 2), at the camera's height."""
+    height = camera.mount.height_m
+    origin = np.broadcast_to(at_height(camera.pose_in_map(pose)[:2], height), (len(points), 3))
+    lines = np.stack([origin, at_height(points, height)], axis=1)
+    return rr.LineStrips3D(lines.astype(np.float32), colors=palette.SIGHT, radii=rr.Radius.ui_points(0.6))
+
+
+def particles(cloud: Particles) -> rr.Points3D:
+    """Return the particles as points coloured by weight; every k-th one where there are more than can be shown."""
+    shown = slice(None, None, -(-len(cloud) // MOST_PARTICLES))
+    points = at_height(cloud.poses[shown, :2], _PARTICLE_Y)
+    return rr.Points3D(points, colors=palette.of_weights(cloud.weight[shown]), radii=rr.Radius.ui_points(1.4))
+
+
+def arrow(pose: Array, colour: palette.Colour, width: float) -> rr.Arrows3D:
+    """Return an arrow on the floor from where the robot is to where it looks."""
+    return rr.Arrows3D(
+        origins=[at_height(pose[:2], _ESTIMATE_Y)],
+        vectors=[at_height(ARROW_M * geometry.forward(pose[2]), 0.0)],
+        colors=colour,
+        radii=rr.Radius.ui_points(width / 2),
+    )
+
+
+def ellipse_points(estimate: Estimate) -> Array:
+    """Return the closed line (49, 2) on the floor that holds 95 % of the estimate's (x, z)."""
+    variance, axes = np.linalg.eigh(estimate.pose_cov[:2, :2])
+    half_axes = axes * np.sqrt(CHI2_95_2D * np.maximum(variance, 0.0))
+    return np.asarray(estimate.pose[:2] + np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=-1) @ half_axes.T)
+
+
+def ellipse(estimate: Estimate) -> rr.LineStrips3D:
+    """Return the 95 % ellipse of the estimate's position."""
+    line = at_height(ellipse_points(estimate), _ESTIMATE_Y)
+    return rr.LineStrips3D([line], colors=palette.ESTIMATE, radii=rr.Radius.ui_points(1.0))
+
+
+def trail(points: Array, colour: palette.Colour, width: float = 2.0) -> rr.LineStrips3D:
+    """Return a path through floor points (T, 2)."""
+    return rr.LineStrips3D([at_height(points, _TRAIL_Y)], colors=colour, radii=rr.Radius.ui_points(width / 2))
+
+
+def pinhole(camera: Camera) -> rr.Pinhole:
+    """Return the camera without its lens distortion: Rerun knows no other."""
+    return rr.Pinhole(
+        image_from_camera=camera.matrix,
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RUB,
+        image_plane_distance=FRUSTUM_M,
+        color=palette.FRUSTUM,
+        line_width=-0.8,  # negative: points on the screen, not metres
+    )
+
+
+def camera_pose(camera: Camera, robot_pose: Array) -> tuple[Array, Array]:
+    """Return position (3,) and rotation (3, 3) of the camera's axes (right, up, backward) in the map."""
+    x, z, heading = camera.pose_in_map(robot_pose)
+    s, c = np.sin(heading), np.cos(heading)
+    map_from_level = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return np.array([x, camera.mount.height_m, z]), np.asarray(map_from_level @ camera.level_from_camera)
+
+
+def camera_transform(camera: Camera, robot_pose: Array) -> rr.Transform3D:
+    """Return where the camera is when the robot is at `robot_pose` (3,): offset, height, yaw, tilt and roll."""
+    position, rotation = camera_pose(camera, robot_pose)
+    return rr.Transform3D(translation=position, mat3x3=rotation)
