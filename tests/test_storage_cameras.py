@@ -59,7 +59,7 @@ def test_keys_that_ros_adds_for_stereo_are_accepted_where_they_change_nothing() 
     text = dump(camera_data(CAMERA) | {"rectification_matrix": unit})
     assert_same(camera_from_document(parse(text, "f")), CAMERA)
     turned = unit | {"data": [0, 1, 0, -1, 0, 0, 0, 0, 1]}
-    with pytest.raises(InputError, match="rectification_matrix.data: expected the unit matrix"):
+    with pytest.raises(InputError, match=r"rectification_matrix\.data: expected the unit matrix"):
         camera_from_document(parse(dump(camera_data(CAMERA) | {"rectification_matrix": turned}), "f"))
 
 

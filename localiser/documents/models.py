@@ -46,7 +46,8 @@ def validate(document: Document, model: type[Model], build: Callable[[Any], Mode
 
 def _first_problem(document: Document, error: ValidationError, schema: Schema) -> InputError:
     problems = error.errors(include_url=False)
-    problem = problems[0]
+    # A key that is misspelt is also one that is missing: say the former.
+    problem = next((found for found in problems if found["type"] in _UNKNOWN_KEY), problems[0])
     key = _written_key(document.value, problem["loc"])
     if problem["type"] in _UNKNOWN_KEY:
         text = f"unknown key; {nearest(str(key[-1]), schema.names(key[:-1]))}"
