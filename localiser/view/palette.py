@@ -15,7 +15,7 @@ MATCHED: Colour = (84, 219, 124, 255)
 UNMATCHED: Colour = (255, 112, 82, 255)
 REJECTED: Colour = (170, 170, 170, 110)
 JOIN: Colour = (255, 236, 110, 255)
-SIGHT: Colour = (84, 219, 124, 60)
+SIGHT: Colour = (84, 219, 124, 40)
 
 ESTIMATE: Colour = (255, 183, 43, 255)
 TRUTH: Colour = (240, 244, 248, 255)
