@@ -58,7 +58,7 @@ def test_file_that_says_nothing_changes_nothing(tmp_path: Path, text: str) -> No
         ("mcl: 5\n", "config.yaml:1:1: mcl: expected keys and values, found 5"),
         ("seed: -1\n", "config.yaml:1:1: seed: expected greater than or equal to 0, found -1"),
         ("seed: 1\nseed: 2\n", "config.yaml:2:1: seed: given twice"),
-        ("- seed\n", "config.yaml:1:1: expected sections and values, found a list of 1"),
+        ("- seed\n", "config.yaml:1:1: expected sections and values, found ['seed']"),
     ],
 )
 def test_errors_of_a_file_name_line_column_and_field(tmp_path: Path, text: str, expected: str) -> None:

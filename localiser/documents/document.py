@@ -66,7 +66,13 @@ class Document:
 
 def field_name(key: Key) -> str:
     """Return `key` as a person writes it: landmarks[3].x."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).removeprefix(".")
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{_plain(part)}" for part in key).removeprefix(".")
+
+
+def _plain(name: str | int) -> str:
+    """Return a key as it is if that is short and plain, else in quotes."""
+    text = str(name)
+    return text if len(text) <= 60 and text.replace("-", "_").isidentifier() else shown(text)
 
 
 def _merged(lower: Any, upper: Any) -> Any:
@@ -88,9 +94,9 @@ def shown(value: Any, longest: int = 60) -> str:
     """Return a value as an error message shows it: short, on one line."""
     if value is None:
         return "nothing"
-    if isinstance(value, (dict, list)):
-        return f"a {'mapping' if isinstance(value, dict) else 'list'} of {len(value)}"
     text = value if isinstance(value, str) else repr(value)
+    if isinstance(value, (dict, list)) and len(text) > longest:
+        return f"a {'mapping' if isinstance(value, dict) else 'list'} of {len(value)}"
     shown = text if len(text) <= longest else text[:longest] + "…"
     return repr(shown) if isinstance(value, str) else shown
 

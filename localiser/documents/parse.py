@@ -13,7 +13,9 @@ from localiser.documents.files import read_text
 from localiser.errors import InputError
 
 _MAX_DEPTH = 40
+_MAX_DIGITS = 100
 _FLOAT_TAG = "tag:yaml.org,2002:float"
+_NUMBERS = {_FLOAT_TAG, "tag:yaml.org,2002:int"}
 _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+", re.ASCII)
 _Loader: type[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -95,6 +97,8 @@ class _Parser:
         tag = self._loader.resolve(yaml.ScalarNode, event.value, event.implicit)
         if event.implicit[0] and _EXPONENT.fullmatch(event.value):
             tag = _FLOAT_TAG  # 1e-3, which YAML 1.1 takes for a text for want of a point
+        if tag in _NUMBERS and len(event.value) > _MAX_DIGITS:
+            raise self._error(event, key, f"expected a number of at most {_MAX_DIGITS} characters")
         try:
             return self._loader.construct_object(yaml.ScalarNode(tag, event.value))
         except (ValueError, OverflowError, yaml.constructor.ConstructorError):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount
-from localiser.documents import Document, dump, load, validate
+from localiser.documents import Document, dump, load, shown, validate
 from localiser.storage.files import write_text
 
 Metres = Annotated[float, Field(ge=-100, le=100)]
@@ -96,7 +96,7 @@ def _intrinsics(document: Document, matrix: MatrixFile) -> tuple[float, float, f
         raise document.error(key, f"expected 3 rows, 3 cols and 9 numbers, found {_shape(matrix)}")
     fx, skew, cx, p, fy, cy, *last = matrix.data
     if [skew, p, *last] != [0, 0, 0, 0, 1]:
-        raise document.error(key, f"expected [fx, 0, cx, 0, fy, cy, 0, 0, 1], found {matrix.data}")
+        raise document.error(key, f"expected [fx, 0, cx, 0, fy, cy, 0, 0, 1], found {shown(matrix.data)}")
     for name, focal in (("fx", fx), ("fy", fy)):
         if not 1 <= focal <= 1e6:
             raise document.error(key, f"expected {name} from 1 to 1e6 px, found {focal}")
@@ -115,14 +115,14 @@ def _distortion(document: Document, file: CameraFile) -> tuple[float, ...]:
         wanted = " or ".join(str(count) for count in counts)
         raise document.error(key, f"expected {wanted} numbers for {file.distortion_model}, found {len(found)}")
     if any(abs(value) > 1e6 for value in found):
-        raise document.error(key, f"expected coefficients within ±1e6, found {found}")
+        raise document.error(key, f"expected coefficients within ±1e6, found {shown(found)}")
     return tuple(found)
 
 
 def _check_rectification(document: Document, matrix: MatrixFile | None) -> None:
     """Refuse a stereo camera's rectification, which would turn the image and is not applied."""
     if matrix is not None and matrix.data != [1, 0, 0, 0, 1, 0, 0, 0, 1]:
-        raise document.error(("rectification_matrix", "data"), f"expected the unit matrix, found {matrix.data}")
+        raise document.error(("rectification_matrix", "data"), f"expected the unit matrix, found {shown(matrix.data)}")
 
 
 def _shape(matrix: MatrixFile) -> str:

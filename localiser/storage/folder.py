@@ -28,7 +28,7 @@ from localiser.storage.trajectories import load_poses, save_poses
 
 LOG_FILE = "log.yaml"
 FORMAT = "localiser-log/1"
-FileName = Annotated[str, Field(min_length=1)]
+FileName = Annotated[str, Field(min_length=1, max_length=255)]
 
 
 class StartFile(BaseModel):

@@ -119,9 +119,11 @@ def sign(cell: str) -> int:
 
 
 def text(cell: str) -> str:
-    """Return a text that is not empty."""
+    """Return a name of at most 255 characters."""
     if not cell.strip():
         raise ValueError("a name")
+    if len(cell) > 255:
+        raise ValueError("a name of at most 255 characters")
     return cell.strip()
 
 
