@@ -14,7 +14,7 @@ from localiser.storage.files import write_text
 
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
-Pixels = Annotated[int, Field(ge=2, le=2**15)]
+Pixels = Annotated[int, Field(ge=2, le=2**14)]
 FileModel = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
