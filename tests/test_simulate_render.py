@@ -172,7 +172,7 @@ def test_vignette_and_gain_darken_as_stated(scene: Scene) -> None:
     robot = np.array([0.0, 2.0, 0.0])
     dimmed = scene_of(world_of(world_data(image={"noise_sigma": 0.0, "gain": 0.5, "vignette": 0.4, "colour": True})))
     image = render(dimmed, robot, np.random.default_rng(0)).astype(float)
-    bright = radiance(scene, robot)
+    bright = radiance(scene, robot)[..., ::-1]  # images are BGR
     np.testing.assert_allclose(image[239:241, 319:321], 0.5 * bright[239:241, 319:321], atol=0.51)
     np.testing.assert_allclose(
         image[[0, 0, -1, -1], [0, -1, 0, -1]], 0.5 * 0.6 * bright[[0, 0, -1, -1], [0, -1, 0, -1]], atol=0.51

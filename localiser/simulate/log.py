@@ -47,7 +47,7 @@ class SimulatedLog:
         return len(self.drive.image_t_ns)
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """Return one image, (H, W) grey or (H, W, 3) RGB; the same whenever it is asked for."""
+        """Return one image, (H, W) grey or (H, W, 3) BGR; the same whenever it is asked for."""
         rng = np.random.default_rng([self.seed, _IMAGES, index])
         return expose(self.scene, self.drive.truth, int(self.drive.image_t_ns[index]), rng)
 

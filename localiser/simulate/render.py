@@ -54,7 +54,7 @@ def scene_of(world: World, camera: Camera | None = None) -> Scene:
 
 
 def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the image, (H, W) grey or (H, W, 3) RGB as the world says, taken from a robot that stands at (3,)."""
+    """Return the image, (H, W) grey or (H, W, 3) BGR as the world says, taken from a robot that stands at (3,)."""
     return _developed(radiance(scene, robot_pose), scene.world.image, rng)
 
 
@@ -87,7 +87,7 @@ def _blur_steps(camera: Camera, first: Array, last: Array) -> int:
 
 
 def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the 8-bit image: lens blur, vignette, gain, grey, noise, rounding."""
+    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, vignette, gain, noise, rounding."""
     if spec.blur_px > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), spec.blur_px), dtype=np.float32)
     height, width = image.shape[:2]
@@ -95,8 +95,8 @@ def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArr
         u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
         image = image * (1 - spec.vignette * (u**2 + v**2) / 2).astype(np.float32)[..., None]
     image = image * np.float32(spec.gain)
-    if not spec.colour:
-        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.float32)
+    code = cv2.COLOR_RGB2BGR if spec.colour else cv2.COLOR_RGB2GRAY
+    image = np.asarray(cv2.cvtColor(image, code), dtype=np.float32)
     noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma)
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
 
