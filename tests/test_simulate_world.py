@@ -138,6 +138,15 @@ def test_an_open_door_leaf_stands_at_its_hinge_on_its_side(hinge: str, side: str
     assert 0.9 < np.abs(corners[:, 1]).max() < 1.0
 
 
+@pytest.mark.parametrize("hinge", ["from", "to"])
+def test_a_closed_door_leaf_fills_its_opening(hinge: str) -> None:
+    door = {"at_m": 2.0, "width_m": 1.0, "leaf": {"hinge": hinge, "thickness_m": 0.06}}
+    solids = solids_of(world(walls=[{"from": [0, 0], "to": [4, 0], "doors": [door]}]))
+    corners = solids.corners[solids.material.index("door")]
+    np.testing.assert_allclose(np.sort(corners[:, 0]), [1.52, 1.52, 2.48, 2.48], atol=1e-12)
+    np.testing.assert_allclose(np.sort(corners[:, 1]), [-0.03, -0.03, 0.03, 0.03], atol=1e-12)
+
+
 def test_pictures_are_no_landmarks_but_are_known_to_the_renderer() -> None:
     poster = {"at_m": 2.0, "width_m": 0.6, "bottom_m": 1.0, "top_m": 1.5, "side": "left", "material": "art"}
     bare, hung = ([{"from": [0, 0], "to": [4, 0], "posters": posters}] for posters in ([], [poster]))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.geometry import Array
-from localiser.simulate.world import Box, Door, Post, Poster, Wall, World
+from localiser.simulate.world import Box, Door, Leaf, Post, Poster, Wall, World
 
 POSTER_DEPTH_M = 0.002
 
@@ -153,18 +153,19 @@ def _door(line: _Line, door: Door, opening: tuple[float, float], top: float) -> 
         yield _Prism(line.footprint(across, (-depth, depth)), door.height_m - lining, head, door.frame_material)
         opening = across
     if door.leaf:
-        thickness = door.leaf.thickness_m
-        width = opening[1] - opening[0] - thickness / 2
-        # The hinge stands half a leaf inside the opening, so that an open leaf clears the jamb.
-        hinge_at, turn = (
-            (opening[0] + thickness / 2, 0.0) if door.leaf.hinge == "from" else (opening[1] - thickness / 2, np.pi)
-        )
-        swing = np.deg2rad(door.leaf.angle_deg) * (1 if (door.leaf.side == "left") == (turn == 0.0) else -1)
-        hinge = geometry.compose(line.pose, np.array([0.0, -hinge_at, turn + swing]))
-        half = thickness / 2
-        corners = np.array([[half, half], [half, half - width], [-half, half - width], [-half, half]])
-        footprint = geometry.map_from_robot(hinge, corners)
-        yield _Prism(footprint, 0.005, door.height_m - 0.02, door.leaf.material)
+        yield _leaf(line, door.leaf, opening, door.height_m - 0.02)
+
+
+def _leaf(line: _Line, leaf: Leaf, opening: tuple[float, float], top: float) -> _Prism:
+    half = leaf.thickness_m / 2
+    # An open leaf hinges half its thickness inside the opening, so that it clears the jamb; a closed one fills it.
+    inset = half if leaf.angle_deg > 0 else 0.0
+    hinge_at, turn = (opening[0] + inset, 0.0) if leaf.hinge == "from" else (opening[1] - inset, np.pi)
+    swing = np.deg2rad(leaf.angle_deg) * (1 if (leaf.side == "left") == (leaf.hinge == "from") else -1)
+    hinge = geometry.compose(line.pose, np.array([0.0, -hinge_at, turn + swing]))
+    end = inset - (opening[1] - opening[0] - inset)
+    corners = np.array([[half, inset], [half, end], [-half, end], [-half, inset]])
+    return _Prism(geometry.map_from_robot(hinge, corners), 0.005, top, leaf.material)
 
 
 def _poster(line: _Line, poster: Poster) -> _Prism:
