@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from localiser import geometry
 from localiser.errors import InputError
@@ -156,3 +158,22 @@ def test_odometry_increments_lead_along_the_truth() -> None:
     log = simulate_log(world(**ROOM, odometry={}), 0)
     in_map = geometry.compose(log.drive.truth.poses[0], log.drive.odometry.poses)
     np.testing.assert_allclose(in_map[:, :2], log.drive.truth.poses[:, :2], atol=1e-9)
+
+
+def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
+    path = Path(__file__).parent.parent / "configs" / "worlds" / "corridor.yaml"
+    log = simulate_log(world_of(yaml.safe_load(path.read_text(encoding="utf-8"))), 0)
+    assert 190 <= len(log) <= 220
+    on_map = set(log.landmark_map.ids)
+    few = np.array([len(on_map & set(shown.landmark.tolist())) < 3 for shown in log.visible])
+    assert 0.05 <= few.mean() <= 0.15
+    by_odometry = geometry.compose(log.drive.truth.poses[0], log.drive.odometry.poses[-1])
+    assert np.hypot(*(by_odometry - log.drive.truth.poses[-1])[:2]) > 0.5
+    # In the long corridor the doors stand opposite each other, at equal steps.
+    walls = log.scene.world.walls
+    left, right = (
+        [wall.start[1] + np.sign(wall.end[1] - wall.start[1]) * door.at_m for door in wall.doors]
+        for wall in (walls[1], walls[2])
+    )
+    np.testing.assert_allclose(sorted(left), sorted(right))
+    np.testing.assert_allclose(np.diff(sorted(left)), 3.3)

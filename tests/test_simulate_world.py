@@ -10,6 +10,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
+from localiser.simulate.drive import truth_of
 from localiser.simulate.solids import clearance_m, solids_of
 from localiser.simulate.structure import landmarks_of, vertical_edges
 from localiser.simulate.world import World, world_of
@@ -196,3 +197,5 @@ def test_worlds_that_ship_are_valid(path: Path) -> None:
     shipped = world_of(yaml.safe_load(path.read_text(encoding="utf-8")))
     assert shipped.name == path.stem
     assert len(landmarks_of(shipped)) > 30
+    way = truth_of(shipped.drive).poses[:, :2]
+    assert clearance_m(solids_of(shipped), way, shipped.camera.mount.height_m).min() > 0.2
