@@ -8,15 +8,17 @@ import cv2
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles
+from localiser.edges.lines import columns
+from localiser.edges.measure import edges_of_segments
 from localiser.edges.parameters import EdgeParameters
-from localiser.edges.segments import Detector, Segments, hough, lsd
+from localiser.edges.profile import polarity_of_profiles, profiles
+from localiser.edges.segments import Detector, hough, lsd
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image
-from localiser.edges.vertical import is_vertical, same_edge
+from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.errors import InputError
 
-DETECTORS: dict[str, Detector] = {"lsd": lsd, "hough": hough}
+DETECTORS: dict[str, Detector] = {"lsd": lsd, "hough": hough, "columns": columns}
 
 
 def find_edges(image: Image, camera: Camera, parameters: EdgeParameters) -> Edges:
@@ -26,11 +28,13 @@ def find_edges(image: Image, camera: Camera, parameters: EdgeParameters) -> Edge
     """
     grey = grey_image(image, camera)
     mount_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
-    segments = DETECTORS[parameters.detector](grey, camera)
-    vertical = is_vertical(segments, camera, mount_sigma_rad, parameters.gate_sigma)
-    kept = Segments(segments.ends_px[vertical], segments.sigma_px[vertical])
-    polarity = polarity_of_profiles(profiles(kept.ends_px, grey, camera))
-    edge = same_edge(kept, polarity, camera, mount_sigma_rad, parameters.gate_sigma)
+    segments = DETECTORS[parameters.detector](grey, camera, parameters)
+    plumb_sigma_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
+    vertical, mount = vertical_segments(segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma)
+    kept = segments.take(vertical)
+    if not kept.polarity.all():
+        kept = replace(kept, polarity=polarity_of_profiles(profiles(kept.ends_px, grey, camera)))
+    edge = same_edge(kept, camera, mount, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
     edges = edges.take(edges.length_px >= parameters.min_length_px)
     rejected = camera.undistorted().image_from_pixels(segments.ends_px[~vertical])

@@ -7,15 +7,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-DetectorName = Literal["lsd", "hough"]
+DetectorName = Literal["columns", "lsd", "hough"]
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeParameters:
     """How vertical edges are found in an image."""
 
-    detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "lsd"
+    detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "columns"
     min_length_px: Annotated[float, Field(gt=2, le=1000, description="shortest edge that counts (px)")] = 30.0
+    min_step: Annotated[float, Field(ge=0, le=255, description="faintest edge that counts (grey levels)")] = 6.0
     gate_sigma: Annotated[
         float, Field(gt=0, le=10, description="how far a vertical edge may miss the nadir point (sigmas)")
     ] = 3.0
@@ -24,4 +25,7 @@ class EdgeParameters:
     ] = 0.5
     roll_sigma_deg: Annotated[
         float, Field(ge=0, le=10, description="how certain the camera's stated roll is (deg, 1 sigma)")
+    ] = 0.3
+    plumb_sigma_deg: Annotated[
+        float, Field(ge=0, le=5, description="how far a building's vertical edges are from plumb (deg, 1 sigma)")
     ] = 0.3

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.edges.parameters import EdgeParameters
 from localiser.edges.undistort import Image, ideal_view
 from localiser.geometry import Array
 
@@ -27,25 +29,43 @@ _BORDER_SHARE = 0.5
 class Segments:
     """Straight segments, S of them, in undistorted pixels: those of `Camera.undistorted`.
 
-    ends_px: (S, 2, 2) bottom and top end. sigma_px: (S,) error of each end across the segment.
+    ends_px: (S, 2, 2) bottom and top end. support_px: (S, 2, 2) lower and upper point whose errors across the line,
+    sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those
+    of a line fitted to points all along it lie at the points' standard deviation from their middle.
+    offset_sigma_px: (S,) error of the segment as a whole across itself. polarity: (S,) as in `Edges`, 0 not known yet.
     """
 
     ends_px: Array
+    support_px: Array
     sigma_px: Array
+    offset_sigma_px: Array
+    polarity: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.ends_px)
 
+    def take(self, index: NDArray[np.bool_]) -> Segments:
+        """Return the segments where the mask (S,) holds."""
+        return Segments(*(getattr(self, column.name)[index] for column in fields(self)))
 
-Detector = Callable[[Image, Camera], Segments]
+    @classmethod
+    def of_ends(cls, ends_px: Array, sigma_px: float) -> Segments:
+        """Return segments that are known by their ends (S, 2, 2), in any order."""
+        upside_down = ends_px[:, 0, 1] < ends_px[:, 1, 1]
+        ends = np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px)
+        count = len(ends)
+        return cls(ends, ends, np.full(count, sigma_px), np.zeros(count), np.zeros(count, dtype=np.int8))
 
 
-def lsd(image: Image, camera: Camera) -> Segments:
+Detector = Callable[[Image, Camera, EdgeParameters], Segments]
+
+
+def lsd(image: Image, camera: Camera, _: EdgeParameters) -> Segments:
     """Return the segments of a grey image (H, W) by the line segment detector of von Gioi et al. (2010)."""
     return _on_ideal_image(image, camera, _lsd_lines, LSD_SIGMA_PX)
 
 
-def hough(image: Image, camera: Camera) -> Segments:
+def hough(image: Image, camera: Camera, _: EdgeParameters) -> Segments:
     """Return the segments of a grey image (H, W) by Canny's edges and Hough's transform, as the paper does."""
     return _on_ideal_image(image, camera, _hough_lines, HOUGH_SIGMA_PX)
 
@@ -79,13 +99,7 @@ def _on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Ar
         found = lines_of(view.of(image)).reshape(-1, 2, 2)
         found = found[~_is_border(found, view.seen)]
         ends = found + np.array([camera.cx - view.camera.cx, camera.cy - view.camera.cy])
-    return Segments(bottom_first(ends), np.full(len(ends), sigma_px))
-
-
-def bottom_first(ends_px: Array) -> Array:
-    """Return segments (S, 2, 2) with the lower end (larger v) first."""
-    upside_down = ends_px[:, 0, 1] < ends_px[:, 1, 1]
-    return np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px)
+    return Segments.of_ends(ends, sigma_px)
 
 
 def _is_border(ends_px: Array, seen: Image) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -81,12 +81,17 @@ def seen_mask(taken_px: Array, camera: Camera, margin_px: int) -> Image:
     )
 
 
+def image_border(camera: Camera) -> Array:
+    """Return pixels (P, 2) along the border of the taken image."""
+    u, v = np.linspace(0, camera.width - 1, 65), np.linspace(0, camera.height - 1, 65)
+    rows = [np.stack([u, np.full_like(u, row)], axis=-1) for row in (0.0, camera.height - 1.0)]
+    columns = [np.stack([np.full_like(v, column), v], axis=-1) for column in (0.0, camera.width - 1.0)]
+    return np.concatenate(rows + columns)
+
+
 def _ideal_extent(camera: Camera) -> tuple[int, int, int, int]:
     """Return (left, top, width, height) px of the ideal image that holds the border of the taken one."""
-    u, v = np.linspace(0, camera.width - 1, 65), np.linspace(0, camera.height - 1, 65)
-    border = [np.stack([u, np.full_like(u, row)], axis=-1) for row in (0.0, camera.height - 1.0)]
-    border += [np.stack([np.full_like(v, column), v], axis=-1) for column in (0.0, camera.width - 1.0)]
-    ideal = camera.undistorted().pixels_from_image(camera.image_from_pixels(np.concatenate(border)))
+    ideal = camera.undistorted().pixels_from_image(camera.image_from_pixels(image_border(camera)))
     size = np.array([camera.width, camera.height])
     slack = (_LARGEST_GROWTH - 1) / 2 * size
     low = np.floor(np.maximum(ideal.min(axis=0), -slack)).astype(int)

@@ -6,66 +6,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.edges.mount import MountError, NadirMiss, mount_error, nadir_miss
 from localiser.edges.segments import Segments
 from localiser.geometry import Array
 
 _ABOVE_NADIR = 0.05
 """Least c + e s of an edge's ends: closer to the nadir point, or below it, a line tells no bearing ahead."""
+_VAGUE_RAD = 0.5
+"""A segment so short that it would pass in nearly any direction proves nothing."""
 
 
-def nadir_miss_sigma_px(segments: Segments, camera: Camera, mount_sigma_rad: Array) -> Array:
-    """Return the sigma (S,) of `Camera.nadir_miss_px` of segments (S).
+def vertical_segments(
+    segments: Segments, camera: Camera, mount_sigma_rad: Array, plumb_sigma_rad: float, gate_sigma: float
+) -> tuple[NDArray[np.bool_], MountError]:
+    """Return (S,) which segments meet the nadir point within what noise allows, and the error of the stated mount.
 
-    Both ends err by σ, so half their difference errs by σ/√2. An error of the mount (tilt, roll) (2,) turns the
-    direction towards the nadir point, seen from (a, e), by a / q² and c (c + e s) / q², q² = (a s)² + (c + e s)².
+    The stated tilt and roll, uncertain by `mount_sigma_rad` (2,), say which segments may be vertical. Those agree on a
+    better tilt and roll, which then decide. Plumb: how far real edges are from vertical.
     """
-    ends = camera.undistorted().upright_from_pixels(segments.ends_px)
-    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-    a, e = np.moveaxis(ends.mean(axis=1), -1, 0)
-    depth = c + e * s
-    per_mount = np.stack([a, c * depth], axis=-1) / ((a * s) ** 2 + depth**2)[:, None]
-    half_px = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) / 2 * camera.focal_px
-    return np.asarray(np.sqrt(segments.sigma_px**2 / 2 + half_px**2 * (per_mount**2 @ mount_sigma_rad**2)))
+    miss = nadir_miss(segments, camera)
+    prior = MountError(np.zeros(2), np.diag(mount_sigma_rad**2))
+    candidates = _above_nadir(segments, camera) & _is_met(miss, prior, plumb_sigma_rad, gate_sigma)
+    posterior = mount_error(miss.take(candidates), mount_sigma_rad, plumb_sigma_rad)
+    return candidates & _is_met(miss, posterior, plumb_sigma_rad, gate_sigma), posterior
 
 
-def is_vertical(segments: Segments, camera: Camera, mount_sigma_rad: Array, gate_sigma: float) -> NDArray[np.bool_]:
-    """Return (S,) whether segments meet the nadir point within what their noise and the mount's error allow.
-
-    A segment so short that it would pass in any direction proves nothing, and is left out.
-    """
-    ideal = camera.undistorted()
-    miss = ideal.nadir_miss_px(segments.ends_px)
-    e = ideal.upright_from_pixels(segments.ends_px)[..., 1]
-    above_nadir = (np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad) > _ABOVE_NADIR).all(axis=1)
-    allowed = gate_sigma * nadir_miss_sigma_px(segments, camera, mount_sigma_rad)
-    half_px = np.linalg.norm(segments.ends_px[:, 1] - segments.ends_px[:, 0], axis=-1) / 2
-    return np.asarray(above_nadir & (np.abs(miss) <= allowed) & (half_px > 2 * allowed))
+def _above_nadir(segments: Segments, camera: Camera) -> NDArray[np.bool_]:
+    e = camera.undistorted().upright_from_pixels(segments.ends_px)[..., 1]
+    return np.asarray((np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad)).min(axis=1) > _ABOVE_NADIR)
 
 
-def same_edge(
-    segments: Segments,
-    polarity: NDArray[np.int8],
-    camera: Camera,
-    mount_sigma_rad: Array,
-    gate_sigma: float,
-) -> NDArray[np.int64]:
-    """Return the edge (S,) that each vertical segment belongs to, numbered from 0; -1 never occurs.
+def _is_met(miss: NadirMiss, mount: MountError, plumb_sigma_rad: float, gate_sigma: float) -> NDArray[np.bool_]:
+    """Return (S,) whether segments point at the nadir point as well as a vertical edge would."""
+    angle, by_mount = miss.corrected(mount)
+    allowed = gate_sigma * np.sqrt(miss.sigma**2 + plumb_sigma_rad**2 + by_mount)
+    return np.asarray((np.abs(angle) <= allowed) & (allowed < _VAGUE_RAD))
+
+
+def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:
+    """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
     Segments are one edge when they look the same way (polarity) and their bearings agree within noise, however long
     the gap between them: what stands in front of an edge hides it. The most certain segment gathers first, so that
     uncertain ones cannot chain two edges together.
     """
     ideal = camera.undistorted()
-    bearing = ideal.bearing_of_segments(segments.ends_px)
-    variance = ideal.bearing_sigma_of_segments(segments.ends_px, segments.sigma_px) ** 2
-    per_mount = ideal.bearing_jacobians(bearing, ideal.upright_from_pixels(segments.ends_px)[..., 1].mean(axis=1))[1]
+    bearing = ideal.bearing_of_segments(segments.support_px)
+    sigma_px = np.hypot(segments.sigma_px, np.sqrt(2.0) * segments.offset_sigma_px)
+    variance = ideal.bearing_sigma_of_segments(segments.support_px, sigma_px) ** 2
+    middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
+    per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
+    bearing = bearing + per_mount @ mount.mean
+    by_mount = per_mount @ np.linalg.cholesky(mount.cov)
     edge = np.full(len(segments), -1, dtype=np.int64)
     count = 0
     for first in np.argsort(variance, kind="stable"):
         if edge[first] >= 0:
             continue
-        by_mount = (per_mount - per_mount[first]) ** 2 @ mount_sigma_rad**2
-        near = (bearing - bearing[first]) ** 2 <= gate_sigma**2 * (variance + variance[first] + by_mount)
-        edge[near & (polarity == polarity[first]) & (edge < 0)] = count
+        allowed = variance + variance[first] + ((by_mount - by_mount[first]) ** 2).sum(axis=1)
+        near = (bearing - bearing[first]) ** 2 <= gate_sigma**2 * allowed
+        edge[near & (segments.polarity == segments.polarity[first]) & (edge < 0)] = count
         count += 1
     return edge

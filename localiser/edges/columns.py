@@ -1,0 +1,154 @@
+"""A detector of vertical edges that knows where they all meet: the search is along columns, not over all angles.
+
+Lens distortion, tilt and roll are undone in one remap, after which a vertical edge is a column of the picture.
+Averaging along columns then costs nothing and takes away most of the noise: the picture is cut into blocks of a few
+rows, each averaged to one, and the horizontal gradient of those is searched for peaks that go on from block to block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
+from localiser.edges.undistort import Image
+from localiser.geometry import Array
+
+SCALE_PX = 1.0
+"""Width of the Gaussian whose derivative the image is filtered with: edges 3 px apart stay apart."""
+ALONG = np.array([1.0, 2.0, 2.0, 2.0, 1.0]) / 8
+"""Weights of the average over neighbouring blocks in which peaks are looked for."""
+PEAK_SIGMA = 3.0
+"""Least height of a peak over the noise; the chain of peaks is judged as a whole afterwards."""
+_LEAST_NOISE_GREY = 0.5
+"""No 8-bit camera is quieter, rounding included."""
+_CLUTTER_BLOCKS, _CLUTTER_COLUMNS = 5, 17
+"""Size of the surroundings that tell how much texture an edge must stand out from."""
+_CLUTTER_WEIGHT = 4.0
+"""Texture is no white noise: it goes on from block to block, so that averaging removes less of it."""
+
+
+def gradient_kernel(scale_px: float) -> NDArray[np.float32]:
+    """Return the derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1."""
+    reach = int(np.ceil(3.5 * scale_px))
+    x = np.arange(-reach, reach + 1)
+    kernel = x * np.exp(-(x**2) / (2 * scale_px**2))
+    return np.asarray(kernel / (kernel @ x), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GradientField:
+    """Horizontal gradient of a rectified image, averaged over blocks of rows: (B, W), in units of its noise.
+
+    fine: at `SCALE_PX`. smooth: the same averaged over neighbouring blocks. coarse: at twice the scale.
+    clutter: sigma of what changes from block to block nearby, noise and texture, at least 1.
+    noise_grey: the noise's sigma (grey levels per px). smooth_sigma: the noise's sigma in `smooth`.
+    """
+
+    fine: NDArray[np.float32]
+    smooth: NDArray[np.float32]
+    coarse: NDArray[np.float32]
+    clutter: NDArray[np.float32]
+    noise_grey: float
+    smooth_sigma: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peaks:
+    """Peaks of a gradient field, P of them. row: block. column, position: whole and sub-pixel. polarity: as `Edges`."""
+
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    position: Array
+    polarity: NDArray[np.int8]
+
+
+def gradient_field(image: Image, camera: Camera) -> GradientField:
+    """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
+    rectified, unseen = column_view(camera).of(image), unseen_blocks(camera)
+    blocks = rectified.reshape(-1, ROWS_PER_BLOCK, rectified.shape[1]).sum(axis=1, dtype=np.uint16)
+    kernel = gradient_kernel(SCALE_PX)
+    fine = _filtered(blocks.astype(np.float32), (kernel / ROWS_PER_BLOCK).reshape(1, -1), cv2.BORDER_REPLICATE)
+    fine[unseen] = 0.0
+    least = _LEAST_NOISE_GREY * float(np.linalg.norm(kernel)) / np.sqrt(ROWS_PER_BLOCK)
+    noise = max(_robust_sigma(fine[~unseen]), least)
+    fine /= np.float32(noise)
+    smooth = _filtered(fine, ALONG.reshape(-1, 1), cv2.BORDER_CONSTANT)
+    # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
+    coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
+    smooth_sigma = max(_robust_sigma(smooth[~unseen]), float(np.linalg.norm(ALONG)))
+    return GradientField(fine, smooth, coarse, _clutter(fine), noise, smooth_sigma)
+
+
+def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:
+    """Return values (B, W) correlated with a kernel."""
+    return np.asarray(cv2.filter2D(values, cv2.CV_32F, kernel, borderType=border), dtype=np.float32)
+
+
+def _robust_sigma(values: NDArray[np.float32]) -> float:
+    """Return 1.48 times the median size of values about 0, from a sample: neighbours say the same."""
+    return 1.4826 * float(np.median(np.abs(values[::7]))) if len(values) else 0.0
+
+
+def _clutter(fine: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the sigma (B, W) of noise and texture around each block, 1 where there is only noise.
+
+    Vertical edges do not change from block to block, texture does. Mean sizes, because one end of a strong edge nearby
+    is no texture: of a difference of two normal values it is 2 σ / √π.
+    """
+    change = np.abs(np.diff(fine, axis=0, prepend=fine[:1]))
+    nearby = cv2.blur(change, (_CLUTTER_COLUMNS, _CLUTTER_BLOCKS)) * np.float32(np.sqrt(np.pi) / 2)
+    return np.asarray(np.sqrt(1 + _CLUTTER_WEIGHT * np.maximum(nearby**2 - 1, 0)), dtype=np.float32)
+
+
+@lru_cache(maxsize=8)
+def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
+    """Return (B, W) blocks whose gradient touches what the taken image does not show: its border is no edge."""
+    unseen = column_view(camera).unseen
+    blocks = np.any(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1).astype(np.uint8)
+    reach = int(np.ceil(2 * SCALE_PX))
+    blocks[:, : reach + 1] = blocks[:, -reach - 1 :] = 1
+    return np.asarray(cv2.dilate(blocks, np.ones((1, 2 * reach + 1), np.uint8)) > 0)
+
+
+def peaks_of(field: GradientField) -> Peaks:
+    """Return where the size of the smoothed gradient has a peak along its row."""
+    size = np.abs(field.smooth)
+    middle = size[:, 1:-1]
+    is_peak = (middle > PEAK_SIGMA * field.smooth_sigma) & (middle > size[:, :-2]) & (middle >= size[:, 2:])
+    row, column = np.nonzero(is_peak)
+    column += 1
+    sign = np.sign(field.smooth[row, column])
+    left, right = field.smooth[row, column - 1] * sign, field.smooth[row, column + 1] * sign
+    offset = (right - left) / (2 * (2 * size[row, column] - left - right))
+    position = column.astype(np.float64) + offset
+    return Peaks(row, column, position, sign.astype(np.int8))
+
+
+def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return the chain (P,) that each peak of a field of this shape belongs to, numbered from 0.
+
+    A peak goes on from one in the block above when each is the other's nearest of its polarity, at most a column off.
+    """
+    count = len(peaks.row)
+    everyone, nobody = np.arange(count), count
+    who = np.full((shape[0] + 2, shape[1] + 2), nobody)
+    who[peaks.row + 1, peaks.column + 1] = everyone
+    position, polarity = np.append(peaks.position, np.inf), np.append(peaks.polarity, 0)
+
+    def nearest(rows_down: int) -> NDArray[np.int64]:
+        near = np.stack([who[peaks.row + 1 + rows_down, peaks.column + 1 + by] for by in (-1, 0, 1)])
+        apart = np.where(polarity[near] == peaks.polarity, np.abs(position[near] - peaks.position), np.inf)
+        best = np.argmin(apart, axis=0)
+        return np.where(np.isfinite(apart[best, everyone]), near[best, everyone], nobody)
+
+    above, below = nearest(-1), np.append(nearest(1), nobody)
+    top = np.where(below[above] == everyone, above, everyone)
+    while not np.array_equal(top, top[top]):
+        top = top[top]
+    return np.unique(top, return_inverse=True)[1].astype(np.int64)

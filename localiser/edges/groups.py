@@ -1,0 +1,70 @@
+"""Sums, extremes and straight lines of values that belong to groups, for all groups at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+
+Values = Array | NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineFit:
+    """Weighted straight lines y(x), one per group (G,): through (x, y) with `slope`.
+
+    weight: Σw. spread: Σw (x - mean x)². With w = 1/σ² the variance of y is 1/weight, that of slope 1/spread.
+    """
+
+    x: Array
+    y: Array
+    slope: Array
+    weight: Array
+    spread: Array
+
+    def at(self, group: NDArray[np.int64], x: Values) -> Array:
+        """Return y (K,) of the lines of groups (K,) at x (K,)."""
+        return np.asarray(self.y[group] + self.slope[group] * (x - self.x[group]))
+
+    def take(self, index: NDArray[np.int64]) -> LineFit:
+        """Return the lines of some groups."""
+        return LineFit(self.x[index], self.y[index], self.slope[index], self.weight[index], self.spread[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Which group, 0 … count - 1, each of K values belongs to."""
+
+    of: NDArray[np.int64]
+    count: int
+
+    def sum(self, values: Array | NDArray[np.bool_]) -> Array:
+        """Return the sum (G,) of values (K,) of each group."""
+        return np.asarray(np.bincount(self.of, values, self.count), dtype=np.float64)
+
+    def mean(self, values: Array, mask: NDArray[np.bool_]) -> Array:
+        """Return the mean (G,) of the masked values (K,) of each group; 0 for a group without any."""
+        return self.sum(values * mask) / np.maximum(self.sum(mask), 1)
+
+    def lowest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
+        """Return the lowest (G,) of the values (K,) of each group, of the masked ones only; inf for none."""
+        lowest = np.full(self.count, np.inf)
+        used = slice(None) if mask is None else mask
+        np.minimum.at(lowest, self.of[used], values[used])
+        return lowest
+
+    def highest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
+        """Return the highest (G,) of the values (K,) of each group, of the masked ones only; -inf for none."""
+        return -self.lowest(-values, mask)
+
+    def line(self, x: Values, y: Array, weight: Array) -> LineFit:
+        """Return the weighted least-squares line of each group through (x, y) (K,)."""
+        total = np.maximum(self.sum(weight), 1e-12)
+        mean_x, mean_y = self.sum(weight * x) / total, self.sum(weight * y) / total
+        from_mean = weight * (x - mean_x[self.of])
+        spread = self.sum(from_mean * (x - mean_x[self.of]))
+        slope = self.sum(from_mean * y) / np.maximum(spread, 1e-12)
+        return LineFit(mean_x, mean_y, slope, total, spread)

@@ -1,0 +1,79 @@
+"""Tilt and roll of the camera from the vertical edges of one image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges.segments import Segments
+from localiser.geometry import Array
+
+_TUKEY = 4.0
+"""Segments further from the common direction than this many sigmas have no say."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountError:
+    """By how much tilt and roll differ from what is stated: mean (2,) rad and covariance (2, 2)."""
+
+    mean: Array
+    cov: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NadirMiss:
+    """The angle between segments (S) and the lines from their middles to the nadir point.
+
+    angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 2) its derivative by tilt and roll.
+    sigma: (S,) error of the segments' own directions.
+    """
+
+    angle: Array
+    per_mount: Array
+    sigma: Array
+
+    def corrected(self, mount: MountError) -> tuple[Array, Array]:
+        """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
+        remaining = np.einsum("si,ij,sj->s", self.per_mount, mount.cov, self.per_mount)
+        return self.angle + self.per_mount @ mount.mean, remaining
+
+    def take(self, index: NDArray[np.bool_]) -> NadirMiss:
+        """Return the angles of some segments."""
+        return NadirMiss(self.angle[index], self.per_mount[index], self.sigma[index])
+
+
+def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
+    """Return how far segments (S) are from pointing at the nadir point of `camera`.
+
+    The nadir point moves by δθ / s² along e and by δρ c / s along a; seen from (a, e) it turns by a / q² δθ and
+    c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when the tilt is 0.
+    """
+    ideal = camera.undistorted()
+    length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
+    angle = ideal.nadir_miss_px(segments.support_px) / (length_px / 2)
+    a, e = np.moveaxis(ideal.upright_from_pixels(segments.support_px.mean(axis=1)), -1, 0)
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    depth = c + e * s
+    per_mount = np.stack([-a, c * depth], axis=-1) / ((a * s) ** 2 + depth**2)[:, None]
+    return NadirMiss(angle, per_mount, np.sqrt(2.0) * segments.sigma_px / length_px)
+
+
+def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float, iterations: int = 5) -> MountError:
+    """Return the error of the stated tilt and roll that makes segments (S) point at the nadir point best.
+
+    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll, and `plumb_sigma_rad`
+    for how far real edges are from plumb. Without segments: the prior.
+    """
+    information = np.diag(1.0 / np.maximum(prior_sigma_rad, 1e-9) ** 2)
+    error = MountError(np.zeros(2), np.asarray(np.linalg.inv(information), dtype=np.float64))
+    variance = miss.sigma**2 + plumb_sigma_rad**2
+    for _ in range(iterations):
+        angle, remaining = miss.corrected(error)
+        weight = np.clip(1 - angle**2 / (_TUKEY**2 * (variance + remaining)), 0, None) ** 2 / variance
+        gained = miss.per_mount.T @ (weight[:, None] * miss.per_mount)
+        cov = np.asarray(np.linalg.inv(information + gained), dtype=np.float64)
+        error = MountError(-cov @ (miss.per_mount.T @ (weight * miss.angle)), cov)
+    return error

@@ -1,0 +1,93 @@
+"""The image with lens distortion, tilt and roll undone at once, so that vertical edges are columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges.undistort import Image, image_border
+from localiser.geometry import Array
+
+ROWS_PER_BLOCK = 8
+"""The height of the rectified image is a multiple of this: rows that are averaged to one."""
+_WIDEST = 2.5
+"""Limit of the rectified width over the image's; only a view of the nadir point itself would want more."""
+_STEEPEST_TANGENT = 3.0
+"""Largest |tan b| that is kept: vertical edges beside the camera (72°) cross the image's corner at most."""
+_LEAST_DEPTH = 0.05
+"""Least c + e s: nearer to the nadir point all bearings meet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColumnView:
+    """A remap of the taken image in which the column is tan(bearing) and the row the height e in the upright image.
+
+    A vertical edge a = tan b (c + e s) is a column, whatever the tilt. Rows are as dense as in the image, columns as
+    dense as at the image's centre for a tilt of 0.
+
+    first_tangent, first_height: of the top-left pixel. columns_per_tangent, rows_per_height: pixels per unit.
+    map_1, map_2: tables of `cv2.remap`. unseen: (H, W) where the taken image has nothing to show.
+    """
+
+    tilt_rad: float
+    first_tangent: float
+    first_height: float
+    columns_per_tangent: float
+    rows_per_height: float
+    map_1: NDArray[np.int16]
+    map_2: NDArray[np.uint16]
+    unseen: NDArray[np.bool_]
+
+    def of(self, image: Image) -> Image:
+        """Return the rectified image (H, W) of a taken one."""
+        rectified = cv2.remap(image, self.map_1, self.map_2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(rectified, dtype=np.uint8)
+
+    def upright(self, column: Array, row: Array) -> Array:
+        """Return upright image coordinates (a, e) (..., 2) of pixels of the rectified image."""
+        e = self.first_height - row / self.rows_per_height
+        return np.stack([self.tangent(column) * self.depth(row), e], axis=-1)
+
+    def tangent(self, column: Array) -> Array:
+        """Return tan(bearing) of columns."""
+        return np.asarray(self.first_tangent + column / self.columns_per_tangent)
+
+    def depth(self, row: Array) -> Array:
+        """Return c + e s of rows."""
+        e = self.first_height - row / self.rows_per_height
+        return np.asarray(np.cos(self.tilt_rad) + e * np.sin(self.tilt_rad))
+
+    def pixels_per_column(self, column: Array, row: Array) -> Array:
+        """Return how many pixels of the taken image, across a vertical edge, one column is wide."""
+        lean = np.arctan(np.sin(self.tilt_rad) * self.tangent(column))
+        return np.asarray(self.depth(row) * np.cos(lean) * self.rows_per_height / self.columns_per_tangent)
+
+
+@lru_cache(maxsize=8)
+def column_view(camera: Camera) -> ColumnView:
+    """Return the cached view of `camera` that holds all vertical edges ahead."""
+    border = camera.upright_from_pixels(image_border(camera))
+    tilt, focal = camera.mount.tilt_rad, camera.focal_px
+    depth = np.cos(tilt) + border[:, 1] * np.sin(tilt)
+    border, depth = border[depth > _LEAST_DEPTH], depth[depth > _LEAST_DEPTH]
+    tangent = (border[:, 0] / depth).clip(-_STEEPEST_TANGENT, _STEEPEST_TANGENT)
+    density = min(focal, _WIDEST * camera.width / float(np.ptp(tangent)))
+    width = int(np.ceil(np.ptp(tangent) * density)) + 1
+    height = ROWS_PER_BLOCK * int(np.ceil(np.ptp(border[:, 1]) * focal / ROWS_PER_BLOCK))
+    empty = np.zeros((0, 0))
+    view = ColumnView(
+        tilt, float(tangent.min()), float(border[:, 1].max()), density, focal,
+        empty.astype(np.int16), empty.astype(np.uint16), empty.astype(np.bool_),
+    )  # fmt: skip
+    column, row = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    taken = camera.pixels_from_upright(view.upright(column, row))
+    inside = np.all((taken >= 0) & (taken <= [camera.width - 1, camera.height - 1]), axis=-1)
+    taken_u, taken_v = np.moveaxis(taken.astype(np.float32), -1, 0).copy()
+    map_1, map_2 = cv2.convertMaps(taken_u, taken_v, cv2.CV_16SC2)
+    unseen = ~inside | (view.depth(row) < _LEAST_DEPTH)
+    return replace(view, map_1=np.asarray(map_1), map_2=np.asarray(map_2), unseen=unseen)
