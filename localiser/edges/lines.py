@@ -233,13 +233,11 @@ def _segments(fitted: _Fitted, top: Array, bottom: Array, view: ColumnView, came
     upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
     ideal_px = camera.undistorted().pixels_from_upright(upright)
     to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
-    # What shifts an edge may do so at one end more than at the other: it counts for the ends as well.
-    shift = np.hypot(fitted.shift, _TABLE_SIGMA_PX)
     return Segments(
         ends_px=ideal_px[:, :2],
         support_px=ideal_px[:, 2:],
-        sigma_px=to_px * np.sqrt(2 * fitted.scatter / fit.weight + shift**2),
-        offset_sigma_px=to_px * shift,
+        sigma_px=to_px * np.sqrt(2 * fitted.scatter / fit.weight),
+        shift_sigma_px=to_px * np.hypot(fitted.shift, _TABLE_SIGMA_PX),
         polarity=fitted.lines.polarity,
     )
 

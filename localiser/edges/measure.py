@@ -61,9 +61,7 @@ def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array
     """
     ideal = camera.undistorted()
     each = ideal.bearing_of_segments(segments.support_px)
-    # A common offset of both support points counts as an error of √2 that of each of two independent ones.
-    sigma_px = np.hypot(segments.sigma_px, np.sqrt(2.0) * segments.offset_sigma_px)
-    weight = ideal.bearing_sigma_of_segments(segments.support_px, sigma_px) ** -2
+    weight = ideal.bearing_sigma_of_segments(segments.support_px, segments.across_sigma_px) ** -2
     total = groups.sum(weight)
     bearing = groups.sum(weight * each) / total
     members = np.bincount(groups.of, minlength=groups.count)
@@ -76,8 +74,8 @@ def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[
     ideal = camera.undistorted()
     support = ideal.upright_from_pixels(segments.support_px)
     members = np.bincount(groups.of, minlength=groups.count)[groups.of]
-    # An offset moves a segment as a whole: it turns an edge only where segments are joined.
-    sigma_px = np.hypot(segments.sigma_px, np.where(members > 1, np.sqrt(2.0) * segments.offset_sigma_px, 0.0))
+    # What moves a segment as a whole turns an edge only where segments are joined.
+    sigma_px = np.where(members > 1, segments.across_sigma_px, segments.end_sigma_px)
     # An error across a leaning line is one of 1 / cos(lean) along a.
     weight = (np.cos(ideal.lean_of_segments(segments.support_px)) / sigma_px * camera.focal_px) ** 2
     points = Groups(np.repeat(groups.of, 2), groups.count)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges.segments import Segments
+from localiser.edges.types import Edges
 from localiser.geometry import Array
 
 _TUKEY = 4.0
@@ -58,7 +59,7 @@ def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     depth = c + e * s
     per_mount = np.stack([-a, c * depth], axis=-1) / ((a * s) ** 2 + depth**2)[:, None]
-    return NadirMiss(angle, per_mount, np.sqrt(2.0) * segments.sigma_px / length_px)
+    return NadirMiss(angle, per_mount, np.sqrt(2.0) * segments.end_sigma_px / length_px)
 
 
 def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float, iterations: int = 5) -> MountError:
@@ -77,3 +78,10 @@ def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float,
         cov = np.asarray(np.linalg.inv(information + gained), dtype=np.float64)
         error = MountError(-cov @ (miss.per_mount.T @ (weight * miss.angle)), cov)
     return error
+
+
+def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
+    """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `mount_error`."""
+    ideal_px = camera.undistorted().pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    pointing = nadir_miss(Segments.of_ends(ideal_px, 1.0), camera)
+    return mount_error(replace(pointing, sigma=edges.lean_sigma), prior_sigma_rad, plumb_sigma_rad)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.undistort import Image, image_border
+from localiser.edges.undistort import Image, image_border, is_shown
 from localiser.geometry import Array
 
 ROWS_PER_BLOCK = 8
@@ -85,9 +85,9 @@ def column_view(camera: Camera) -> ColumnView:
         empty.astype(np.int16), empty.astype(np.uint16), empty.astype(np.bool_),
     )  # fmt: skip
     column, row = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    taken = camera.pixels_from_upright(view.upright(column, row))
-    inside = np.all((taken >= 0) & (taken <= [camera.width - 1, camera.height - 1]), axis=-1)
+    image_points = camera.image_from_upright(view.upright(column, row))
+    taken = camera.pixels_from_image(image_points)
     taken_u, taken_v = np.moveaxis(taken.astype(np.float32), -1, 0).copy()
     map_1, map_2 = cv2.convertMaps(taken_u, taken_v, cv2.CV_16SC2)
-    unseen = ~inside | (view.depth(row) < _LEAST_DEPTH)
+    unseen = ~is_shown(image_points, taken, camera) | (view.depth(row) < _LEAST_DEPTH)
     return replace(view, map_1=np.asarray(map_1), map_2=np.asarray(map_2), unseen=unseen)

@@ -32,17 +32,28 @@ class Segments:
     ends_px: (S, 2, 2) bottom and top end. support_px: (S, 2, 2) lower and upper point whose errors across the line,
     sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those
     of a line fitted to points all along it lie at the points' standard deviation from their middle.
-    offset_sigma_px: (S,) error of the segment as a whole across itself. polarity: (S,) as in `Edges`, 0 not known yet.
+    shift_sigma_px: (S,) by how much what lies beside the segment may have moved it, as a whole and, about as much, one
+    end against the other. polarity: (S,) as in `Edges`, 0 not known yet.
     """
 
     ends_px: Array
     support_px: Array
     sigma_px: Array
-    offset_sigma_px: Array
+    shift_sigma_px: Array
     polarity: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.ends_px)
+
+    @property
+    def end_sigma_px(self) -> Array:
+        """The whole error (S,) of a support point against the other one."""
+        return np.hypot(self.sigma_px, self.shift_sigma_px)
+
+    @property
+    def across_sigma_px(self) -> Array:
+        """The error (S,) of two independent support points that leaves the middle as uncertain as it is."""
+        return np.sqrt(self.sigma_px**2 + 3 * self.shift_sigma_px**2)
 
     def take(self, index: NDArray[np.bool_]) -> Segments:
         """Return the segments where the mask (S,) holds."""

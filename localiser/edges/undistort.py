@@ -64,21 +64,25 @@ def ideal_view(camera: Camera, margin_px: int = 3) -> IdealView | None:
     left, top, width, height = _ideal_extent(camera)
     ideal = replace(camera.undistorted(), width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    taken = camera.pixels_from_image(ideal.image_from_pixels(np.stack([columns, rows], axis=-1)))
-    seen = seen_mask(taken, camera, margin_px)
+    image_points = ideal.image_from_pixels(np.stack([columns, rows], axis=-1))
+    taken = camera.pixels_from_image(image_points)
+    shown = is_shown(image_points, taken, camera).astype(np.uint8)
+    around = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
+    seen = np.asarray(cv2.erode(shown, around, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
     taken_u, taken_v = np.moveaxis(taken.astype(np.float32), -1, 0).copy()
     map_1, map_2 = cv2.convertMaps(taken_u, taken_v, cv2.CV_16SC2)
     return IdealView(ideal, np.asarray(map_1), np.asarray(map_2), seen)
 
 
-def seen_mask(taken_px: Array, camera: Camera, margin_px: int) -> Image:
-    """Return 255 where the pixels (H, W, 2) of the taken image lie inside it, `margin_px` away from its border."""
-    inside = (taken_px >= 0) & (taken_px <= [camera.width - 1, camera.height - 1])
-    mask = np.where(inside.all(axis=-1), 255, 0).astype(np.uint8)
-    size = 2 * margin_px + 1
-    return np.asarray(
-        cv2.erode(mask, np.ones((size, size), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8
-    )
+def is_shown(image_points: Array, taken_px: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Return (...) whether image coordinates (..., 2), which project to pixels (..., 2), are in the taken image.
+
+    Far outside the field of view a distortion polynomial turns back and would show the image's inside once more; the
+    corners of the image bound what it was fitted for.
+    """
+    inside = np.all((taken_px >= 0) & (taken_px <= [camera.width - 1, camera.height - 1]), axis=-1)
+    furthest = np.linalg.norm(camera.image_from_pixels(image_border(camera)), axis=-1).max()
+    return np.asarray(inside & (np.linalg.norm(image_points, axis=-1) <= furthest + 1 / camera.focal_px))
 
 
 def image_border(camera: Camera) -> Array:

@@ -14,6 +14,10 @@ _ABOVE_NADIR = 0.05
 """Least c + e s of an edge's ends: closer to the nadir point, or below it, a line tells no bearing ahead."""
 _VAGUE_RAD = 0.5
 """A segment so short that it would pass in nearly any direction proves nothing."""
+_BESIDE_SHARE = 0.5
+"""Segments that have more than this share of the shorter one's height in common lie beside each other."""
+_RESOLVED_PX = 1.5
+"""Segments beside each other that are closer than this are one edge that was found twice."""
 
 
 def vertical_segments(
@@ -47,24 +51,33 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
     """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
     Segments are one edge when they look the same way (polarity) and their bearings agree within noise, however long
-    the gap between them: what stands in front of an edge hides it. The most certain segment gathers first, so that
-    uncertain ones cannot chain two edges together.
+    the gap between them: what stands in front of an edge hides it. Segments beside each other are two edges unless
+    they are too close to be told apart, whatever else may have moved them. The most certain segment gathers first, so
+    that uncertain ones cannot chain two edges together.
     """
     ideal = camera.undistorted()
     bearing = ideal.bearing_of_segments(segments.support_px)
-    sigma_px = np.hypot(segments.sigma_px, np.sqrt(2.0) * segments.offset_sigma_px)
-    variance = ideal.bearing_sigma_of_segments(segments.support_px, sigma_px) ** 2
+    rad_per_px = ideal.bearing_sigma_of_segments(segments.support_px, np.full(len(segments), np.sqrt(2.0)))
+    sigma, scatter = (
+        rad_per_px * across_px / np.sqrt(2.0) for across_px in (segments.across_sigma_px, segments.sigma_px)
+    )
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
     bearing = bearing + per_mount @ mount.mean
     by_mount = per_mount @ np.linalg.cholesky(mount.cov)
+    bottom, top = np.moveaxis(ideal.upright_from_pixels(segments.ends_px)[..., 1], -1, 0)
     edge = np.full(len(segments), -1, dtype=np.int64)
     count = 0
-    for first in np.argsort(variance, kind="stable"):
+    for first in np.argsort(sigma, kind="stable"):
         if edge[first] >= 0:
             continue
-        allowed = variance + variance[first] + ((by_mount - by_mount[first]) ** 2).sum(axis=1)
-        near = (bearing - bearing[first]) ** 2 <= gate_sigma**2 * allowed
-        edge[near & (segments.polarity == segments.polarity[first]) & (edge < 0)] = count
+        variance = sigma**2 + sigma[first] ** 2 + ((by_mount - by_mount[first]) ** 2).sum(axis=1)
+        common = np.minimum(top, top[first]) - np.maximum(bottom, bottom[first])
+        beside = common > _BESIDE_SHARE * np.minimum(top - bottom, top[first] - bottom[first])
+        told_apart = np.maximum(_RESOLVED_PX * rad_per_px, gate_sigma * np.hypot(scatter, scatter[first]))
+        allowed = gate_sigma * np.sqrt(variance)
+        allowed = np.where(beside, np.minimum(allowed, told_apart), allowed)
+        near = (np.abs(bearing - bearing[first]) <= allowed) & (segments.polarity == segments.polarity[first])
+        edge[near & (edge < 0)] = count
         count += 1
     return edge

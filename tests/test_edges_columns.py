@@ -1,0 +1,143 @@
+"""The detector along columns: significance, sub-pixel position with an honest sigma, close neighbours, bad images."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from edge_images import camera_of, wall_image
+
+from localiser.edges import EdgeParameters, find_edges
+from localiser.edges.columns import gradient_field, gradient_kernel, linked, peaks_of
+from localiser.edges.lines import columns
+from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
+
+PARAMETERS = EdgeParameters(detector="columns")
+
+
+def test_the_gradient_of_a_ramp_is_its_slope():
+    ramp = 3.0 * np.arange(40.0)
+    np.testing.assert_allclose(np.correlate(ramp, gradient_kernel(1.0), mode="valid"), 3.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("tilt_deg", [-30.0, 0.0, 20.0, 60.0])
+def test_a_vertical_edge_is_a_column_of_the_rectified_image(tilt_deg):
+    camera = camera_of(tilt_deg=tilt_deg, roll_deg=3.0, k1=-0.2)
+    view = column_view(camera)
+    assert view.unseen.shape[0] % ROWS_PER_BLOCK == 0
+    row, column = np.nonzero(~view.unseen)
+    row, column = row[::997].astype(np.float64), column[::997].astype(np.float64)
+    rays = camera.level_rays(camera.pixels_from_upright(view.upright(column, row)))
+    np.testing.assert_allclose(rays[:, 0] / -rays[:, 2], view.tangent(column), atol=1e-6)
+
+
+def test_the_whole_image_is_in_the_rectified_one():
+    camera = camera_of(roll_deg=3.0, k1=-0.2)
+    view = column_view(camera)
+    corners = np.array(
+        [[1.0, 1.0], [camera.width - 2, 1.0], [1.0, camera.height - 2], [camera.width - 2, camera.height - 2]]
+    )
+    rays, e = camera.level_rays(corners), camera.upright_from_pixels(corners)[:, 1]
+    column = (rays[:, 0] / -rays[:, 2] - view.first_tangent) * view.columns_per_tangent
+    row = (view.first_height - e) * view.rows_per_height
+    assert np.all((column >= 0) & (column <= view.unseen.shape[1] - 1))
+    assert np.all((row >= 0) & (row <= view.unseen.shape[0] - 1))
+
+
+def test_noise_alone_has_no_edges():
+    camera = camera_of()
+    anything = EdgeParameters(detector="columns", min_step=0.0, min_length_px=20.0)
+    found = [
+        len(
+            find_edges(
+                np.random.default_rng(seed).normal(120, 10, (480, 640)).clip(0, 255).astype(np.uint8), camera, anything
+            )
+        )
+        for seed in range(10)
+    ]
+    assert sum(found) <= 1
+
+
+def test_noise_is_measured_in_the_image():
+    camera = camera_of(tilt_deg=0.0)
+    image = wall_image(camera, [-5.0, 5.0], [90.0, 150.0, 90.0], noise_sigma=6.0)
+    white = 6.0 * np.linalg.norm(gradient_kernel(1.0)) / np.sqrt(ROWS_PER_BLOCK)
+    np.testing.assert_allclose(gradient_field(image, camera).noise_grey, white, rtol=0.1)
+
+
+def test_chains_follow_a_column_and_keep_neighbours_apart():
+    camera = camera_of(tilt_deg=0.0)
+    field = gradient_field(wall_image(camera, [0.0, 0.5], [60.0, 120.0, 180.0], noise_sigma=1.0), camera)
+    peaks = peaks_of(field)
+    chain = linked(peaks, field.fine.shape)
+    sizes = np.bincount(chain)
+    assert (sizes > 0.9 * field.fine.shape[0]).sum() == 2
+    for index in np.flatnonzero(sizes > 0.9 * field.fine.shape[0]):
+        assert np.ptp(peaks.position[chain == index]) < 1.0
+
+
+@pytest.mark.parametrize("gap_px", [3.0, 4.0, 6.0])
+def test_the_edges_of_a_door_frame_stay_apart(gap_px):
+    camera = camera_of()
+    frame = np.rad2deg(np.arctan(np.tan(np.deg2rad(8.0)) + np.arange(4) * gap_px / camera.focal_px))
+    image = wall_image(camera, frame, [60.0, 110.0, 150.0, 190.0, 230.0], noise_sigma=1.0)
+    edges = find_edges(image, camera, PARAMETERS)
+    np.testing.assert_allclose(np.sort(np.rad2deg(edges.bearing)), frame, atol=0.3 * gap_px / camera.focal_px * 57.3)
+
+
+def test_a_faint_step_in_strong_noise_and_motion_blur_is_found():
+    camera = camera_of(roll_deg=1.0)
+    bearings = [-21.0, -7.0, 6.0, 19.0]
+    image = wall_image(camera, bearings, [120.0, 140.0, 120.0, 140.0, 120.0])
+    noise = np.random.default_rng(5).normal(0, 10, image.shape)
+    image = np.clip(cv2.blur(image.astype(np.float64), (5, 1)) + noise, 0, 255).astype(np.uint8)
+    edges = find_edges(image, camera, PARAMETERS)
+    np.testing.assert_allclose(np.sort(np.rad2deg(edges.bearing)), bearings, atol=0.1)
+    assert len(find_edges(image, camera, EdgeParameters(detector="lsd"))) < len(bearings)
+
+
+def test_sigma_is_honest_from_clean_to_hard():
+    camera = camera_of(roll_deg=1.0)
+    rng = np.random.default_rng(11)
+    for noise, blur in ((0.5, 1), (4.0, 1), (10.0, 5)):
+        normalised = []
+        for seed in range(8):
+            bearings = np.linspace(-22, 22, 8) + rng.uniform(-1.5, 1.5, 8)
+            image = cv2.blur(wall_image(camera, bearings, [100.0, 125.0] * 4 + [100.0]).astype(np.float64), (blur, 1))
+            image = np.clip(np.rint(image + rng.normal(0, noise, image.shape)), 0, 255).astype(np.uint8)
+            edges = find_edges(image, camera, PARAMETERS)
+            assert len(bearings) <= len(edges) <= len(bearings) + 1, seed
+            match = np.argmin(np.abs(edges.bearing - np.deg2rad(bearings)[:, None]), axis=1)
+            normalised.extend((edges.bearing[match] - np.deg2rad(bearings)) / edges.bearing_sigma[match])
+        assert 0.6 < np.std(normalised) < 1.4, (noise, blur)
+
+
+def test_a_foot_is_found_to_a_fraction_of_a_block():
+    camera = camera_of()
+    image = wall_image(camera, [-8.0, 10.0], [60.0, 150.0, 60.0], wall_ahead_m=2.5, floor_grey=105.0, noise_sigma=1.0)
+    edges = find_edges(image, camera, PARAMETERS)
+    foot = np.stack([2.5 * np.tan(edges.bearing), np.full(2, -camera.mount.height_m), np.full(2, -2.5)], axis=-1)
+    np.testing.assert_allclose(edges.ends_px[:, 0], camera.project_level(foot), atol=0.25 * ROWS_PER_BLOCK)
+
+
+def test_faint_edges_are_left_out_by_their_step():
+    camera = camera_of()
+    image = wall_image(camera, [-10.0, 10.0], [100.0, 105.0, 125.0])
+    strong = find_edges(image, camera, EdgeParameters(detector="columns", min_step=10.0))
+    both = find_edges(image, camera, EdgeParameters(detector="columns", min_step=2.0))
+    np.testing.assert_allclose(np.rad2deg(strong.bearing), [10.0], atol=0.02)
+    assert len(both) == 2
+
+
+@pytest.mark.parametrize("shape", [(3, 9), (6, 40), (12, 16)])
+def test_images_too_small_to_hold_an_edge_are_searched_in_vain(shape):
+    image = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
+    assert len(columns(image, camera_of(shape[1], shape[0]), PARAMETERS)) == 0
+
+
+@pytest.mark.parametrize("off_deg", [-3.0, 3.0])
+def test_edges_are_found_with_a_tilt_that_is_three_degrees_off(off_deg):
+    camera = camera_of()
+    image = wall_image(camera, [-20.0, -8.0, 3.0, 14.0], [60.0, 120.0, 70.0, 150.0, 110.0], noise_sigma=3.0)
+    stated = camera.with_mount(tilt_rad=camera.mount.tilt_rad + np.deg2rad(off_deg))
+    assert len(find_edges(image, stated, EdgeParameters(detector="columns", tilt_sigma_deg=3.0))) == 4

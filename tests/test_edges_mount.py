@@ -1,0 +1,79 @@
+"""Tilt and roll from the edges of one image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from edge_images import camera_of, wall_image
+
+from localiser.edges import EdgeParameters, find_edges
+from localiser.edges.mount import mount_error, mount_error_of_edges, nadir_miss
+from localiser.edges.segments import Segments
+
+PLUMB_RAD = np.deg2rad(0.1)
+
+
+def vertical_segments(camera, bearings_deg, heights=(-0.3, 0.2), sigma_px=0.3) -> Segments:
+    """Return the exact images, in undistorted pixels, of vertical edges."""
+    tangent = np.tan(np.deg2rad(bearings_deg))[:, None]
+    e = np.array(heights)[None, :]
+    tilt = camera.mount.tilt_rad
+    upright = np.stack(np.broadcast_arrays(tangent * (np.cos(tilt) + e * np.sin(tilt)), e), axis=-1)
+    return Segments.of_ends(camera.undistorted().pixels_from_upright(upright), sigma_px)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 45.0])
+@pytest.mark.parametrize("roll_deg", [0.0, -4.0])
+def test_derivative_by_tilt_and_roll_is_that_of_finite_differences(tilt_deg, roll_deg):
+    camera = camera_of(tilt_deg=tilt_deg, roll_deg=roll_deg)
+    segments = vertical_segments(camera, np.linspace(-25, 25, 7))
+    miss, step = nadir_miss(segments, camera), 1e-6
+    np.testing.assert_allclose(miss.angle, 0.0, atol=1e-9)
+    for index, name in enumerate(("tilt_rad", "roll_rad")):
+        moved = camera.with_mount(**{name: getattr(camera.mount, name) + step})
+        numeric = (nadir_miss(segments, moved).angle - miss.angle) / step
+        np.testing.assert_allclose(miss.per_mount[:, index], numeric, rtol=0.03, atol=0.002)
+
+
+def test_edges_tell_a_wrong_tilt_and_roll_despite_lines_that_are_not_vertical():
+    camera = camera_of(tilt_deg=20.0, roll_deg=1.0)
+    true = vertical_segments(camera, np.linspace(-25, 25, 12))
+    rng = np.random.default_rng(0)
+    slanted = vertical_segments(camera, rng.uniform(-25, 25, 4))
+    slanted.ends_px[:, 1, 0] += [25.0, 40.0, 30.0, 50.0]
+    ends = np.concatenate([true.ends_px, slanted.ends_px])
+    ends += rng.normal(0, 0.3, ends.shape) * [1.0, 0.0]
+    stated = camera.with_mount(tilt_rad=np.deg2rad(19.0), roll_rad=np.deg2rad(0.5))
+    error = mount_error(nadir_miss(Segments.of_ends(ends, 0.3), stated), np.deg2rad([3.0, 1.0]), PLUMB_RAD)
+    np.testing.assert_allclose(np.rad2deg(error.mean), [1.0, 0.5], atol=0.3)
+    assert np.all(np.abs(error.mean - np.deg2rad([1.0, 0.5])) < 4 * np.sqrt(np.diag(error.cov)))
+
+
+def test_without_edges_nothing_is_learnt():
+    camera = camera_of()
+    error = mount_error(
+        nadir_miss(Segments.of_ends(np.zeros((0, 2, 2)), 0.3), camera), np.array([0.05, 0.02]), PLUMB_RAD
+    )
+    np.testing.assert_allclose(error.mean, 0.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(error.cov)), [0.05, 0.02])
+
+
+def test_tilt_cannot_be_told_from_an_edge_straight_ahead():
+    camera = camera_of()
+    error = mount_error(
+        nadir_miss(vertical_segments(camera, np.array([0.0])), camera), np.array([0.05, 0.05]), PLUMB_RAD
+    )
+    np.testing.assert_allclose(np.sqrt(error.cov[0, 0]), 0.05, rtol=1e-3)
+    assert np.sqrt(error.cov[1, 1]) < 0.01
+
+
+def test_an_image_taken_with_a_wrong_tilt_gives_the_true_one():
+    camera = camera_of(tilt_deg=20.0, roll_deg=1.0, k1=-0.1)
+    image = wall_image(
+        camera, [-22.0, -10.0, 3.0, 14.0, 24.0], [60.0, 120.0, 70.0, 150.0, 110.0, 180.0], noise_sigma=2.0
+    )
+    stated = camera.with_mount(tilt_rad=np.deg2rad(17.0), roll_rad=np.deg2rad(1.5))
+    prior_rad = np.deg2rad([3.0, 1.0])
+    edges = find_edges(image, stated, EdgeParameters(tilt_sigma_deg=3.0, roll_sigma_deg=1.0))
+    error = mount_error_of_edges(edges, stated, prior_rad, PLUMB_RAD)
+    np.testing.assert_allclose(np.rad2deg(error.mean), [3.0, -0.5], atol=0.2)
