@@ -50,34 +50,49 @@ def _is_met(miss: NadirMiss, mount: MountError, plumb_sigma_rad: float, gate_sig
 def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:
     """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
-    Segments are one edge when they look the same way (polarity) and their bearings agree within noise, however long
-    the gap between them: what stands in front of an edge hides it. Segments beside each other are two edges unless
-    they are too close to be told apart, whatever else may have moved them. The most certain segment gathers first, so
-    that uncertain ones cannot chain two edges together.
+    The most certain segment gathers what agrees with it first, so that uncertain ones cannot chain two edges together.
+    """
+    sigma_rad = _across_rad(segments, camera, segments.across_sigma_px)
+    agree = _agree(segments, sigma_rad, camera, mount, gate_sigma)
+    edge = np.full(len(segments), -1, dtype=np.int64)
+    count = 0
+    for first in np.argsort(sigma_rad, kind="stable"):
+        if edge[first] < 0:
+            edge[agree[first] & (edge < 0)] = count
+            count += 1
+    return edge
+
+
+def _agree(
+    segments: Segments, sigma_rad: Array, camera: Camera, mount: MountError, gate_sigma: float
+) -> NDArray[np.bool_]:
+    """Return (S, S) whether two segments may be parts of one edge.
+
+    They are when they look the same way (polarity) and their bearings agree within noise, however long the gap between
+    them: what stands in front of an edge hides it. Segments beside each other are two edges unless they are too close
+    to be told apart, whatever else may have moved them.
     """
     ideal = camera.undistorted()
     bearing = ideal.bearing_of_segments(segments.support_px)
-    rad_per_px = ideal.bearing_sigma_of_segments(segments.support_px, np.full(len(segments), np.sqrt(2.0)))
-    sigma, scatter = (
-        rad_per_px * across_px / np.sqrt(2.0) for across_px in (segments.across_sigma_px, segments.sigma_px)
-    )
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
-    bearing = bearing + per_mount @ mount.mean
-    by_mount = per_mount @ np.linalg.cholesky(mount.cov)
+    apart = _differences(bearing + per_mount @ mount.mean)
+    by_mount = sum(_differences(term) ** 2 for term in (per_mount @ np.linalg.cholesky(mount.cov)).T)
+    allowed = gate_sigma * np.sqrt(sigma_rad**2 + sigma_rad[:, None] ** 2 + by_mount)
+    scatter = gate_sigma * _across_rad(segments, camera, segments.sigma_px)
+    resolved = _across_rad(segments, camera, np.full(len(segments), _RESOLVED_PX * np.sqrt(2.0)))
+    told_apart = np.maximum(resolved, np.hypot(scatter, scatter[:, None]))
     bottom, top = np.moveaxis(ideal.upright_from_pixels(segments.ends_px)[..., 1], -1, 0)
-    edge = np.full(len(segments), -1, dtype=np.int64)
-    count = 0
-    for first in np.argsort(sigma, kind="stable"):
-        if edge[first] >= 0:
-            continue
-        variance = sigma**2 + sigma[first] ** 2 + ((by_mount - by_mount[first]) ** 2).sum(axis=1)
-        common = np.minimum(top, top[first]) - np.maximum(bottom, bottom[first])
-        beside = common > _BESIDE_SHARE * np.minimum(top - bottom, top[first] - bottom[first])
-        told_apart = np.maximum(_RESOLVED_PX * rad_per_px, gate_sigma * np.hypot(scatter, scatter[first]))
-        allowed = gate_sigma * np.sqrt(variance)
-        allowed = np.where(beside, np.minimum(allowed, told_apart), allowed)
-        near = (np.abs(bearing - bearing[first]) <= allowed) & (segments.polarity == segments.polarity[first])
-        edge[near & (edge < 0)] = count
-        count += 1
-    return edge
+    common = np.minimum(top, top[:, None]) - np.maximum(bottom, bottom[:, None])
+    beside = common > _BESIDE_SHARE * np.minimum(top - bottom, (top - bottom)[:, None])
+    alike = segments.polarity == segments.polarity[:, None]
+    return np.asarray(alike & (np.abs(apart) <= np.where(beside, np.minimum(allowed, told_apart), allowed)))
+
+
+def _across_rad(segments: Segments, camera: Camera, across_px: Array) -> Array:
+    """Return the bearing error (S,) that errors `across_px` (S,) of both support points make."""
+    return camera.undistorted().bearing_sigma_of_segments(segments.support_px, across_px)
+
+
+def _differences(values: Array) -> Array:
+    return np.asarray(values - values[:, None])
