@@ -14,6 +14,7 @@ import yaml
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Array, edge_a_at, robot_from_map
+from localiser.simulate import simulate_log, world_of
 
 COUNTED_LENGTH_PX = 60.0
 COUNTED_STEP = 8.0
@@ -179,6 +180,17 @@ def _taken(image: Array, difficulty: Difficulty, rng: np.random.Generator) -> Ar
         image = cv2.blur(image, (difficulty.motion_px, 1))
     noisy = image + rng.normal(0, max(difficulty.noise_sigma, 1e-9), image.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def rendered(world_file: Path, every: int = 1) -> Iterator[Scene]:
+    """Yield scenes of a drive through a world that ships with the project."""
+    log = simulate_log(world_of(yaml.safe_load(world_file.read_text())), seed=0)
+    for index in range(0, len(log), every):
+        image, visible = log.image(index), log.visible[index]
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        ends = visible.ends_px
+        counted = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= COUNTED_LENGTH_PX
+        yield Scene(grey, log.camera, ends, counted & (_median_step(grey, ends) >= COUNTED_STEP), is_alone(ends))
 
 
 # -- data sets --------------------------------------------------------------------------------------------------------

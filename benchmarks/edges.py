@@ -14,7 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from edge_scenes import DIFFICULTIES, Scene, distance_px, house, simulated, york_urban
+from edge_scenes import DIFFICULTIES, Scene, distance_px, house, rendered, simulated, york_urban
 from rich.console import Console
 from rich.table import Table
 
@@ -24,6 +24,7 @@ from localiser.geometry import Array
 
 NEAR_PX = 2.5
 COVERED_SHARE = 0.5
+WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
 
 
 def covered(ends_px: Array, by_px: Array) -> Array:
@@ -107,6 +108,8 @@ def main() -> None:
     options = arguments()
     cv2.setNumThreads(options.threads)
     scenes: dict[str, Iterable[Scene]] = {kind: simulated(kind, options.count, options.seed) for kind in DIFFICULTIES}
+    for world in sorted(WORLDS.glob("*.yaml")):
+        scenes[world.stem] = rendered(world, options.every)
     if (options.data / "house").is_dir():
         scenes["house"] = house(options.data / "house", options.every)
     if (options.data / "york_urban").is_dir():
@@ -125,7 +128,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--scenes", nargs="+", help="kinds of images (default: all that are there)")
     parser.add_argument("--detector", nargs="+", default=sorted(DETECTORS), choices=sorted(DETECTORS))
     parser.add_argument("--count", type=int, default=60, help="simulated images of each class")
-    parser.add_argument("--every", type=int, default=10, help="take every n-th image of the house")
+    parser.add_argument("--every", type=int, default=10, help="take every n-th image of a drive")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated images")
     parser.add_argument("--threads", type=int, default=1, help="of OpenCV, the same for all detectors")
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("LOCALISER_DATA", default_data)))

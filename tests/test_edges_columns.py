@@ -122,7 +122,7 @@ def test_a_foot_is_found_to_a_fraction_of_a_block():
 
 def test_faint_edges_are_left_out_by_their_step():
     camera = camera_of()
-    image = wall_image(camera, [-10.0, 10.0], [100.0, 105.0, 125.0])
+    image = wall_image(camera, [-10.0, 10.0], [100.0, 106.0, 126.0])
     strong = find_edges(image, camera, EdgeParameters(detector="columns", min_step=10.0))
     both = find_edges(image, camera, EdgeParameters(detector="columns", min_step=2.0))
     np.testing.assert_allclose(np.rad2deg(strong.bearing), [10.0], atol=0.02)

@@ -16,7 +16,7 @@ class EdgeParameters:
 
     detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "columns"
     min_length_px: Annotated[float, Field(gt=2, le=1000, description="shortest edge that counts (px)")] = 30.0
-    min_step: Annotated[float, Field(ge=0, le=255, description="faintest edge that counts (grey levels)")] = 6.0
+    min_step: Annotated[float, Field(ge=0, le=255, description="faintest edge that counts (grey levels)")] = 10.0
     gate_sigma: Annotated[
         float, Field(gt=0, le=10, description="how far a vertical edge may miss the nadir point (sigmas)")
     ] = 3.0
