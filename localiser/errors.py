@@ -35,7 +35,9 @@ class OutputError(LocaliserError):
     """Results that cannot be written where they were asked for."""
 
 
-class InterruptedRun(LocaliserError):
-    """A run that ended early; what was done until then is on disk."""
+class RunEndedEarlyError(LocaliserError):
+    """A run that broke off; what was done until then is on disk, and the message says where."""
 
-    exit_code = 3
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code

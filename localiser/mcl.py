@@ -98,14 +98,15 @@ class Mcl:
 class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
-    odometry: poses since the last image. waiting: sightings that odometry has not reached yet. weighed: the motion
-    since particles were last weighed; None before the first time.
+    particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
+    odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
+    at_ns: int = 0
+    weighed: bool = False
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
-    located_ns: int | None = None
 
 
 def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -> Iterator[Located]:
@@ -113,6 +114,7 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
     match event:
         case Start():
             state.particles = particles.from_gaussian(event.mean, event.cov, mcl.parameters.particles, rng)
+            state.at_ns, state.weighed = event.t_ns, False
         case Odometry():
             state.odometry.append(event)
         case Sighting():
@@ -130,9 +132,9 @@ def finish(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Iterator[L
 def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Generator) -> Located:
     """Predict, weigh, estimate, resample: Monte Carlo localisation [Thrun, Burgard, Fox 2005, table 8.2].
 
-    Raises ValueError when no start has been given.
+    Raises ValueError when no start has been given, or one that is later than the image.
     """
-    if state.particles is None:
+    if state.particles is None or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
 
     # Predict: move every particle by what the wheels say, each with its own error.
@@ -140,7 +142,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     moved = predict(state.particles, increment, mcl.motion, rng)
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
-    share = 1.0 if state.located_ns is None else independent_share(increment, mcl.correlation)
+    share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
     log_likelihood = mcl.observation.log_likelihood(moved, sighting.edges, mcl.landmark_map)
     weighed = Particles(moved.names, moved.columns, moved.log_weight + share * log_likelihood, moved.circular)
 
@@ -154,16 +156,16 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if ess < mcl.parameters.resample_below * len(weighed):
         index = particles.systematic_resample(weighed.weight, len(weighed), rng)
         weighed = particles.take(weighed, index)
-    state.particles, state.located_ns = weighed, sighting.t_ns
+    state.particles, state.at_ns, state.weighed = weighed, sighting.t_ns, True
     return located
 
 
 def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:
-    """Return the motion from the last image until `t_ns`, and the odometry's pose (3,) then; forget what lies before.
+    """Return the motion since the particles' time until `t_ns`, and the odometry's pose (3,) then; forget what is past.
 
     Poses are interpolated at both ends, so the increment is exact whatever the rates of the two sensors.
     """
-    start_ns = state.located_ns if state.located_ns is not None else t_ns
+    start_ns = state.at_ns
     if not state.odometry:
         return Increment.from_mean(np.zeros(3)), np.zeros(3)
     times = np.array([event.t_ns for event in state.odometry])

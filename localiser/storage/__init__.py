@@ -6,12 +6,13 @@ from localiser.storage.images import Image, ImageEvent
 from localiser.storage.log import Event, Frame, Log, LogReader
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.open import FORMATS, open_log
-from localiser.storage.runs import RunFolder, find_run, json_text, load_json
+from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, load_json
 from localiser.storage.tracks import TrackWriter, load_track
 from localiser.storage.trajectories import load_poses, load_tum, save_poses, save_tum
 
 __all__ = [
     "FORMATS",
+    "LATEST",
     "Event",
     "Frame",
     "Image",

@@ -57,6 +57,7 @@ class LogFile(BaseModel):
     groundtruth: FileName | None = None
     map: FileName | None = None
     start: StartFile | None = None
+    motion: dict[str, Any] | None = None  # quality of this robot's odometry; checked as part of the configuration
 
 
 class FolderReader:
@@ -87,6 +88,7 @@ class FolderReader:
             landmark_map=load_map(_named(document, folder, "map", file.map)) if file.map else None,
             start=_start(file.start, first_ns) if file.start else None,
             groundtruth=truth,
+            settings={f"motion.{name}": value for name, value in (file.motion or {}).items()},
         )
         return require_overlap(log)
 

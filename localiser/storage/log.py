@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from localiser import mcl
 from localiser.camera import Camera
@@ -25,6 +25,7 @@ class Log:
 
     odometry: poses in the odometry's own frame. frames: images, or edges that were measured already, in the order of
     time. landmark_map, start, groundtruth (in the map frame): where the log has them. path: what was read.
+    settings: what it says about the robot, as settings of the configuration by name, such as `motion.alpha1`.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Log:
     landmark_map: LandmarkMap | None = None
     start: mcl.Start | None = None
     groundtruth: Trajectory | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def start_ns(self) -> int:

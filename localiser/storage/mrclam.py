@@ -29,6 +29,9 @@ from localiser.storage.log import Log
 from localiser.storage.tables import MAX_TABLE_BYTES, integer, number
 from localiser.storage.trajectories import nanoseconds
 
+ODOMETRY_QUALITY = {"motion.alpha1": 0.01, "motion.alpha2": 0.01, "motion.alpha3": 0.01, "motion.alpha4": 0.001}
+"""Velocities are as commanded, not as driven: off by up to a tenth, and the heading by some degrees every 2 s."""
+
 
 @dataclass(frozen=True, slots=True)
 class MrclamReader:
@@ -73,6 +76,7 @@ class MrclamReader:
             frames=frames,
             landmark_map=landmark_map,
             groundtruth=truth,
+            settings=ODOMETRY_QUALITY,
         )
 
 

@@ -1,0 +1,1 @@
+"""The loops of the program: replay a log, simulate one, judge runs."""

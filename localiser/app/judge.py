@@ -1,0 +1,41 @@
+"""Judge runs: what replay wrote, or any trajectory with the truth beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from localiser import evaluate, storage
+from localiser.errors import InputError
+from localiser.evaluate import Track
+from localiser.geometry import Trajectory
+
+
+def figures_of(path: Path, truth_path: Path | None) -> dict[str, Any]:
+    """Return the metrics of a run's folder, or of a TUM file (or a trajectory.csv) against the truth in a file.
+
+    With a truth given, a run's folder is judged against that instead of what it recorded. Raises InputError.
+    """
+    if path.is_file() and path.name != storage.LATEST:
+        if truth_path is None:
+            raise InputError("a trajectory file needs --truth FILE, found none", path=path)
+        return evaluate.metrics(_track(path), load_truth(truth_path), log=path.stem)
+    run = storage.find_run(path)
+    if truth_path is None:
+        return storage.load_json(run / "metrics.json")
+    recorded = storage.load_json(run / "metrics.json")
+    about = {key: recorded.get(key) for key in ("observation", "seed", "particles")}
+    track = storage.load_track(run / "trajectory.csv")
+    return evaluate.metrics(track, load_truth(truth_path), log=str(recorded.get("log")), **about)
+
+
+def load_truth(path: Path) -> Trajectory:
+    """Return the truth in a TUM file, or in a CSV of the log's form (`t_ns,x,z,heading`). Raises InputError."""
+    return storage.load_poses(path) if path.suffix == ".csv" else storage.load_tum(path)
+
+
+def _track(path: Path) -> Track:
+    if path.suffix == ".csv":
+        return storage.load_track(path)
+    trajectory = storage.load_tum(path)
+    return Track.from_poses(trajectory.t_ns, trajectory.poses)

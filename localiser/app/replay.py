@@ -1,0 +1,242 @@
+"""Replay a log: events in, edges found, pose located, results out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser import evaluate, mcl, motion, view
+from localiser.app.sinks import History, Image, Sink, close_all
+from localiser.app.start import start_of
+from localiser.config import Config, in_force, to_yaml
+from localiser.edges import Edges, find_edges
+from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
+from localiser.observation import EdgeObservation
+from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter
+from localiser.view import LiveView
+
+STAGES = ("load", "edges", "filter", "sinks")
+SIGINT_EXIT_CODE = 130
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What a replay writes and shows. results: folder of all results. view: a live viewer."""
+
+    results: Path
+    rrd: bool = True
+    view: Literal["native", "web", "none"] = "none"
+
+
+@dataclass(slots=True, eq=False)
+class Pending:
+    """An image between its arrival and its result: what it shows and the time its stages took (ms)."""
+
+    image: Image | None
+    stage_ms: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """One run of the filter over a log, and where its results go."""
+
+    log: Log
+    landmark_map: LandmarkMap
+    config: Config
+    start: mcl.Start
+    rng: np.random.Generator
+    observation: EdgeObservation
+    folder: RunFolder
+    history: History
+    sinks: Sequence[Sink]
+    live: LiveView | None
+    timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
+
+    def run(self, progress: Callable[[], None]) -> dict[str, Any]:
+        """Replay the log, call `progress` after every frame, and return the metrics.
+
+        Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
+        """
+        try:
+            self._write_config()
+            self._replay(progress)
+        except KeyboardInterrupt:
+            self._end_early("stopped", SIGINT_EXIT_CODE)
+        except LocaliserError as error:
+            if not self.history.t_ns:
+                close_all(self.sinks, complete=False)
+                raise
+            self._end_early(str(error), error.exit_code)
+        except BaseException:
+            close_all(self.sinks, complete=False)
+            raise
+        close_all(self.sinks, complete=True)
+        return self._write_figures(complete=True)
+
+    def _replay(self, progress: Callable[[], None]) -> None:
+        filter_ = mcl.Mcl(
+            self.landmark_map, self.observation, self.config.mcl, self.config.motion, self.config.observation
+        )
+        state = mcl.FilterState()
+        pending: dict[int, Pending] = {}
+
+        def steps() -> Iterator[Iterator[mcl.Located]]:
+            for event in self.log.events(self.start):
+                measured = self._measure(event, pending)
+                yield mcl.step(filter_, state, measured, self.rng)
+            yield mcl.finish(filter_, state, self.rng)
+
+        for located_frames in steps():
+            for located, milliseconds in timed(located_frames):
+                frame = pending.pop(located.t_ns)
+                frame.stage_ms["filter"] = milliseconds
+                self._hand_over(located, frame)
+                progress()
+
+    def _measure(self, event: Event, pending: dict[int, Pending]) -> mcl.Event:
+        """Return the event with its image turned into edges."""
+        if isinstance(event, mcl.Sighting):
+            pending[event.t_ns] = Pending(None, {"load": 0.0, "edges": 0.0})
+        if not isinstance(event, ImageEvent):
+            return event
+        begin = perf_counter()
+        image = event.load()
+        loaded = perf_counter()
+        edges = find_edges(image, self.log.camera, self.config.edges)
+        found = perf_counter()
+        pending[event.t_ns] = Pending(
+            event.encoded(), {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)}
+        )
+        return mcl.Sighting(event.t_ns, edges)
+
+    def _hand_over(self, located: mcl.Located, frame: Pending) -> None:
+        truth = self.log.groundtruth
+        true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
+        begin = perf_counter()
+        for sink in self.sinks:
+            sink.frame(located, frame.image, true_pose, frame.stage_ms)
+        frame.stage_ms["sinks"] = 1e3 * (perf_counter() - begin)
+        for stage in STAGES:
+            self.timing[stage].append(frame.stage_ms[stage])
+
+    def _end_early(self, reason: str, exit_code: int) -> None:
+        close_all(self.sinks, complete=False)
+        done, frames = len(self.history.t_ns), len(self.log.frames)
+        if done:
+            self._write_figures(complete=False)
+        raise RunEndedEarlyError(
+            f"{reason}\nThe run ended after {done} of {frames} frames; what was located is in {self.folder.path}",
+            exit_code,
+        ) from None
+
+    def _write_config(self) -> None:
+        self.folder.write_text("config.yaml", to_yaml(in_force(self.config)))
+
+    def _write_figures(self, complete: bool) -> dict[str, Any]:
+        from localiser.evaluate.report import save_report
+
+        track = self.history.track
+        bound = self._bound(track)
+        figures = evaluate.metrics(
+            track,
+            self.log.groundtruth,
+            log=self.log.name,
+            observation=self.config.observation.kind,
+            seed=self.config.seed,
+            particles=self.config.mcl.particles,
+            bound=bound,
+            sighted=_sighted(self.history.edges),
+        )
+        figures["complete"] = complete
+        timing = evaluate.timing_metrics(self.timing)
+        self.folder.write_json("metrics.json", figures | timing)
+        self.folder.write_json("timing.json", timing)
+        save_report(
+            self.folder.path / "report.png",
+            track,
+            figures,
+            truth=self.log.groundtruth,
+            landmark_map=self.landmark_map,
+            bound=bound,
+        )
+        return figures | timing
+
+    def _bound(self, track: evaluate.Track) -> Array | None:
+        """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
+        truth, config = self.log.groundtruth, self.config
+        if truth is None or _sighted(self.history.edges) is None:
+            return None
+        poses = truth.sampled(track.t_ns).poses
+        steps = zip(poses[:-1], self.history.increments[1:], strict=True)
+        moves = [motion.linearised(pose, increment, config.motion) for pose, increment in steps]
+        informations = [
+            evaluate.bearing_information(
+                pose, self.log.camera, self.landmark_map.points, edges, config.observation.kind
+            )
+            for pose, edges in zip(poses, self.history.edges, strict=True)
+        ]
+        return evaluate.posterior_bound(
+            self.start.cov,
+            np.array([jac for jac, _ in moves]).reshape(-1, 3, 3),
+            np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
+            np.array(informations),
+        )
+
+
+def prepare(
+    log: Log, landmark_map: LandmarkMap, config: Config, outputs: Outputs, start_option: str | None = None
+) -> Replay:
+    """Return a replay of `log` on the map, its folder made and its sinks open. start_option: see `start_of`.
+
+    Raises InputError when camera and observation do not fit, OutputError when results cannot be written.
+    """
+    if config.observation.kind == "slope" and abs(np.sin(log.camera.mount.tilt_rad)) < np.sin(np.deg2rad(0.1)):
+        raise InputError(
+            "the observation `slope` needs a tilted camera, found a tilt of "
+            f"{np.rad2deg(log.camera.mount.tilt_rad):g}°: without tilt every vertical edge is vertical in the image; "
+            "use --observation line",
+            path=log.path,
+            field="mount.tilt_deg",
+        )
+    rng = np.random.default_rng(config.seed)
+    start = start_of(log, start_option, rng)
+    observation = EdgeObservation(log.camera, config.observation)
+
+    def associate(pose: Array, edges: Edges) -> Any:
+        return observation.associate(pose, edges, landmark_map)
+
+    folder = RunFolder.create(outputs.results, log.name)
+    history = History(associate)
+    sinks: list[Sink] = [history, TrackWriter(folder.path)]
+    context = view.Context(log.name, log.camera, landmark_map, associate, truth=log.groundtruth, images=log.has_images)
+    if outputs.rrd:
+        sinks.append(view.RrdFile(folder.path / "run.rrd", context))
+    live = view.LiveView(outputs.view, context) if outputs.view != "none" else None
+    if live is not None:
+        sinks.append(live)
+    return Replay(log, landmark_map, config, start, rng, observation, folder, history, sinks, live)
+
+
+def _sighted(all_edges: Sequence[Edges]) -> NDArray[np.bool_] | None:
+    """Return whether (T,) a landmark was seen, where the log tells which; None where it does not."""
+    if not any((edges.landmark_id >= 0).any() for edges in all_edges):
+        return None
+    return np.array([(edges.landmark_id >= 0).any() for edges in all_edges])
+
+
+def timed(items: Iterator[mcl.Located]) -> Iterator[tuple[mcl.Located, float]]:
+    """Yield each item with the milliseconds that it took to come."""
+    while True:
+        begin = perf_counter()
+        item = next(items, None)
+        if item is None:
+            return
+        yield item, 1e3 * (perf_counter() - begin)

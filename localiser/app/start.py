@@ -1,0 +1,56 @@
+"""Where a replay starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from localiser.errors import InputError
+from localiser.geometry import wrap_angle
+from localiser.mcl import Start
+from localiser.storage import Log
+
+START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
+"""How far a start that is given on the command line may be off: x, z (m), heading (rad), one sigma."""
+
+TRUTH = "truth"
+
+
+def start_of(log: Log, option: str | None, rng: np.random.Generator) -> Start:
+    """Return the start of a replay at its first image: as the option says, else as the log states, else from truth.
+
+    option: `x,z,heading_deg`, or `truth` for the true pose plus a draw from N(0, `START_SIGMA`²). Raises InputError.
+    """
+    if option is None and log.start is not None:
+        return log.start
+    first_ns = log.frames[0].t_ns
+    cov = np.diag(START_SIGMA**2)
+    if option is None or option == TRUTH:
+        return Start(first_ns, _near_truth(log, option, first_ns, rng), cov)
+    return Start(first_ns, _given(option), cov)
+
+
+def _near_truth(log: Log, option: str | None, first_ns: int, rng: np.random.Generator) -> np.ndarray:
+    if log.groundtruth is None or not log.groundtruth.covers(first_ns):
+        asked = "--start truth" if option else "the log states no start and"
+        raise InputError(
+            f"{asked} needs the true pose at the first image, which the log does not have; "
+            "say where the robot starts with --start x,z,heading_deg",
+            path=log.path,
+            field="start",
+        )
+    pose = log.groundtruth.at(first_ns) + START_SIGMA * rng.standard_normal(3)
+    pose[2] = wrap_angle(pose[2])
+    return np.asarray(pose)
+
+
+def _given(option: str) -> np.ndarray:
+    problem = f"expected x,z,heading_deg (metres and degrees, such as 1.5,-2,90) or truth, found {option!r}"
+    try:
+        x, z, heading_deg = (float(part) for part in option.split(","))
+    except ValueError:
+        raise InputError(problem, field="--start") from None
+    pose = np.array([x, z, np.deg2rad(heading_deg)])
+    if not np.isfinite(pose).all():
+        raise InputError(problem, field="--start")
+    pose[2] = wrap_angle(pose[2])
+    return pose

@@ -1,0 +1,231 @@
+"""The commands. Heavy modules are imported inside them, so that --help is quick."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from localiser import __version__
+from localiser.errors import InputError, LocaliserError
+
+app = typer.Typer(
+    name="localiser",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="Tells a robot with one camera, tilted down at the floor, where it is in a building.",
+    epilog="Start with: `localiser replay logs/corridor`",
+)
+config_app = typer.Typer(no_args_is_help=True, help="Show what can be set.")
+app.add_typer(config_app, name="config")
+
+INTERRUPTED = 130
+
+
+class Kind(StrEnum):
+    """What is compared: the line held through the nadir point, or the slope alone."""
+
+    line = "line"
+    slope = "slope"
+
+
+class View(StrEnum):
+    """Where a run is shown while it goes on."""
+
+    native = "native"
+    web = "web"
+    none = "none"
+
+
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Configuration; see `localiser config show`.")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Set one value, such as mcl.particles=500. May be repeated."),
+]
+Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Same seed, same result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", is_eager=True, help="Print the version and exit.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where in the program an error arose.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"localiser {__version__}")
+        raise typer.Exit
+
+
+@app.command(
+    epilog="""Examples:
+
+`localiser replay logs/corridor`
+
+`localiser replay logs/corridor --observation slope --seed 1 --set mcl.particles=500`
+
+`localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
+)
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder, or FOLDER:N of the UTIAS MRCLAM data set.")],
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="MAP", help="Landmark map; by default the log's own.")
+    ] = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    seed: Seed = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="x,z,heading_deg|truth",
+            help="Where the robot starts, to 0.1 m and 3°. `truth`: the true pose plus such an error. "
+            "By default what the log states, else truth.",
+        ),
+    ] = None,
+    observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
+    log_format: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="folder or mrclam; by default found out.")
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/<log>/<n>/.")] = Path("results"),
+    rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
+    view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = View.none,
+    quiet: Quiet = False,
+) -> None:
+    """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
+    from localiser.app.replay import Outputs, prepare
+    from localiser.config import load_config
+    from localiser.storage import load_map, open_log
+
+    settings = [*(overrides or [])]
+    settings += [f"seed={seed}"] if seed is not None else []
+    settings += [f"observation.kind={observation}"] if observation is not None else []
+    sensor = load_config(config, settings).sensor
+    recorded = open_log(log, format=log_format, sensor=sensor)
+    effective = load_config(config, settings, recorded.settings)
+    landmark_map = load_map(map_file) if map_file else recorded.landmark_map
+    if landmark_map is None:
+        raise InputError("the log has no map; expected --map MAP", path=log, field="map")
+    run = prepare(recorded, landmark_map, effective, Outputs(out, rrd, view.value), start)
+    if run.live is not None and not run.live.is_running:
+        typer.secho("The viewer did not start; the run goes on without it.", fg="yellow", err=True)
+    if run.live is not None and run.live.address:
+        typer.echo(f"Watch at {run.live.address}", err=True)
+    with _progress("Localising", len(recorded.frames), quiet) as advance:
+        figures = run.run(advance)
+    if not quiet:
+        _show_run(figures, run.folder.path)
+    if run.live is not None and run.live.address:
+        typer.echo("The page is served until Ctrl-C.", err=True)
+        run.live.wait()
+
+
+@app.command(epilog="Example: `localiser simulate configs/worlds/office.yaml -o logs/office`")
+def simulate(
+    world: Annotated[Path, typer.Argument(metavar="WORLD", help="World file, such as configs/worlds/corridor.yaml.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="LOG", help="New folder for the log.")],
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Same seed, same log.")] = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Render a log from a WORLD: images, odometry with its errors, truth and map."""
+    from localiser.app import simulate as simulation
+
+    log = simulation.simulated(world, seed)
+    with _progress("Rendering", len(log), quiet) as advance:
+        simulation.write(log, out, advance)
+    if not quiet:
+        typer.echo(f"{len(log)} images and {len(log.landmark_map)} landmarks in {out}")
+
+
+@app.command(
+    epilog="""Examples:
+
+`localiser evaluate results/corridor/latest`
+
+`localiser evaluate mine.tum --truth groundtruth.tum`"""
+)
+def evaluate(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN…", help="Folders that replay wrote, or trajectory files (TUM, CSV).")
+    ],
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="True poses (TUM, or CSV t_ns,x,z,heading).")
+    ] = None,
+) -> None:
+    """Compare runs with the truth in one table; with several of a kind, their median and worst too."""
+    from localiser.app.judge import figures_of
+    from localiser.evaluate.table import errors_table
+
+    _print(errors_table({_short(run): figures_of(run, truth) for run in runs}))
+
+
+@config_app.command("show")
+def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
+    """Print the configuration in force as YAML, with the meaning, unit and range of every value."""
+    from localiser.config import load_config, to_yaml
+
+    typer.echo(to_yaml(load_config(config, overrides or [])), nl=False)
+
+
+@config_app.command("schema")
+def config_schema() -> None:
+    """Print the JSON schema of configuration files, for editors."""
+    import json
+
+    from localiser.config import schema
+
+    typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))
+
+
+def main() -> None:
+    """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
+    debug = "--debug" in sys.argv[1:]
+    try:
+        app(standalone_mode=True)
+    except LocaliserError as error:
+        if debug:
+            raise
+        typer.secho(f"Error: {error}", fg="red", err=True)
+        raise SystemExit(error.exit_code) from None
+    except KeyboardInterrupt:
+        if debug:
+            raise
+        typer.secho("Stopped.", fg="red", err=True)
+        raise SystemExit(INTERRUPTED) from None
+
+
+def _show_run(figures: dict[str, object], folder: Path) -> None:
+    from localiser.evaluate.table import errors_table
+
+    _print(errors_table({folder.name: figures}))
+    typer.echo(f"Results in {folder}: report.png to look at, run.rrd for `rerun`, metrics.json for machines.")
+
+
+def _short(path: Path) -> str:
+    return "/".join(path.parts[-2:])
+
+
+def _print(renderable: object) -> None:
+    from rich.console import Console
+
+    # A pipe has no width: then a table is as wide as it wants.
+    Console(width=None if sys.stdout.isatty() else 160).print(renderable)
+
+
+@contextmanager
+def _progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on stderr; yields what to call after every frame."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda: bar.advance(task)
