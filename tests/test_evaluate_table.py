@@ -17,8 +17,8 @@ def run(log: str, observation: str, seed: int, rmse: float | None, edges: float 
     }  # fmt: skip
 
 
-def rendered(runs: dict[str, dict[str, Any]]) -> list[str]:
-    console = Console(width=160, color_system=None)
+def rendered(runs: dict[str, dict[str, Any]], width: int = 160) -> list[str]:
+    console = Console(width=width, color_system=None)
     with console.capture() as capture:
         console.print(errors_table(runs))
     return [" ".join(line.split()) for line in capture.get().splitlines() if line.strip()]
@@ -26,7 +26,8 @@ def rendered(runs: dict[str, dict[str, Any]]) -> list[str]:
 
 def test_one_run_has_no_summary() -> None:
     lines = rendered({"results/house/1": run("house", "line", 0, 0.0416)})
-    assert lines[-1] == "results/house/1 house line 0 0.042 0.030 – – – – 3.0 – 10.0"
+    assert lines[1] == "log house, observation line, seed 0"
+    assert lines[-1] == "results/house/1 0.042 0.030 3.0 10.0"
     assert not any(line.startswith(("median", "worst")) for line in lines)
 
 
@@ -37,6 +38,15 @@ def test_runs_of_one_kind_have_their_median_and_worst() -> None:
     assert starts == ["r0", "r1", "r2", "median", "worst", "other"]
     assert lines[-3].split()[1] == "0.030"
     assert lines[-2].split()[1] == "0.090"
+
+
+def test_what_differs_has_a_column_and_fits_a_terminal() -> None:
+    full = run("corridor", "line", 0, 0.02) | {
+        "position_max_m": 1.5, "position_end_m": 1.5, "heading_rmse_deg": 10.5, "odometry_position_rmse_m": 1.5,
+    }  # fmt: skip
+    lines = rendered({"corridor/1": full, "corridor/latest": full | {"observation": "slope", "seed": 1}}, width=100)
+    assert lines[-2] == "corridor/1 line 0 0.020 0.030 1.500 1.500 10.50 1.500 3.0 10.0"
+    assert lines[-1] == "corridor/latest slope 1 0.020 0.030 1.500 1.500 10.50 1.500 3.0 10.0"
 
 
 def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,35 +29,47 @@ COLUMNS = (
     Column("median\n(m)", "position_median_m", ".3f"),
     Column("max\n(m)", "position_max_m", ".3f"),
     Column("end\n(m)", "position_end_m", ".3f"),
-    Column("heading\n(°)", "heading_rmse_deg", ".2f"),
-    Column("odometry\n(m)", "odometry_position_rmse_m", ".3f"),
+    Column("head-\ning (°)", "heading_rmse_deg", ".2f"),
+    Column("odome-\ntry (m)", "odometry_position_rmse_m", ".3f"),
     Column("NEES", "nees_mean", ".1f"),
-    Column("efficiency", "efficiency", ".2f"),
+    Column("effi-\nciency", "efficiency", ".2f"),
     Column("edges", "edges_per_frame", ".1f", min),
 )
+NAMES = ("log", "observation", "seed")
 UNKNOWN = "–"
 
 
 def errors_table(runs: Mapping[str, Metrics]) -> Table:
-    """Return the table of named runs' metrics; where several share log and observation, their median and worst too."""
+    """Return the table of named runs' metrics; where several share log and observation, their median and worst too.
+
+    So that it fits a terminal, what is the same for all runs stands in the title, and figures that no run knows are
+    left out.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(title="Errors against the truth, no alignment", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for title in ("run", "log", "observation", "seed"):
-        table.add_column(title, justify="right" if title == "seed" else "left", overflow="fold", vertical="bottom")
-    for column in COLUMNS:
+    values = {key: {_text(run.get(key)) for run in runs.values()} for key in NAMES}
+    shared = [f"{key} {found.pop()}" for key, found in values.items() if len(found) == 1 and found != {UNKNOWN}]
+    names = [key for key in values if len(values[key]) > 1]
+    columns = [column for column in COLUMNS if any(run.get(column.key) is not None for run in runs.values())]
+
+    title = f"Errors against the truth, no alignment\n{', '.join(shared)}".strip()
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column("run", overflow="fold", vertical="bottom")
+    for key in names:
+        table.add_column(key, justify="right" if key == "seed" else "left", overflow="fold", vertical="bottom")
+    for column in columns:
         table.add_column(column.title, justify="right", no_wrap=True)
 
     ordered = sorted(runs.items(), key=lambda run: _kind(run[1]))
     for _, group in groupby(ordered, key=lambda run: _kind(run[1])):
         members = list(group)
         for name, run in members:
-            table.add_row(name, *(_text(run.get(key)) for key in ("log", "observation", "seed")), *_figures(run))
+            table.add_row(name, *(_text(run.get(key)) for key in names), *_figures(run, columns))
         if len(members) > 1:
             table.add_section()
             for title, summary in summaries([run for _, run in members]).items():
-                table.add_row(title, "", "", "", *_figures(summary), style="bold")
+                table.add_row(title, *[""] * len(names), *_figures(summary, columns), style="bold")
         table.add_section()
     return table
 
@@ -77,8 +89,8 @@ def _kind(run: Metrics) -> tuple[str, str]:
     return _text(run.get("log")), _text(run.get("observation"))
 
 
-def _figures(run: Metrics) -> list[str]:
-    return [UNKNOWN if run.get(column.key) is None else format(run[column.key], column.spec) for column in COLUMNS]
+def _figures(run: Metrics, columns: Iterable[Column]) -> list[str]:
+    return [UNKNOWN if run.get(column.key) is None else format(run[column.key], column.spec) for column in columns]
 
 
 def _text(value: object) -> str:
