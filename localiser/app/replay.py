@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from localiser import evaluate, mcl, motion, view
 from localiser.app.sinks import History, Image, Sink, close_all
 from localiser.app.start import start_of
+from localiser.app.stop import stop_request
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
@@ -67,21 +68,19 @@ class Replay:
         """
         try:
             self._write_config()
-            self._replay(progress)
-        except KeyboardInterrupt:
-            self._end_early("stopped", SIGINT_EXIT_CODE)
+            with stop_request() as stop_if_asked:
+                self._replay(progress, stop_if_asked)
+        except KeyboardInterrupt as stop:
+            raise self._end_early("stopped", SIGINT_EXIT_CODE) from stop
         except LocaliserError as error:
-            if not self.history.t_ns:
-                close_all(self.sinks, complete=False)
-                raise
-            self._end_early(str(error), error.exit_code)
+            raise self._end_early(str(error), error.exit_code) from error
         except BaseException:
             close_all(self.sinks, complete=False)
             raise
         close_all(self.sinks, complete=True)
         return self._write_figures(complete=True)
 
-    def _replay(self, progress: Callable[[], None]) -> None:
+    def _replay(self, progress: Callable[[], None], stop_if_asked: Callable[[], None]) -> None:
         filter_ = mcl.Mcl(
             self.landmark_map, self.observation, self.config.mcl, self.config.motion, self.config.observation
         )
@@ -100,6 +99,7 @@ class Replay:
                 frame.stage_ms["filter"] = milliseconds
                 self._hand_over(located, frame)
                 progress()
+                stop_if_asked()
 
     def _measure(self, event: Event, pending: dict[int, Pending]) -> mcl.Event:
         """Return the event with its image turned into edges."""
@@ -127,15 +127,16 @@ class Replay:
         for stage in STAGES:
             self.timing[stage].append(frame.stage_ms[stage])
 
-    def _end_early(self, reason: str, exit_code: int) -> None:
+    def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
+        """Save what was done and return the error that says how much that is and where."""
         close_all(self.sinks, complete=False)
         done, frames = len(self.history.t_ns), len(self.log.frames)
         if done:
             self._write_figures(complete=False)
-        raise RunEndedEarlyError(
-            f"{reason}\nThe run ended after {done} of {frames} frames; what was located is in {self.folder.path}",
+        return RunEndedEarlyError(
+            f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}",
             exit_code,
-        ) from None
+        )
 
     def _write_config(self) -> None:
         self.folder.write_text("config.yaml", to_yaml(in_force(self.config)))
@@ -144,10 +145,13 @@ class Replay:
         from localiser.evaluate.report import save_report
 
         track = self.history.track
+        truth = self.log.groundtruth
+        if truth is not None and not any(truth.covers(t_ns) for t_ns in self.history.t_ns):
+            truth = None  # a run that ended before the truth begins
         bound = self._bound(track)
         figures = evaluate.metrics(
             track,
-            self.log.groundtruth,
+            truth,
             log=self.log.name,
             observation=self.config.observation.kind,
             seed=self.config.seed,
@@ -163,7 +167,7 @@ class Replay:
             self.folder.path / "report.png",
             track,
             figures,
-            truth=self.log.groundtruth,
+            truth=truth,
             landmark_map=self.landmark_map,
             bound=bound,
         )
