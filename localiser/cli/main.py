@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
@@ -21,12 +22,18 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     help="Tells a robot with one camera, tilted down at the floor, where it is in a building.",
-    epilog="Start with: `localiser replay logs/corridor`",
+    epilog="""Examples:
+
+`localiser replay logs/corridor`
+
+`localiser evaluate results/corridor/latest`
+
+`localiser simulate configs/worlds/office.yaml -o logs/office`
+
+`localiser config show --set mcl.particles=500`""",
 )
 config_app = typer.Typer(no_args_is_help=True, help="Show what can be set.")
 app.add_typer(config_app, name="config")
-
-INTERRUPTED = 130
 
 
 class Kind(StrEnum):
@@ -51,18 +58,24 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Set one value, such as mcl.particles=500. May be repeated."),
 ]
-Seed = Annotated[int | None, typer.Option("--seed", metavar="N", help="Same seed, same result.")]
+Seed = Annotated[int | None, typer.Option("--seed", min=0, metavar="N", help="Same seed, same result.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"localiser {__version__}")
+        raise typer.Exit
 
 
 @app.callback()
 def _root(
-    version: Annotated[bool, typer.Option("--version", is_eager=True, help="Print the version and exit.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show where in the program an error arose.")] = False,
 ) -> None:
-    if version:
-        typer.echo(f"localiser {__version__}")
-        raise typer.Exit
+    """Take what holds for all commands."""
 
 
 @app.command(
@@ -94,7 +107,9 @@ def replay(
     log_format: Annotated[
         str | None, typer.Option("--format", metavar="FORMAT", help="folder or mrclam; by default found out.")
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/<log>/<n>/.")] = Path("results"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/log/1, DIR/log/2, …")] = Path(
+        "results"
+    ),
     rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
     view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = View.none,
     quiet: Quiet = False,
@@ -121,7 +136,7 @@ def replay(
     with _progress("Localising", len(recorded.frames), quiet) as advance:
         figures = run.run(advance)
     if not quiet:
-        _show_run(figures, run.folder.path)
+        _show_run(figures, run.folder.path, rrd)
     if run.live is not None and run.live.address:
         typer.echo("The page is served until Ctrl-C.", err=True)
         run.live.wait()
@@ -186,26 +201,22 @@ def config_schema() -> None:
 
 def main() -> None:
     """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
-    debug = "--debug" in sys.argv[1:]
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]  # which may stand anywhere
     try:
-        app(standalone_mode=True)
+        app(arguments)
     except LocaliserError as error:
-        if debug:
-            raise
+        if len(arguments) < len(sys.argv) - 1:
+            traceback.print_exc()
         typer.secho(f"Error: {error}", fg="red", err=True)
         raise SystemExit(error.exit_code) from None
-    except KeyboardInterrupt:
-        if debug:
-            raise
-        typer.secho("Stopped.", fg="red", err=True)
-        raise SystemExit(INTERRUPTED) from None
 
 
-def _show_run(figures: dict[str, object], folder: Path) -> None:
+def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
     from localiser.evaluate.table import errors_table
 
     _print(errors_table({folder.name: figures}))
-    typer.echo(f"Results in {folder}: report.png to look at, run.rrd for `rerun`, metrics.json for machines.")
+    recording = "run.rrd for `rerun`, " if rrd else ""
+    typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
 
 
 def _short(path: Path) -> str:
