@@ -1,10 +1,11 @@
-"""Draw the figures of docs/conventions.md, with the package's own equations: python docs/make_figures.py."""
+"""Draw the figures of docs/, with the package's own functions: python docs/make_figures.py."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import cv2
 import matplotlib
 
 matplotlib.use("Agg")
@@ -16,9 +17,16 @@ from numpy.typing import ArrayLike
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
+from localiser.edges import EdgeParameters, find_edges
+from localiser.edges.columns import gradient_field
+from localiser.edges.find import grey_image
+from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
 from localiser.geometry import Array
+from localiser.storage import open_log
 
 FOLDER = Path(__file__).resolve().parent / "figures"
+LOG = Path(__file__).resolve().parents[1] / "logs" / "corridor"
+FRAME = 96
 INK, MUTED, ROBOT, CAMERA, LANDMARK = "#22303c", "#8a97a3", "#4878a8", "#d1782f", "#3f8f5f"
 
 
@@ -175,10 +183,36 @@ def draw_lean(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def draw_edges(taken: Axes, rectified: Axes, gradient: Axes) -> None:
+    """One image of the corridor log: the edges found in it, its columns, and their gradient in sigmas of its noise."""
+    camera = open_log(LOG).camera
+    image = cv2.imread(str(LOG / "images" / f"{FRAME:06d}.jpg"))
+    edges, view = find_edges(image, camera, EdgeParameters()), column_view(camera)
+    taken.imshow(image[..., ::-1], aspect="auto")
+    for ends in edges.rejected_px:
+        taken.plot(*ends.T, color=CAMERA, lw=1.2)
+    for ends in edges.ends_px:
+        taken.plot(*ends.T, color="#3df08a", lw=1.6)
+    taken.set(xlim=(0, camera.width - 1), ylim=(camera.height - 1, 0))
+    taken.set_title("Taken: vertical edges lean, the lens bends them")
+
+    grey = grey_image(image, camera)
+    upright = np.where(view.unseen, 255, view.of(grey))
+    rectified.imshow(upright, cmap="gray", vmin=0, vmax=255, aspect="auto")
+    rectified.set_title("Rectified: each is a column")
+    field = gradient_field(grey, camera).smooth
+    blocks = np.kron(field, np.ones((ROWS_PER_BLOCK, 1)))
+    gradient.imshow(blocks, cmap="RdBu_r", vmin=-12, vmax=12, aspect="auto")
+    gradient.set_title("Gradient of averaged rows, ±12 σ")
+    for axes in (taken, rectified, gradient):
+        axes.set(xticks=[], yticks=[])
+
+
 def save(figure: plt.Figure, name: str) -> None:
-    """Write an SVG that is the same bytes on every run."""
+    """Write a picture that is the same bytes on every run."""
     FOLDER.mkdir(exist_ok=True)
-    figure.savefig(FOLDER / name, metadata={"Date": None}, facecolor="white")
+    without = {"Date": None} if name.endswith("svg") else {"Software": None}
+    figure.savefig(FOLDER / name, metadata=without, facecolor="white", dpi=110)
 
 
 def main() -> None:
@@ -200,6 +234,10 @@ def main() -> None:
     image.axis("off")
     draw_lean(lean)
     save(figure, "image.svg")
+
+    figure, axes = plt.subplots(1, 3, figsize=(14, 3.9), layout="constrained", width_ratios=(1.05, 1, 1))
+    draw_edges(*axes)
+    save(figure, "edges.png")
 
 
 if __name__ == "__main__":
