@@ -12,6 +12,8 @@ from localiser.view.context import Context
 BACKGROUND = (17, 20, 26, 255)
 ELEVATION_RAD = np.deg2rad(62.0)
 """Of the eye over the floor: high enough for a plan, low enough that vertical edges have a length."""
+STAGES_SHOWN_MS = (0.0, 120.0)
+"""The first image fills tables for the whole run; on a scale that holds it too, all others would lie on the floor."""
 
 
 def blueprint(context: Context) -> rrb.Blueprint:
@@ -79,4 +81,8 @@ def _plots(context: Context) -> list[rrb.TimeSeriesView]:
     error = "Position error" if context.truth is not None else "Position 3σ"
     titles = {paths.ERROR: error, paths.ESS: "Effective sample size", paths.COUNTS: "Edges", paths.STAGES: "Time, ms"}
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    return [rrb.TimeSeriesView(origin=path, name=title, plot_legend=legend) for path, title in titles.items()]
+    axes = {paths.STAGES: rrb.ScalarAxis(range=STAGES_SHOWN_MS)}
+    return [
+        rrb.TimeSeriesView(origin=path, name=title, plot_legend=legend, axis_y=axes.get(path))
+        for path, title in titles.items()
+    ]
