@@ -47,7 +47,7 @@ KEY_FIGURES = (
     ("position median", "position_median_m", "{:.3f} m"),
     ("position maximum", "position_max_m", "{:.3f} m"),
     ("heading RMSE", "heading_rmse_deg", "{:.2f}°"),
-    ("odometry alone, RMSE", "odometry_position_rmse_m", "{:.3f} m"),
+    ("odometry alone", "odometry_position_rmse_m", "{:.3f} m"),
     ("NEES (consistent: 3)", "nees_mean", "{:.1f}"),
     ("RMSE / bound", "efficiency", "{:.2f}"),
     ("edges a frame", "edges_per_frame", "{:.1f}"),
