@@ -115,7 +115,7 @@ def problem(change: str, to: str) -> str:
         ("polarity: -1", "polarity: 2", "landmarks[1].polarity: expected -1 or 1, found 2"),
         ("units: m", "units: cm", "map.yaml:4:44: frame.units: expected 'm', found 'cm'"),
         ("map/1", "map/2", "map.yaml:1:1: format: expected 'localiser-map/1', found 'localiser-map/2'"),
-        (NEWER[NEWER.index("landmarks") :], "landmarks: []", "landmarks: list should have at least 1 item"),
+        (NEWER[NEWER.index("landmarks") :], "landmarks: []", "landmarks: expected at least 1, found 0"),
         (NEWER[NEWER.index("landmarks") :], "", "map.yaml:1:1: landmarks: expected a value, found nothing"),
     ],
 )
