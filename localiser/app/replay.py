@@ -108,13 +108,11 @@ class Replay:
         if not isinstance(event, ImageEvent):
             return event
         begin = perf_counter()
-        image = event.load()
+        image, encoded = event.load(), event.encoded()
         loaded = perf_counter()
         edges = find_edges(image, self.log.camera, self.config.edges)
         found = perf_counter()
-        pending[event.t_ns] = Pending(
-            event.encoded(), {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)}
-        )
+        pending[event.t_ns] = Pending(encoded, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
         return mcl.Sighting(event.t_ns, edges)
 
     def _hand_over(self, located: mcl.Located, frame: Pending) -> None:

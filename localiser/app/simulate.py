@@ -9,13 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import documents, simulate, storage
+from localiser.errors import InputError
 from localiser.mcl import Start
 from localiser.simulate import SimulatedLog
 
 
 def simulated(world: Path, seed: int) -> SimulatedLog:
     """Return the simulated log of a world file; its images are rendered when it is written. Raises InputError."""
-    return simulate.simulate_log(documents.load_model(world, simulate.World, simulate.world_of), seed)
+    log = simulate.simulate_log(documents.load_model(world, simulate.World, simulate.world_of), seed)
+    if not len(log.landmark_map):
+        raise InputError(
+            "expected a drive on which landmarks are seen long enough for the map, found none",
+            path=world,
+            field="drive.path",
+        )
+    return log
 
 
 def write(log: SimulatedLog, folder: Path, progress: Callable[[], None]) -> None:
