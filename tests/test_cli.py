@@ -88,6 +88,21 @@ def test_evaluate_reads_what_replay_wrote(localiser: Localiser, log: Path, tmp_p
     assert f"{rmse[1]:.3f}" in latest.out
 
 
+def test_runs_of_the_same_name_keep_a_row_each(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    runs = [localiser.replay(log, tmp_path / name, "--set", "mcl.particles=100") for name in ("a", "b")]
+    assert [run.name for run in runs] == ["1", "1"]
+    out = "".join(localiser("evaluate", *runs).out.split())  # long paths are folded
+    assert out.count("corridor/1") == 2
+
+
+def test_evaluate_says_that_a_run_ended_early(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    with_cut_image(log)
+    assert localiser("replay", log, "--out", tmp_path, "--no-rrd", "--quiet").exit_code == 2
+    result = localiser("evaluate", tmp_path / "corridor" / "latest")
+    assert result.exit_code == 0
+    assert result.err == "corridor/latest ended early: its figures are those of 3 frames.\n"
+
+
 def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     run = localiser.replay(log, tmp_path / "out")
     rmse = json.loads((run / "metrics.json").read_text())["position_rmse_m"]

@@ -178,7 +178,13 @@ def evaluate(
     from localiser.app.judge import figures_of
     from localiser.evaluate.table import errors_table
 
-    _print(errors_table({_short(run): figures_of(run, truth) for run in runs}))
+    figures = {name: figures_of(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
+    _print(errors_table(figures))
+    for name, found in figures.items():
+        if found.get("complete") is False:
+            typer.secho(
+                f"{name} ended early: its figures are those of {found['frames']} frames.", fg="yellow", err=True
+            )
 
 
 @config_app.command("show")
@@ -219,8 +225,10 @@ def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
     typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
 
 
-def _short(path: Path) -> str:
-    return "/".join(path.parts[-2:])
+def _names(runs: list[Path]) -> list[str]:
+    """Return short names of the runs, whole paths where short ones would be the same."""
+    short = ["/".join(run.parts[-2:]) for run in runs]
+    return short if len(set(short)) == len(runs) else [str(run) for run in runs]
 
 
 def _print(renderable: object) -> None:
