@@ -1,0 +1,207 @@
+"""The motion model: what `predict` draws is what its docstring states, and what `linearised` says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser.geometry import Array, Increment, arc_motion, compose, wrap_angle
+from localiser.motion import MotionParameters, direction_of_travel, linearised, noise_variances, predict
+from localiser.particles import POSE, Particles
+
+PARAMETERS = MotionParameters(alpha1=1.2e-3, alpha2=7e-4, alpha3=9e-4, alpha4=1e-4)
+NO_NOISE = MotionParameters(0.0, 0.0, 0.0, 0.0)
+COUNT = 200_000
+START = np.array([1.0, -2.0, 0.7])
+MOTIONS = {
+    "ahead": [0.0, -0.5, 0.0],
+    "back": [0.0, 0.4, 0.1],
+    "arc": [-0.05, -0.4, 0.25],
+    "sideways": [0.3, 0.0, 0.0],
+    "turn on the spot": [0.0, 0.0, -1.2],
+}
+
+
+def at(pose: Array, count: int = COUNT) -> Particles:
+    return Particles(POSE, np.tile(pose[:, None], (1, count)), np.zeros(count))
+
+
+def moments(particles: Particles, centre: Array) -> tuple[Array, Array]:
+    """Mean and covariance of the error about `centre`, headings wrapped."""
+    error = particles.poses - centre
+    error[:, 2] = wrap_angle(error[:, 2])
+    return error.mean(axis=0), np.cov(error.T)
+
+
+def assert_same_covariance(found: Array, expected: Array, slack: float) -> None:
+    """Assert equality within 5 standard errors of a sample covariance, √((Σij² + Σii Σjj)/N), and what is not linear.
+
+    That is `slack` of the scale, and, where the linear model has no noise at all, distance noise turned by turn noise.
+    """
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    turned = np.zeros((3, 3))
+    turned[:2, :2] = 2 * expected[2, 2] * np.trace(expected[:2, :2])
+    tolerance = 5 * np.sqrt((expected**2 + scale**2) / COUNT) + slack * scale + turned + 1e-14
+    tolerance[2, :2] = tolerance[:2, 2] = tolerance[:2, 2] + 5 * np.sqrt(turned[0, 0] * expected[2, 2] / COUNT)
+    assert (np.abs(found - expected) <= tolerance).all(), f"\n{found}\n{expected}\n{tolerance}"
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS.keys())
+@pytest.mark.parametrize("heading", [0.7, np.pi - 1e-3])
+def test_mean_and_covariance_are_those_of_the_linearised_model(motion: list[float], heading: float) -> None:
+    """5 standard errors; turn noise of 1 to 4 % of a radian bends the cloud by less than 1 % of its size."""
+    start, increment = np.array([1.0, -2.0, heading]), Increment.from_mean(motion)
+    after = predict(at(start), increment, PARAMETERS, np.random.default_rng(1))
+    mean, cov = moments(after, compose(start, increment.mean))
+    _, expected = linearised(start, increment, PARAMETERS)
+    bend = np.trace(expected[2:, 2:]) * np.hypot(*motion[:2])
+    assert (np.abs(mean) <= 5 * np.sqrt(np.diag(expected) / COUNT) + bend).all()
+    assert_same_covariance(cov, expected, slack=0.01)
+    assert (np.abs(after["heading"]) <= np.pi).all()
+
+
+def test_variances_are_those_stated_per_metre_and_per_radian() -> None:
+    increment = Increment(np.array([0.0, -1.0, 0.2]), np.zeros((3, 3)), path_m=3.0, turned_rad=0.5, source="wheel")
+    distance, turn = noise_variances(increment, MotionParameters(0.1, 0.2, 0.3, 0.4))
+    assert distance == pytest.approx(0.3 * 3.0 + 0.4 * 0.5)
+    assert turn == pytest.approx(0.1 * 0.5 + 0.2 * 3.0)
+
+
+def test_a_robot_that_drives_straight_errs_along_its_way_and_sideways_by_half_its_turn() -> None:
+    """By hand, 4 m ahead, facing map -z: var x = (4 m)² · half the turn, cov(x, heading) = -4 m · half the turn."""
+    increment = Increment.from_mean([0.0, -4.0, 0.0])
+    _, cov = linearised(np.zeros(3), increment, PARAMETERS)
+    turn = 4 * PARAMETERS.alpha2
+    expected = [[16 * turn / 2, 0, -4 * turn / 2], [0, 4 * PARAMETERS.alpha3, 0], [-4 * turn / 2, 0, turn]]
+    np.testing.assert_allclose(cov, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("pieces", [2, 10, 100])
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+def test_cutting_the_path_adds_up_to_the_same_variance_of_heading_and_distance(pieces: int, turn: float) -> None:
+    """Exactly for heading; what it does to the position lies between the whole step's and the random walk's."""
+    velocity = np.array([0.0, -2.0])
+    whole = Increment.from_mean(arc_motion(velocity, turn, 1.0))
+    piece = Increment.from_mean(arc_motion(velocity, turn / pieces, 1 / pieces))
+    pose, cov = START.copy(), np.zeros((3, 3))
+    for _ in range(pieces):
+        transition, noise = linearised(pose, piece, PARAMETERS)
+        cov = transition @ cov @ transition.T + noise
+        pose = compose(pose, piece.mean)
+    np.testing.assert_allclose(pose, compose(START, whole.mean), atol=1e-12)
+    _, at_once = linearised(START, whole, PARAMETERS)
+    # The chord of a 0.4 rad arc is 0.7 % shorter than the arc.
+    assert cov[2, 2] == pytest.approx(at_once[2, 2], rel=0.007)
+    along = np.array([-np.sin(START[2] + turn / 2), -np.cos(START[2] + turn / 2), 0.0])
+    across = np.array([along[1], -along[0], 0.0])
+    assert along @ cov @ along == pytest.approx(along @ at_once @ along, rel=0.03)
+    assert across @ cov @ np.array([0, 0, 1.0]) == pytest.approx(across @ at_once @ np.array([0, 0, 1.0]), rel=0.03)
+    # A heading error that is spread over the way swings the end by L²/3 of its variance, two halves by L²/2.
+    ratio = (across @ cov @ across) / (across @ at_once @ across)
+    assert ratio == pytest.approx(2 / 3 * (1 + 1 / (2 * pieces**2)), rel=0.05)
+
+
+def test_particles_cut_in_pieces_spread_as_the_chain_of_linearised_steps_says() -> None:
+    piece = Increment.from_mean([-0.01, -0.1, 0.05])
+    rng, particles = np.random.default_rng(2), at(START)
+    pose, cov = START.copy(), np.zeros((3, 3))
+    for _ in range(8):
+        particles = predict(particles, piece, PARAMETERS, rng)
+        transition, noise = linearised(pose, piece, PARAMETERS)
+        cov = transition @ cov @ transition.T + noise
+        pose = compose(pose, piece.mean)
+    assert_same_covariance(moments(particles, pose)[1], cov, slack=0.01)
+
+
+def test_a_robot_that_stands_has_no_noise() -> None:
+    particles = at(START, 50)
+    after = predict(particles, Increment.from_mean(np.zeros(3)), PARAMETERS, np.random.default_rng(3))
+    np.testing.assert_allclose(after.columns, particles.columns, atol=1e-15)
+    np.testing.assert_array_equal(linearised(START, Increment.from_mean(np.zeros(3)), PARAMETERS)[1], 0)
+
+
+def test_a_robot_that_went_to_and_fro_has_noise() -> None:
+    """The path counts, not where it ended; the noise of distance then acts straight ahead."""
+    increment = Increment(np.zeros(3), np.zeros((3, 3)), path_m=2.0, turned_rad=0.0, source="wheel")
+    _, cov = linearised(np.zeros(3), increment, PARAMETERS)
+    np.testing.assert_allclose(np.diag(cov), [0, 2 * PARAMETERS.alpha3, 2 * PARAMETERS.alpha2], atol=1e-18)
+    after = predict(at(np.zeros(3)), increment, PARAMETERS, np.random.default_rng(4))
+    assert_same_covariance(moments(after, np.zeros(3))[1], cov, slack=0.01)
+
+
+@settings(derandomize=True, max_examples=200)
+@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-4, 4))
+def test_without_noise_every_particle_is_moved_exactly(right: float, back: float, turn: float, heading: float) -> None:
+    columns = np.array([[1.0, -3.0], [2.0, 0.5], [heading, 0.0]])
+    particles = Particles(POSE, columns, np.log([0.25, 0.75]))
+    increment = Increment.from_mean([right, back, turn])
+    after = predict(particles, increment, NO_NOISE, np.random.default_rng(0))
+    error = after.poses - compose(particles.poses, increment.mean)
+    error[:, 2] = wrap_angle(error[:, 2])
+    np.testing.assert_allclose(error, 0, atol=1e-12)
+    np.testing.assert_array_equal(after.log_weight, particles.log_weight)
+
+
+@settings(derandomize=True, max_examples=100)
+@given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2))
+def test_noise_of_driving_back_is_that_of_driving_forward(right: float, back: float, turn: float) -> None:
+    there = Increment.from_mean([right, back, turn])
+    here = Increment.from_mean([-right, -back, turn])
+    assert noise_variances(there, PARAMETERS) == noise_variances(here, PARAMETERS)
+    if np.hypot(right, back) > 1e-6:
+        difference = direction_of_travel(there) - direction_of_travel(here)
+        assert abs(np.sin(difference)) < 1e-9, "the same line"
+
+
+@pytest.mark.parametrize(
+    ("motion", "expected"),
+    [([0, -1, 0], 0.0), ([0, 1, 0], 0.0), ([-1, -1, 0], np.pi / 4), ([1, -1, 0.3], -np.pi / 4), ([0, 0, 0.6], 0.3)],
+)
+def test_direction_of_travel_is_anticlockwise_from_straight_ahead(motion: list[float], expected: float) -> None:
+    assert direction_of_travel(Increment.from_mean(motion)) == pytest.approx(expected)
+
+
+def test_bias_columns_and_weights_stay_as_they_are() -> None:
+    rng = np.random.default_rng(5)
+    columns = rng.normal(size=(5, 40))
+    particles = Particles((*POSE, "tilt", "scale"), columns.copy(), rng.normal(size=40), frozenset({"heading", "tilt"}))
+    after = predict(particles, Increment.from_mean([0.1, -0.4, 0.2]), PARAMETERS, rng)
+    np.testing.assert_array_equal(after.columns[3:], columns[3:])
+    np.testing.assert_array_equal(after.log_weight, particles.log_weight)
+    np.testing.assert_array_equal(particles.columns, columns, err_msg="the particles given are not changed")
+    assert (after.names, after.circular) == (particles.names, particles.circular)
+
+
+def test_an_increment_that_knows_its_covariance_adds_it_in_the_robot_frame() -> None:
+    """Correlated, singular (the robot cannot slip sideways), and turned into the map by the heading."""
+    root = np.array([[0.0, 0.0], [0.03, 0.0], [0.01, 0.02]])
+    increment = Increment.from_mean([0.0, -0.2, 0.0], "vision", root @ root.T)
+    _, expected = linearised(START, increment, NO_NOISE)
+    to_map = np.array([[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
+    np.testing.assert_allclose(expected, to_map @ root @ root.T @ to_map.T, atol=1e-18)
+    after = predict(at(START), increment, NO_NOISE, np.random.default_rng(6))
+    assert_same_covariance(moments(after, compose(START, increment.mean))[1], expected, slack=1e-9)
+    both = predict(at(START), increment, PARAMETERS, np.random.default_rng(7))
+    _, sum_of_both = linearised(START, increment, PARAMETERS)
+    assert_same_covariance(moments(both, compose(START, increment.mean))[1], sum_of_both, slack=0.01)
+
+
+@settings(derandomize=True, max_examples=100)
+@given(st.floats(-3, 3), st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2))
+def test_transition_is_the_derivative_of_the_motion(heading: float, right: float, back: float, turn: float) -> None:
+    pose, increment, step = np.array([0.3, -0.2, heading]), Increment.from_mean([right, back, turn]), 1e-6
+    columns = []
+    for axis in np.eye(3):
+        difference = compose(pose + step * axis, increment.mean) - compose(pose - step * axis, increment.mean)
+        columns.append([*difference[:2], wrap_angle(difference[2])])
+    found, _ = linearised(pose, increment, PARAMETERS)
+    np.testing.assert_allclose(found, np.array(columns).T / (2 * step), atol=1e-8)
+
+
+def test_same_generator_same_particles() -> None:
+    increment = Increment.from_mean([0.0, -0.4, 0.2])
+    first, again, other = (predict(at(START, 9), increment, PARAMETERS, np.random.default_rng(s)) for s in (8, 8, 9))
+    np.testing.assert_array_equal(first.columns, again.columns)
+    assert (first.columns != other.columns).any()
