@@ -1,0 +1,228 @@
+"""The observation model against a plain triple loop, written straight from its docstring."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser import geometry
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.edges.types import CommonError
+from localiser.geometry import Array, Increment, Trajectory
+from localiser.landmarks import LandmarkMap, sight
+from localiser.observation import EdgeObservation, ObservationParameters, independent_share
+from localiser.particles import POSE, Particles
+from localiser.simulate import EdgeNoise, simulated_edges
+
+CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, yaw_rad=0.03, back_m=-0.1))
+KINDS = ("line", "slope")
+POSE_TRUE = np.array([0.2, 1.0, 0.1])
+
+
+def particles_at(poses: Array) -> Particles:
+    return Particles(POSE, poses.T.copy(), np.zeros(len(poses)))
+
+
+def some_map(rng: np.random.Generator, count: int = 30, cov_m: float | None = None) -> LandmarkMap:
+    landmark_map = LandmarkMap.from_points(rng.uniform([-4, -6], [4, 1], size=(count, 2)))
+    if cov_m is None:
+        return landmark_map
+    root = cov_m * rng.normal(size=(count, 2, 2))
+    return replace(landmark_map, cov=root @ root.transpose(0, 2, 1))
+
+
+def some_edges(rng: np.random.Generator, count: int, common: bool) -> Edges:
+    bearing = rng.uniform(-0.5, 0.5, count)
+    edges = Edges.from_columns(
+        bearing,
+        rng.uniform(0.001, 0.01, count),
+        geometry.lean_from_bearing(rng.uniform(-0.5, 0.5, count), CAMERA.mount.tilt_rad),
+        rng.uniform(0.002, 0.02, count),
+    )
+    if not common:
+        return edges
+    from_lean, from_line = CAMERA.bearing_jacobians(bearing, rng.uniform(-0.3, 0.3, count))
+    cov = np.array([[0.005**2, 1e-6], [1e-6, 0.003**2]])
+    return replace(edges, common=CommonError(("tilt", "roll"), cov, from_lean, from_line))
+
+
+def compared(kind: str, bearing: float) -> tuple[float, float]:
+    """The angle that is compared and its derivative by the bearing, from tan(lean) = s tan(b)."""
+    if kind == "line":
+        return bearing, 1.0
+    s = np.sin(CAMERA.mount.tilt_rad)
+    lean = np.arctan(s * np.tan(bearing))
+    return lean, s * np.cos(lean) ** 2 / np.cos(bearing) ** 2
+
+
+def measured(kind: str, edges: Edges, e: int) -> tuple[float, float]:
+    """Measured angle and variance, the common error included."""
+    if kind == "line":
+        jacobian = edges.common.bearing_from_line[e]
+        return edges.bearing[e], edges.bearing_sigma[e] ** 2 + jacobian @ edges.common.cov @ jacobian
+    jacobian = edges.common.bearing_from_lean[e]
+    bearing = geometry.bearing_from_lean(edges.lean[e], CAMERA.mount.tilt_rad)
+    spread = jacobian @ edges.common.cov @ jacobian / geometry.bearing_per_lean(bearing, CAMERA.mount.tilt_rad) ** 2
+    return edges.lean[e], edges.lean_sigma[e] ** 2 + spread
+
+
+def landmark_densities(observation: EdgeObservation, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Array:
+    """N(q_e; q_l, σ_el²) (E, L) of a map without heights, nan for landmarks out of sight, by plain loops."""
+    kind, camera_pose = observation.parameters.kind, CAMERA.pose_in_map(pose)
+    seen = sight(CAMERA, camera_pose[None], landmark_map, observation.parameters.sight).landmark
+    density = np.full((len(edges), len(landmark_map)), np.nan)
+    for e in range(len(edges)):
+        q, variance = measured(kind, edges, e)
+        for landmark in seen:
+            x, z = geometry.robot_from_map(camera_pose, landmark_map.points[landmark])
+            predicted, per_bearing = compared(kind, float(geometry.bearing_from_point(x, z)))
+            cov = landmark_map.cov[landmark]
+            position_var = observation.parameters.landmark_sigma_m**2 if np.isnan(cov).any() else np.trace(cov) / 2
+            total = variance + per_bearing**2 * position_var / (x**2 + z**2)
+            density[e, landmark] = np.exp(-0.5 * (q - predicted) ** 2 / total) / np.sqrt(2 * np.pi * total)
+    return density
+
+
+def clutter_density(kind: str) -> float:
+    """1 / span: of the bearings at the middle row, from the left to the right border of the image."""
+    left, right, _, _ = CAMERA.upright_bounds
+    ends = [compared(kind, float(np.arctan(a / np.cos(CAMERA.mount.tilt_rad))))[0] for a in (left, right)]
+    return 1.0 / (ends[1] - ends[0])
+
+
+def oracle(observation: EdgeObservation, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> float:
+    """log ∫ Π_e p(q_e | pose, w) dw, relative to all edges being clutter; the integral of a polynomial, exactly."""
+    density = landmark_densities(observation, pose, edges, landmark_map)
+    visible = (~np.isnan(density[0])).sum() if len(edges) else 0
+    clutter = clutter_density(observation.parameters.kind)
+    product = np.polynomial.Polynomial([1.0])
+    for row in density:
+        ratio = np.nansum(row) / visible / clutter if visible else 0.0
+        product *= np.polynomial.Polynomial([1.0, ratio - 1.0])
+    return float(np.log(product.integ()(1.0)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("common", [False, True])
+@pytest.mark.parametrize("cov_m", [None, 0.05])
+@pytest.mark.parametrize("count", [1, 4, 7])
+def test_log_likelihood_is_the_docstring(kind: str, common: bool, cov_m: float | None, count: int) -> None:
+    """Exact up to the gate for as many edges as the quadrature over w is exact for: a polynomial of degree 7."""
+    rng = np.random.default_rng([count, common])
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map, edges = some_map(rng, cov_m=cov_m), some_edges(rng, count, common)
+    poses = np.concatenate([rng.normal(POSE_TRUE, [0.5, 0.5, 0.5], size=(40, 3)), [[0, 50, 0]]])
+    found = observation.log_likelihood(particles_at(poses), edges, landmark_map)
+    expected = [oracle(observation, pose, edges, landmark_map) for pose in poses]
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=2e-6)
+    assert np.ptp(found) > 0.5, "poses must differ for the comparison to mean anything"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_differences_between_poses_hold_for_many_edges(kind: str) -> None:
+    """Where the quadrature is no longer exact it must not change which pose is likelier: 0.5 of a log-ratio of tens."""
+    rng = np.random.default_rng(11)
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map = some_map(rng)
+    (edges,) = simulated_edges(landmark_map, CAMERA, Trajectory(np.zeros(1, dtype=np.int64), POSE_TRUE[None]), rng)
+    assert len(edges) > 8
+    poses = POSE_TRUE + rng.normal(size=(40, 3)) * [0.05, 0.05, 0.01]
+    found = observation.log_likelihood(particles_at(poses), edges, landmark_map)
+    expected = np.array([oracle(observation, pose, edges, landmark_map) for pose in poses])
+    assert np.ptp(expected) > 10
+    np.testing.assert_allclose(found - found.max(), expected - expected.max(), atol=0.5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_measured_or_nothing_in_view_tells_nothing_of_the_landmarks(kind: str) -> None:
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    rng = np.random.default_rng(0)
+    landmark_map, edges = some_map(rng), some_edges(rng, 5, common=True)
+    near, away = particles_at(POSE_TRUE[None]), particles_at(np.array([[0.0, 100.0, 0.0], [50.0, 0.0, 1.0]]))
+    np.testing.assert_array_equal(observation.log_likelihood(near, Edges.none(), landmark_map), [0.0])
+    # ∫ (1 - w)^5 dw: all five are clutter, wherever the particle is.
+    np.testing.assert_allclose(observation.log_likelihood(away, edges, landmark_map), -np.log(6), rtol=1e-12)
+    matches = observation.associate(away.poses[0], edges, landmark_map)
+    assert (matches.landmark == -1).all()
+    assert np.isnan(matches.residual).all()
+    assert not matches.visible.any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(derandomize=True, max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_true_pose_is_the_best_for_edges_without_noise(kind: str, seed: int) -> None:
+    """A landmark's range enters the width of its density, so that the peak is off by far less than that width."""
+    rng = np.random.default_rng(seed)
+    landmark_map = some_map(rng, 25)
+    truth = Trajectory(np.zeros(1, dtype=np.int64), POSE_TRUE[None])
+    (edges,) = simulated_edges(landmark_map, CAMERA, truth, rng, noise=EdgeNoise(endpoint_sigma_px=1e-9))
+    edges = replace(edges, lean_sigma=np.full(len(edges), 0.003), bearing_sigma=np.full(len(edges), 0.003))
+    parameters = ObservationParameters(kind=kind, landmark_sigma_m=0.0)  # type: ignore[arg-type]
+    steps = np.concatenate([np.zeros((1, 3)), rng.normal(size=(30, 3)) * [0.3, 0.3, 0.1]])
+    steps = steps[np.concatenate([[True], np.abs(steps[1:, 2]) > 0.03])]
+    found = EdgeObservation(CAMERA, parameters).log_likelihood(particles_at(POSE_TRUE + steps), edges, landmark_map)
+    assert found.argmax() == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_association_is_the_likeliest_landmark_or_clutter(kind: str) -> None:
+    rng = np.random.default_rng(4)
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map, edges = some_map(rng, 15), some_edges(rng, 25, common=True)
+    matches = observation.associate(POSE_TRUE, edges, landmark_map)
+    density = landmark_densities(observation, POSE_TRUE, edges, landmark_map)
+    np.testing.assert_array_equal(matches.visible, ~np.isnan(density[0]))
+    best = np.nanargmax(density, axis=1)
+    is_landmark = np.nanmax(density, axis=1) / matches.visible.sum() > clutter_density(kind)
+    assert 3 < is_landmark.sum() < 25, "both outcomes must occur"
+    np.testing.assert_array_equal(matches.landmark, np.where(is_landmark, best, -1))
+    camera_pose = CAMERA.pose_in_map(POSE_TRUE)
+    for e in range(len(edges)):
+        if not is_landmark[e]:
+            assert np.isnan(matches.residual[e])
+            continue
+        bearing = geometry.bearing_from_point(*geometry.robot_from_map(camera_pose, landmark_map.points[best[e]]))
+        expected = measured(kind, edges, e)[0] - compared(kind, float(bearing))[0]
+        assert matches.residual[e] == pytest.approx(expected, abs=1e-12)
+
+
+def test_association_finds_the_true_landmarks_of_simulated_edges() -> None:
+    rng = np.random.default_rng(6)
+    points = np.array([[-1.5, -4.0], [-0.6, -3.0], [0.1, -4.5], [1.4, -5.0], [0.9, -3.5]])
+    landmark_map = LandmarkMap.from_points(points, bottom_m=np.zeros(5), top_m=np.full(5, 2.0))
+    (edges,) = simulated_edges(landmark_map, CAMERA, Trajectory(np.zeros(1, dtype=np.int64), np.zeros((1, 3))), rng)
+    assert len(edges) == 5
+    for kind in KINDS:
+        observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+        matches = observation.associate(np.zeros(3), edges, landmark_map)
+        np.testing.assert_array_equal(matches.landmark, edges.landmark_id)
+
+
+def test_share_of_a_frame_that_is_new() -> None:
+    """(1 - ρ)/(1 + ρ) with ρ = exp(-path/decorrelation - turned/decorrelation)."""
+    parameters = ObservationParameters(decorrelation_m=0.1, decorrelation_deg=5.0)
+    assert independent_share(Increment.from_mean([0, 0, 0]), parameters) == 0.0
+    assert independent_share(Increment.from_mean([0, -10, 0]), parameters) == pytest.approx(1.0)
+    rho = np.exp(-0.05 / 0.1 - np.radians(2) / np.radians(5))
+    moved = Increment.from_mean([0.0, 0.05, -np.radians(2)])
+    assert independent_share(moved, parameters) == pytest.approx((1 - rho) / (1 + rho))
+    there_and_back = Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0, "wheel")
+    assert independent_share(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
+
+
+@pytest.mark.parametrize("independent", [{"decorrelation_m": 0.0}, {"decorrelation_deg": 0.0}])
+def test_everything_is_new_when_errors_are_said_to_be_independent(independent: dict[str, float]) -> None:
+    assert independent_share(Increment.from_mean(np.zeros(3)), ObservationParameters(**independent)) == 1.0  # type: ignore[arg-type]
+
+
+def test_many_short_steps_tell_as_much_as_the_path_they_make() -> None:
+    """The shares of a path add up to path/(2 decorrelation): what is learned does not grow with the rate of images."""
+    parameters = ObservationParameters(decorrelation_m=0.1)
+    sums = [n * independent_share(Increment.from_mean([0, -1.0 / n, 0]), parameters) for n in (100, 1000, 10_000)]
+    np.testing.assert_allclose(sums, 5.0, rtol=0.01)
