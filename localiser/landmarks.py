@@ -71,7 +71,8 @@ class Sight:
     """Landmarks that cameras can see: P pairs (camera pose, landmark), sorted by pose.
 
     pose, landmark: (P,) indices. tangent: (P,) tan(bearing). range_m: (P,) floor distance. length_px: (P,) length in
-    the image of the part that can be seen.
+    the image of the part that can be seen. e_bottom, e_top: (P,) upright image heights of the two ends, which may lie
+    outside the image; infinite where unknown.
     """
 
     pose: NDArray[np.int64]
@@ -79,6 +80,8 @@ class Sight:
     tangent: Array
     range_m: Array
     length_px: Array
+    e_bottom: Array
+    e_top: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +127,16 @@ def sight(
         parameters.margin_px,
     )
     seen = length_px >= max(parameters.length_min_px, 1e-9)
+    ahead, landmark = ahead[seen], landmark[seen]
+    e_bottom, e_top = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
     return Sight(
         pose=pose[seen],
-        landmark=landmark[seen],
-        tangent=(right / ahead)[seen],
+        landmark=landmark,
+        tangent=right[seen] / ahead,
         range_m=np.sqrt(range_squared[pose, column][seen]),
         length_px=length_px[seen],
+        e_bottom=e_bottom,
+        e_top=e_top,
     )
 
 
@@ -153,8 +160,8 @@ def visible_length_px(
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     margin = margin_px / camera.focal_px
     a_left, a_right, e_low, e_high = np.array(camera.upright_bounds) + margin * np.array([-1.0, 1.0, -1.0, 1.0])
-    start = np.maximum(_image_height(bottom_m - camera.mount.height_m, ahead_m, s, c, -np.inf), e_low)
-    end = np.minimum(_image_height(top_m - camera.mount.height_m, ahead_m, s, c, np.inf), e_high)
+    e_bottom, e_top = image_heights(camera, ahead_m, bottom_m, top_m)
+    start, end = np.maximum(e_bottom, e_low), np.minimum(e_top, e_high)
     # Left and right border: (c + e s) <= limit, which bounds e from above (tilt down) or from below (tilt up).
     with np.errstate(divide="ignore"):
         limit = np.where(tangent > 0, a_right, a_left) / np.where(tangent == 0, np.copysign(0.0, a_left), tangent)
@@ -167,13 +174,23 @@ def visible_length_px(
     return np.asarray(np.maximum(end - start, 0.0) * np.sqrt(1.0 + (s * tangent) ** 2) * camera.focal_px)
 
 
-def _image_height(above_camera_m: Array, ahead_m: Array, s: float, c: float, unknown: float) -> Array:
-    """Return the upright image height e of points above or below the camera; beyond the image plane it is infinite."""
-    depth = ahead_m * c - above_camera_m * s
-    with np.errstate(divide="ignore", invalid="ignore"):
-        e = (above_camera_m * c + ahead_m * s) / depth
-    e = np.where(depth > 0, e, np.copysign(np.inf, above_camera_m))
-    return np.where(np.isnan(above_camera_m), unknown, e)
+def image_heights(camera: Camera, ahead_m: Array, bottom_m: Array, top_m: Array) -> tuple[Array, Array]:
+    """Return the upright image heights e, each (P,), of the bottoms and tops of vertical edges.
+
+    ahead_m: (P,) distance along the camera's level axis, > 0. bottom_m, top_m: (P,) above the floor; where unknown
+    (nan) the edge goes on for ever. An end beyond the image plane is infinitely high or low.
+    """
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+
+    def height(end_m: Array, unknown: float) -> Array:
+        above_camera_m = end_m - camera.mount.height_m
+        depth = ahead_m * c - above_camera_m * s
+        with np.errstate(divide="ignore", invalid="ignore"):
+            e = (above_camera_m * c + ahead_m * s) / depth
+        e = np.where(depth > 0, e, np.copysign(np.inf, above_camera_m))
+        return np.where(np.isnan(above_camera_m), unknown, e)
+
+    return height(bottom_m, -np.inf), height(top_m, np.inf)
 
 
 def _widest_tangent(camera: Camera, parameters: SightParameters) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -81,6 +81,10 @@ class MclParameters:
     resample_below: Annotated[
         float, Field(gt=0, le=1, description="resample when the effective sample size falls below this share")
     ] = 0.5
+    stage_below: Annotated[
+        float,
+        Field(ge=0, lt=1, description="weigh in stages that each leave this share of effective samples; 0: never"),
+    ] = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,8 +147,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
-    log_likelihood = mcl.observation.log_likelihood(moved, sighting.edges, mcl.landmark_map)
-    weighed = Particles(moved.names, moved.columns, moved.log_weight + share * log_likelihood, moved.circular)
+    weighed = weigh(mcl, moved, sighting.edges, share, rng)
 
     # Estimate before resampling, which only adds noise.
     ess = particles.effective_sample_size(weighed.weight)
@@ -158,6 +161,26 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         weighed = particles.take(weighed, index)
     state.particles, state.at_ns, state.weighed = weighed, sighting.t_ns, True
     return located
+
+
+def weigh(mcl: Mcl, moved: Particles, edges: Edges, share: float, rng: np.random.Generator) -> Particles:
+    """Return the particles with `share` of the edges' log-likelihood added to their weights, in stages if need be.
+
+    Where edges are much sharper than the cloud, one step would leave all weight on the few particles that happen to
+    lie nearest. Then only as much of the evidence is taken as leaves `stage_below` of them effective; these are
+    resampled and spread by a small kernel, and the rest of the evidence is weighed on the new, denser cloud
+    [Musso, Oudjane, Le Gland 2001].
+    """
+    fewest = mcl.parameters.stage_below * len(moved)
+    while True:
+        log_likelihood = mcl.observation.log_likelihood(moved, edges, mcl.landmark_map)
+        taken = particles.largest_step(moved.log_weight, log_likelihood, share, fewest)
+        weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
+        share -= taken
+        if share <= 0:
+            return weighed
+        index = particles.systematic_resample(weighed.weight, len(weighed), rng)
+        moved = particles.spread(particles.take(weighed, index), rng)
 
 
 def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:

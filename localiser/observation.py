@@ -1,12 +1,17 @@
 """How well measured edges fit a pose: log-likelihood with unknown association.
 
-Each measured edge is a draw from a mixture: with `inlier_share` it belongs to one of the landmarks that the camera
+Each measured edge is a draw from a mixture: with probability w it belongs to one of the n landmarks that the camera
 can see from the pose, each as likely as the other, else it is clutter, spread evenly over the field of view:
 
-    p(q_e | pose) = (1 - w) / span + (w / n) Σ_l N(q_e; q_l(pose), σ_el²)
+    p(q_e | pose, w) = (1 - w) / span + (w / n) Σ_l c_el N(q_e; q_l(pose), σ_el²)
 
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
+c_el is the squared share of the edge that lies between the landmark's ends: the rim of a picture, high on a wall, is
+no door jamb. It is 1 where the map does not know heights.
+
+How many edges are clutter differs from frame to frame (bookshelves, an empty corridor), so w is not a parameter: all
+values are as likely, and the likelihood of the frame is the mean over them, ∫ Π_e p(q_e | pose, w) dw.
 
 Consecutive images see the same texture from almost the same place, so their errors repeat: taking them as independent
 makes the filter too sure. `independent_share` is the part of a frame that counts as new.
@@ -29,6 +34,10 @@ from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight
 from localiser.particles import Particles
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
+END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
+
+# Gauss-Legendre nodes and weights for the share of edges that belong to landmarks, over (0, 1).
+INLIER_SHARES, _WEIGHTS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +48,6 @@ class ObservationParameters:
         Literal["line", "slope"],
         Field(description="what is compared: the line held through the nadir point, or the slope alone (the paper's)"),
     ] = "line"
-    inlier_share: Annotated[
-        float, Field(gt=0, lt=1, description="share of measured edges that belong to a landmark of the map")
-    ] = 0.5
     landmark_sigma_m: Annotated[
         float,
         Field(ge=0, description="how far a landmark may stand from where the map has it, where that is silent (m)"),
@@ -95,12 +101,11 @@ class EdgeObservation:
         seen = sight(self.camera, self.camera.pose_in_map(particles.poses), landmark_map, self.parameters.sight)
         pair, edge, density = self._densities(edges, landmark_map, seen)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
+        # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
-        share = self.parameters.inlier_share
-        per_landmark = share / visible * (self._span(edges) / (1.0 - share))
-        log_ratio = np.log1p(total.reshape(count, len(edges)) * per_landmark[:, None]).sum(axis=1)
-        # A particle that sees no landmark can explain no edge: all of them are clutter.
-        return np.asarray(log_ratio)
+        ratio = total.reshape(count, len(edges)) * (self._span() / visible)[:, None]
+        by_share = np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+        return np.asarray(np.logaddexp.reduce(by_share + np.log(_WEIGHTS)[:, None], axis=0))
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
@@ -111,22 +116,19 @@ class EdgeObservation:
         residual = np.full(len(edges), np.nan)
         if len(edges) and len(seen.pose):
             pair, edge, density = self._densities(edges, landmark_map, seen)
-            share = self.parameters.inlier_share
-            best = density * (share / len(seen.pose))
-            clutter = (1.0 - share) / self._span(edges)
-            # Ascending, so that the last write of an edge is its best pair.
-            for row in np.argsort(best, kind="stable"):
-                if best[row] > clutter:
-                    landmark[edge[row]] = seen.landmark[pair[row]]
-                    residual[edge[row]] = (
-                        self._measured(edges)[0][edge[row]] - self._predicted(seen.tangent[pair[row]])[0]
-                    )
+            likelier = density / len(seen.pose) > 1.0 / self._span()  # than clutter, at even shares
+            pair, edge, density = pair[likelier], edge[likelier], density[likelier]
+            # Ascending, so that the last write to an edge is its best landmark.
+            ascending = np.argsort(density, kind="stable")
+            pair, edge = pair[ascending], edge[ascending]
+            landmark[edge] = seen.landmark[pair]
+            residual[edge] = self._measured(edges)[0][edge] - self._predicted(seen.tangent[pair])[0]
         return Matches(landmark, residual, visible)
 
     def _densities(
         self, edges: Edges, landmark_map: LandmarkMap, seen: Sight
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Return N(q_e; q_l, σ_el²) of every pair within the gate: indices into `seen` and `edges`, and the density."""
+        """Return c_el N(q_e; q_l, σ_el²) of every pair within the gate: indices into `seen` and `edges`, density."""
         predicted, per_bearing = self._predicted(seen.tangent)
         position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
         measured, measured_var = self._measured(edges)
@@ -140,7 +142,17 @@ class EdgeObservation:
         variance = position_sigma[pair] ** 2 + measured_var[edge]
         residual = measured[edge] - predicted[pair]
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
-        return pair, edge, density
+        return pair, edge, density * self._covered(edges, seen, pair, edge)
+
+    def _covered(self, edges: Edges, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]) -> Array | float:
+        """Return c_el: the squared share of each edge that lies between the ends of its pair's landmark, 0 … 1."""
+        if not np.isfinite(edges.ends_px).all():
+            return 1.0  # measured by something that tells no ends
+        ends = self.camera.upright_from_pixels(edges.ends_px)[..., 1]
+        low, high = ends.min(axis=1)[edge], ends.max(axis=1)[edge]
+        tolerance = END_TOLERANCE_PX / self.camera.focal_px
+        inside = np.minimum(seen.e_top[pair] + tolerance, high) - np.maximum(seen.e_bottom[pair] - tolerance, low)
+        return np.asarray(np.clip(inside / (high - low), 0.0, 1.0) ** 2)
 
     def _measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.
@@ -169,7 +181,7 @@ class EdgeObservation:
         trace = np.trace(landmark_map.cov, axis1=1, axis2=2)
         return np.where(np.isnan(trace), self.parameters.landmark_sigma_m, np.sqrt(np.maximum(trace, 0) / 2))
 
-    def _span(self, edges: Edges) -> float:
+    def _span(self) -> float:
         """Return the angle (rad) that clutter is spread over."""
         a_left, a_right, _, _ = self.camera.upright_bounds
         predicted, _ = self._predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))

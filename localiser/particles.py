@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,41 @@ def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> 
     # Rounding may put the last tooth at the total itself: give it to the last particle that has any weight.
     last = int(np.flatnonzero(weight)[-1])
     return np.asarray(np.minimum(index, last))
+
+
+def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest: float) -> float:
+    """Return the largest part of `share`, 0 … 1, of a log-likelihood (N,) that leaves `fewest` effective samples.
+
+    Returns `share` itself where all of it does. At least a thousandth of it is taken, so that stages come to an end.
+    """
+
+    def enough(step: float) -> bool:
+        return effective_sample_size(normalised(log_weight + step * log_likelihood)) >= fewest
+
+    if enough(share):
+        return share
+    low, high = 0.0, share
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (middle, high) if enough(middle) else (low, middle)
+    return max(low, share * 1e-3)
+
+
+def spread(particles: Particles, rng: np.random.Generator) -> Particles:
+    """Return equally weighted particles, each moved by a draw from a small kernel of the cloud's own shape.
+
+    The kernel's covariance is h² times the cloud's with h = ½ N^(-1/(D+4)), half the width that is best for a normal
+    density, because clouds may have several peaks. [Musso, Oudjane, Le Gland 2001]
+    """
+    dimensions, count = particles.columns.shape
+    width = 0.5 * count ** (-1.0 / (dimensions + 4))
+    variance, axes = np.linalg.eigh(estimate(particles).cov)
+    draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal((dimensions, count)))
+    columns = particles.columns + width * draws
+    for row, name in enumerate(particles.names):
+        if name in particles.circular:
+            columns[row] = wrap_angle(columns[row])
+    return replace(particles, columns=columns)
 
 
 def take(particles: Particles, index: NDArray[np.int64]) -> Particles:
