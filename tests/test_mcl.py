@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -303,3 +305,15 @@ def test_means_and_spreads_agree_with_the_grid_filter() -> None:
     np.testing.assert_allclose(spread, sigmas, rtol=0.05)
     moved = np.abs(np.array(means)[0] - START_POSE)
     assert (moved > 4 * standard_error[0]).any(), "the edges must matter"
+
+
+# -- against the limit of accuracy ------------------------------------------------------------------------------------
+
+
+def test_slope_comes_close_to_the_posterior_bound() -> None:
+    """20 seeds, 40 frames, 2000 particles, edges without images; the whole drive is left to the benchmark."""
+    benchmark = runpy.run_path(str(Path(__file__).resolve().parents[1] / "benchmarks" / "efficiency.py"))
+    setting = benchmark["setting_of"]("corridor", 40)
+    verdict = benchmark["verdict_of"]([benchmark["run"](setting, "slope", 2000, seed) for seed in range(20)])
+    assert verdict.efficiency.value <= 1.3
+    assert verdict.nees_mean <= 3.5, "no surer than it may be"

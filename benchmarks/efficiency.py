@@ -1,0 +1,219 @@
+"""How close the filter comes to the limit of accuracy, and whether it knows how good it is, on simulated edges.
+
+Everything is as the filter assumes it: the first pose is drawn from the start's covariance, the robot strays from its
+odometry by draws of the motion model, edges err independently by the sigmas that they state. What is left between
+RMSE and bound is the filter's own: its particles, and the mixture that stands for associations it is not told.
+
+python benchmarks/efficiency.py
+python benchmarks/efficiency.py --observation line --particles 500 2000 8000
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from localiser import evaluate, geometry, motion
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, Increment, Trajectory
+from localiser.landmarks import LandmarkMap
+from localiser.mcl import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
+from localiser.motion import MotionParameters
+from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.particles import POSE, Particles
+from localiser.simulate import simulated_edges, structure_of, truth_of, visible_mask, world_of
+
+WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
+START_COV = np.diag([0.1, 0.1, np.deg2rad(3.0)]) ** 2
+APART_M = 2.0  # landmarks of the map are at least this far from each other: which is which is hardly ever in doubt
+MOTION = MotionParameters()
+WORLD_DRAWS, FILTER_DRAWS = range(2)  # independent streams of random numbers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """What all seeds share.
+
+    odometry: poses (T) at the images' times. visible: (T, L), landmarks that nothing hides from these poses; a robot
+    that strayed is shown the same ones.
+    """
+
+    landmark_map: LandmarkMap
+    camera: Camera
+    odometry: Trajectory
+    visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One seed: error (T, 3) of the estimate, its covariance (T, 3, 3), the bound (T, 3, 3), ess (T,), edges (T,)."""
+
+    error: Array
+    cov: Array
+    bound: Array
+    ess: Array
+    edges: Array
+
+    @property
+    def position_error_m(self) -> Array:
+        """Distance (T,) between estimate and truth."""
+        return np.hypot(self.error[:, 0], self.error[:, 1])
+
+
+def setting_of(name: str = "corridor", frames: int | None = None) -> Setting:
+    """Return a world that ships, its map thinned to landmarks that stand apart, the first `frames` of its drive."""
+    world = world_of(yaml.safe_load((WORLDS / f"{name}.yaml").read_text(encoding="utf-8")))
+    structure, camera, truth = structure_of(world), world.camera.camera(), truth_of(world.drive)
+    t_ns = np.arange(truth.t_ns[0], truth.t_ns[-1], round(1e9 / world.drive.image_hz))[:frames]
+    odometry = truth.sampled(t_ns)
+    everything = structure.landmark_map
+    visible = visible_mask(structure, camera, odometry.poses)
+    # What is seen most often comes first, and stays.
+    kept = standing_apart(everything.points, np.argsort(-visible.sum(axis=0), kind="stable"))
+    landmark_map = LandmarkMap.from_points(
+        everything.points[kept], bottom_m=everything.bottom_m[kept], top_m=everything.top_m[kept]
+    )
+    return Setting(landmark_map, camera, odometry, visible[:, kept])
+
+
+def standing_apart(points: Array, order: NDArray[np.int64]) -> list[int]:
+    """Return indices of points (L, 2), taken in this order, without those that stand near one taken before."""
+    kept: list[int] = []
+    for index in order:
+        if all(np.hypot(*(points[index] - points[other])) >= APART_M for other in kept):
+            kept.append(int(index))
+    return kept
+
+
+def run(setting: Setting, observation: str, particles: int, seed: int) -> Run:
+    """Return one run of the filter on a truth, a start and edges drawn with this seed."""
+    rng = np.random.default_rng([seed, WORLD_DRAWS])
+    increments = [
+        Increment.from_mean(move) for move in geometry.between(setting.odometry.poses[:-1], setting.odometry.poses[1:])
+    ]
+    truth = strayed(setting.odometry, increments, rng)
+    edges = simulated_edges(setting.landmark_map, setting.camera, truth, rng, visible=setting.visible)
+    start = truth.poses[0] + np.sqrt(np.diag(START_COV)) * rng.standard_normal(3)
+
+    parameters = ObservationParameters(
+        kind="line" if observation == "line" else "slope",
+        landmark_sigma_m=0.0,
+        decorrelation_m=0.0,
+    )
+    mcl = Mcl(
+        setting.landmark_map,
+        EdgeObservation(setting.camera, parameters),
+        MclParameters(particles=particles),
+        MOTION,
+        parameters,
+    )
+    state, generator = FilterState(), np.random.default_rng([seed, FILTER_DRAWS])
+    located = [
+        result
+        for event in events(Start(int(truth.t_ns[0]), start, START_COV), setting.odometry, edges)
+        for result in step(mcl, state, event, generator)
+    ]
+    error = np.array([result.estimate.pose for result in located]) - truth.poses
+    error[:, 2] = geometry.wrap_angle(error[:, 2])
+    return Run(
+        error=error,
+        cov=np.array([result.estimate.pose_cov for result in located]),
+        bound=bound_of(setting, truth, increments, edges, observation),
+        ess=np.array([result.ess for result in located]),
+        edges=np.array([len(frame) for frame in edges]),
+    )
+
+
+def strayed(odometry: Trajectory, increments: list[Increment], rng: np.random.Generator) -> Trajectory:
+    """Return where the robot truly was: the motion model's own draw, one particle along the increments."""
+    particle = Particles(POSE, odometry.poses[0][:, None].copy(), np.zeros(1))
+    poses = [odometry.poses[0]]
+    for increment in increments:
+        particle = motion.predict(particle, increment, MOTION, rng)
+        poses.append(particle.poses[0])
+    return Trajectory(odometry.t_ns, np.array(poses))
+
+
+def events(start: Start, odometry: Trajectory, edges: list[Edges]) -> Iterator[Event]:
+    """Yield what the filter is given, in the order of time."""
+    yield start
+    for t_ns, pose, frame in zip(odometry.t_ns, odometry.poses, edges, strict=True):
+        yield Odometry(int(t_ns), pose)
+        yield Sighting(int(t_ns), frame)
+
+
+def bound_of(
+    setting: Setting, truth: Trajectory, increments: list[Increment], edges: list[Edges], observation: str
+) -> Array:
+    """Return the posterior Cramér-Rao bound (T, 3, 3), linearised at the truth."""
+    steps = [motion.linearised(pose, u, MOTION) for pose, u in zip(truth.poses[:-1], increments, strict=True)]
+    transition, noise = (np.array(part) for part in zip(*steps, strict=True))
+    points = setting.landmark_map.points
+    informations = [
+        evaluate.bearing_information(pose, setting.camera, points, frame, observation)
+        for pose, frame in zip(truth.poses, edges, strict=True)
+    ]
+    return evaluate.posterior_bound(START_COV, transition, noise, np.array(informations))
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Efficiency with its bootstrap interval, share of frames with consistent NEES, and the figures behind them."""
+
+    efficiency: evaluate.Efficiency
+    consistent: float
+    nees_mean: float
+    rmse_m: float
+    bound_m: float
+    ess_median: float
+
+
+def verdict_of(runs: list[Run]) -> Verdict:
+    """Return the verdict on runs of many seeds."""
+    error_m = np.array([one.position_error_m for one in runs])
+    bound_m = np.array([np.sqrt(np.trace(one.bound[:, :2, :2], axis1=1, axis2=2)) for one in runs])
+    nees = np.array([evaluate.nees(one.error, one.cov) for one in runs])
+    return Verdict(
+        efficiency=evaluate.efficiency(error_m, bound_m, np.random.default_rng(0)),
+        consistent=evaluate.share_inside(nees),
+        nees_mean=float(nees.mean()),
+        rmse_m=float(np.sqrt(np.square(error_m).mean())),
+        bound_m=float(np.sqrt(np.square(bound_m).mean())),
+        ess_median=float(np.median([one.ess for one in runs])),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--world", default="corridor", choices=sorted(path.stem for path in WORLDS.glob("*.yaml")))
+    parser.add_argument("--observation", nargs="+", default=["slope", "line"], choices=["slope", "line"])
+    parser.add_argument("--particles", nargs="+", type=int, default=[2000])
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--frames", type=int, default=None)
+    arguments = parser.parse_args()
+    setting = setting_of(arguments.world, arguments.frames)
+    print(
+        f"{arguments.world}: {len(setting.landmark_map)} landmarks, {len(setting.odometry)} frames, "
+        f"{arguments.seeds} seeds"
+    )
+    print("observation particles efficiency  95 % interval  NEES in band  mean NEES   RMSE  bound   ESS")
+    for observation in arguments.observation:
+        for particles in arguments.particles:
+            verdict = verdict_of([run(setting, observation, particles, seed) for seed in range(arguments.seeds)])
+            ratio = verdict.efficiency
+            print(
+                f"{observation:11} {particles:9} {ratio.value:10.3f}  {ratio.low:.3f} … {ratio.high:.3f}  "
+                f"{verdict.consistent:11.0%}  {verdict.nees_mean:9.2f}  {verdict.rmse_m:.4f} {verdict.bound_m:.4f} "
+                f"{verdict.ess_median:5.0f}"
+            )
+
+
+if __name__ == "__main__":
+    main()
