@@ -70,6 +70,8 @@ class Located:
     odometry: Array
 
 
+MOST_STAGES = 20  # so that a frame takes a bounded time whatever it shows
+
 # -- the filter -------------------------------------------------------------------------------------------------------
 
 
@@ -84,7 +86,7 @@ class MclParameters:
     stage_below: Annotated[
         float,
         Field(ge=0, lt=1, description="weigh in stages that each leave this share of effective samples; 0: never"),
-    ] = 0.1
+    ] = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,15 +174,17 @@ def weigh(mcl: Mcl, moved: Particles, edges: Edges, share: float, rng: np.random
     [Musso, Oudjane, Le Gland 2001].
     """
     fewest = mcl.parameters.stage_below * len(moved)
-    while True:
+    for stage in range(MOST_STAGES):
         log_likelihood = mcl.observation.log_likelihood(moved, edges, mcl.landmark_map)
-        taken = particles.largest_step(moved.log_weight, log_likelihood, share, fewest)
+        last = stage == MOST_STAGES - 1
+        taken = share if last else particles.largest_step(moved.log_weight, log_likelihood, share, fewest)
         weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
         share -= taken
         if share <= 0:
-            return weighed
+            break
         index = particles.systematic_resample(weighed.weight, len(weighed), rng)
         moved = particles.spread(particles.take(weighed, index), rng)
+    return weighed
 
 
 def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:

@@ -51,13 +51,13 @@ class ObservationParameters:
     landmark_sigma_m: Annotated[
         float,
         Field(ge=0, description="how far a landmark may stand from where the map has it, where that is silent (m)"),
-    ] = 0.02
+    ] = 0.01
     decorrelation_m: Annotated[
         float, Field(ge=0, description="driving after which errors of an edge are new (m); 0: always new")
-    ] = 0.1
+    ] = 0.07
     decorrelation_deg: Annotated[
         float, Field(ge=0, description="turning after which errors of an edge are new (degrees); 0: always new")
-    ] = 5.0
+    ] = 4.0
     sight: SightParameters = field(default_factory=SightParameters)
 
 

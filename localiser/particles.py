@@ -106,7 +106,7 @@ def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> 
 def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest: float) -> float:
     """Return the largest part of `share`, 0 … 1, of a log-likelihood (N,) that leaves `fewest` effective samples.
 
-    Returns `share` itself where all of it does. At least a thousandth of it is taken, so that stages come to an end.
+    Returns `share` itself where all of it does, 0 where no part does.
     """
 
     def enough(step: float) -> bool:
@@ -118,23 +118,28 @@ def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest:
     for _ in range(20):
         middle = (low + high) / 2
         low, high = (middle, high) if enough(middle) else (low, middle)
-    return max(low, share * 1e-3)
+    return low
 
 
 def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     """Return equally weighted particles, each moved by a draw from a small kernel of the cloud's own shape.
 
-    The kernel's covariance is h² times the cloud's with h = ½ N^(-1/(D+4)), half the width that is best for a normal
-    density, because clouds may have several peaks. [Musso, Oudjane, Le Gland 2001]
+    The kernel's covariance is h² times the cloud's with h = N^(-1/(D+4)), about what is best for a normal density
+    [Musso, Oudjane, Le Gland 2001]. The cloud is first drawn together by √(1 - h²), so that its mean and covariance
+    stay as they are [Liu, West 2001].
     """
     dimensions, count = particles.columns.shape
-    width = 0.5 * count ** (-1.0 / (dimensions + 4))
-    variance, axes = np.linalg.eigh(estimate(particles).cov)
+    width = count ** (-1.0 / (dimensions + 4))
+    cloud = estimate(particles)
+    variance, axes = np.linalg.eigh(cloud.cov)
     draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal((dimensions, count)))
-    columns = particles.columns + width * draws
+    columns = np.empty_like(particles.columns)
     for row, name in enumerate(particles.names):
-        if name in particles.circular:
-            columns[row] = wrap_angle(columns[row])
+        circular = name in particles.circular
+        residual = particles.columns[row] - cloud.mean[row]
+        residual = wrap_angle(residual) if circular else residual
+        column = cloud.mean[row] + np.sqrt(1.0 - width**2) * residual + width * draws[row]
+        columns[row] = wrap_angle(column) if circular else column
     return replace(particles, columns=columns)
 
 
