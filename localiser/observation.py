@@ -132,8 +132,10 @@ class EdgeObservation:
         predicted, per_bearing = self._predicted(seen.tangent)
         position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
         measured, measured_var = self._measured(edges)
-        order = np.argsort(measured)
-        reach = GATE_SIGMAS * np.sqrt(position_sigma**2 + measured_var.max(initial=0.0))
+        # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
+        known = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var))
+        order = known[np.argsort(measured[known])]
+        reach = GATE_SIGMAS * np.sqrt(position_sigma**2 + measured_var[known].max(initial=0.0))
         first = np.searchsorted(measured[order], predicted - reach)
         last = np.searchsorted(measured[order], predicted + reach)
         pair = np.repeat(np.arange(len(predicted)), last - first)
