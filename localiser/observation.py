@@ -36,8 +36,9 @@ from localiser.particles import Particles
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
 
-# Gauss-Legendre nodes and weights for the share of edges that belong to landmarks, over (0, 1).
-INLIER_SHARES, _WEIGHTS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2, np.polynomial.legendre.leggauss(4)[1] / 2
+# Gauss-Legendre nodes over (0, 1) for the share of edges that belong to landmarks, and the logarithms of their weights.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+INLIER_SHARES, LOG_WEIGHTS = (_NODES + 1.0) / 2.0, np.log(_WEIGHTS / 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ class EdgeObservation:
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
         ratio = total.reshape(count, len(edges)) * (self._span() / visible)[:, None]
         by_share = np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
-        return np.asarray(np.logaddexp.reduce(by_share + np.log(_WEIGHTS)[:, None], axis=0))
+        return np.asarray(np.logaddexp.reduce(by_share + LOG_WEIGHTS[:, None], axis=0))
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
