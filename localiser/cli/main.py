@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +11,7 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show
 from localiser.errors import InputError, LocaliserError
 
 app = typer.Typer(
@@ -49,17 +48,6 @@ class View(StrEnum):
     native = "native"
     web = "web"
     none = "none"
-
-
-ConfigFile = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="Configuration; see `localiser config show`.")
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Set one value, such as mcl.particles=500. May be repeated."),
-]
-Seed = Annotated[int | None, typer.Option("--seed", min=0, metavar="N", help="Same seed, same result.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
 
 def _print_version(asked: bool) -> None:
@@ -133,7 +121,7 @@ def replay(
         typer.secho("The viewer did not start; the run goes on without it.", fg="yellow", err=True)
     if run.live is not None and run.live.address:
         typer.echo(f"Watch at {run.live.address}", err=True)
-    with _progress("Localising", len(recorded.frames), quiet) as advance:
+    with progress("Localising", len(recorded.frames), quiet) as advance:
         figures = run.run(advance)
     if not quiet:
         _show_run(figures, run.folder.path, rrd)
@@ -153,7 +141,7 @@ def simulate(
     from localiser.app import simulate as simulation
 
     log = simulation.simulated(world, seed)
-    with _progress("Rendering", len(log), quiet) as advance:
+    with progress("Rendering", len(log), quiet) as advance:
         simulation.write(log, out, advance)
     if not quiet:
         typer.echo(f"{len(log)} images and {len(log.landmark_map)} landmarks in {out}")
@@ -179,7 +167,7 @@ def evaluate(
     from localiser.evaluate.table import errors_table
 
     figures = {name: figures_of(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
-    _print(errors_table(figures))
+    show(errors_table(figures))
     for name, found in figures.items():
         if found.get("complete") is False:
             typer.secho(
@@ -220,7 +208,7 @@ def main() -> None:
 def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
     from localiser.evaluate.table import errors_table
 
-    _print(errors_table({folder.name: figures}))
+    show(errors_table({folder.name: figures}))
     recording = "run.rrd for `rerun`, " if rrd else ""
     typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
 
@@ -229,22 +217,3 @@ def _names(runs: list[Path]) -> list[str]:
     """Return short names of the runs, whole paths where short ones would be the same."""
     short = ["/".join(run.parts[-2:]) for run in runs]
     return short if len(set(short)) == len(runs) else [str(run) for run in runs]
-
-
-def _print(renderable: object) -> None:
-    from rich.console import Console
-
-    # A pipe has no width: then a table is as wide as it wants.
-    Console(width=None if sys.stdout.isatty() else 160).print(renderable)
-
-
-@contextmanager
-def _progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on stderr; yields what to call after every frame."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task(title, total=total)
-        yield lambda: bar.advance(task)

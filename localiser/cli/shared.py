@@ -1,0 +1,41 @@
+"""What the commands share: options, the progress bar, printing."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Configuration; see `localiser config show`.")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Set one value, such as mcl.particles=500. May be repeated."),
+]
+Seed = Annotated[int | None, typer.Option("--seed", min=0, metavar="N", help="Same seed, same result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
+
+
+def show(renderable: object) -> None:
+    """Print a table or a text on standard output."""
+    from rich.console import Console
+
+    # A pipe has no width: then a table is as wide as it wants.
+    Console(width=None if sys.stdout.isatty() else 160).print(renderable)
+
+
+@contextmanager
+def progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on standard error; yields what to call after every step."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda: bar.advance(task)
