@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
+from localiser.cli import edges
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show
 from localiser.errors import InputError, LocaliserError
 
@@ -191,6 +192,9 @@ def config_schema() -> None:
     from localiser.config import schema
 
     typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))
+
+
+app.command(epilog=edges.EPILOG)(edges.edges)
 
 
 def main() -> None:

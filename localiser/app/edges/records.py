@@ -1,0 +1,80 @@
+"""The edges of one image as rows for CSV and JSON, each value with its unit in its name."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from localiser import geometry
+from localiser.edges import Edges
+
+Row = dict[str, Any]
+
+COLUMNS = {
+    "edge": "number in the picture, from left to right",
+    "bearing_rad": "direction from the camera's forward axis, positive right, of the line held through the nadir point",
+    "bearing_sigma_rad": "its standard deviation",
+    "lean_rad": "angle of the free line from the image's vertical, top to the right positive, roll undone",
+    "lean_sigma_rad": "its standard deviation",
+    "slope": "the paper's slope m = 1 / tan(lean)",
+    "slope_deg": "the paper's slope as an angle, from the image's horizontal: 90 is vertical",
+    "length_px": "visible length",
+    "polarity": "1 dark to light from left to right, -1 light to dark, 0 unknown",
+    "bottom_u_px": "lower end in the image as taken, to the right of the top-left pixel's centre",
+    "bottom_v_px": "and below it",
+    "top_u_px": "upper end",
+    "top_v_px": "and below the top-left pixel's centre",
+    "foot_range_m": "floor distance of the lower end from the camera, if it stands on the floor; empty if not seen",
+    "foot_range_sigma_m": "its standard deviation",
+    "foot_right_m": "that floor point to the right of the camera",
+    "foot_back_m": "and behind it, so negative ahead",
+}
+
+
+def rows_of(edges: Edges) -> list[Row]:
+    """Return one row an edge with the keys of `COLUMNS`; what is not known is nan."""
+    bottom, top = edges.ends_px[:, 0], edges.ends_px[:, 1]
+    columns = (
+        np.arange(1, len(edges) + 1),
+        edges.bearing,
+        edges.bearing_sigma,
+        edges.lean,
+        edges.lean_sigma,
+        geometry.slope_from_lean(edges.lean),
+        slope_deg(edges),
+        edges.length_px,
+        edges.polarity,
+        *bottom.T,
+        *top.T,
+        edges.foot_range_m,
+        edges.foot_range_sigma_m,
+        edges.foot_range_m * np.sin(edges.bearing),
+        -edges.foot_range_m * np.cos(edges.bearing),
+    )
+    values = [column.tolist() for column in columns]
+    return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*values, strict=True)]
+
+
+def slope_deg(edges: Edges) -> geometry.Array:
+    """Return the angle (E,) of edges from the image's horizontal, 0 to 180 degrees, as in the paper's tables."""
+    return np.asarray(90.0 - np.rad2deg(edges.lean))
+
+
+def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> str:
+    """Return rows as CSV; nan and None are empty cells, numbers read back to the same value."""
+    names = list(columns)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    if header:
+        writer.writerow(names)
+    writer.writerows([_cell(row[name]) for name in names] for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: object) -> object:
+    return "" if value is None or (isinstance(value, float) and math.isnan(value)) else value

@@ -1,0 +1,96 @@
+"""What the command prints: the edges of a single image, and what detectors found in all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from localiser.app.edges.records import Row, rows_of
+from localiser.app.edges.run import EdgeRun
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_MOST_ROWS = 60
+UNKNOWN = "–"
+
+
+def tables_of(run: EdgeRun) -> Iterator[Table]:
+    """Yield the table of edges where one detector saw one image, and the comparison of detectors otherwise."""
+    if len(run.images) == 1 and len(run.detectors) == 1:
+        (edges,) = run.last.values()
+        yield _edge_table(rows_of(edges), run.images[0].image)
+    else:
+        yield _detector_table(run.comparison.rows())
+    if len(run.detectors) > 1:
+        yield _agreement_table(run.comparison.rows())
+
+
+def _edge_table(rows: list[Row], image: str) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=f"{len(rows)} vertical edges in {image}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    titles = ("edge", "bearing °", "sigma °", "lean °", "sigma °", "slope °", "length px", "side", "foot m", "sigma m")
+    for title in titles:
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in rows[:_MOST_ROWS]:
+        degrees = [np.rad2deg(row[name]) for name in ("bearing_rad", "bearing_sigma_rad", "lean_rad", "lean_sigma_rad")]
+        specs = ("+.2f", ".3f", "+.2f", ".2f")
+        angles = [format(angle, spec) for angle, spec in zip(degrees, specs, strict=True)]
+        side = {1: "lighter right", -1: "lighter left"}.get(row["polarity"], UNKNOWN)
+        foot = [_text(row[name], ".2f") for name in ("foot_range_m", "foot_range_sigma_m")]
+        table.add_row(str(row["edge"]), *angles, f"{row['slope_deg']:.2f}", f"{row['length_px']:.0f}", side, *foot)
+    if len(rows) > _MOST_ROWS:
+        table.caption = f"{len(rows) - _MOST_ROWS} more in edges.csv"
+    return table
+
+
+def _detector_table(rows: list[dict[str, Any]]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    images = rows[0]["images"]
+    title = f"Vertical edges in {images} image{'' if images == 1 else 's'}"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    columns = (
+        ("edges", "edges", "d"),
+        ("an image", "edges_per_image", ".1f"),
+        ("rejected", "rejected_per_image", ".1f"),
+        ("with foot", "feet_per_image", ".1f"),
+        ("length px", "length_median_px", ".0f"),
+        ("sigma °", "bearing_sigma_median_deg", ".3f"),
+        ("ms", "ms_median", ".1f"),
+    )
+    table.add_column("detector")
+    for name, _, _ in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(row["detector"], *(_text(row[key], spec) for _, key, spec in columns))
+    table.caption = "edges in all, then per image; medians of length, bearing's sigma and time"
+    return table
+
+
+def _agreement_table(rows: list[dict[str, Any]]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title="Edges of … also found by …", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    names = [row["detector"] for row in rows]
+    table.add_column("")
+    for name in names:
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(row["detector"], *(UNKNOWN if name == row["detector"] else _shared(row, name) for name in names))
+    table.caption = "share of edges, and the median distance of their bearings"
+    return table
+
+
+def _shared(row: dict[str, Any], other: str) -> str:
+    return f"{row[f'share_also_{other}']:.0%}, {_text(row[f'apart_median_{other}_deg'], '.3f')}°"
+
+
+def _text(value: float, spec: str) -> str:
+    return format(value, spec) if np.isfinite(value) else UNKNOWN
