@@ -11,7 +11,8 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.cli import edges
+from localiser.cli import edges, paper
+from localiser.cli.camera import camera_app
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show
 from localiser.errors import InputError, LocaliserError
 
@@ -34,6 +35,7 @@ app = typer.Typer(
 )
 config_app = typer.Typer(no_args_is_help=True, help="Show what can be set.")
 app.add_typer(config_app, name="config")
+app.add_typer(camera_app, name="camera")
 
 
 class Kind(StrEnum):
@@ -195,6 +197,7 @@ def config_schema() -> None:
 
 
 app.command(epilog=edges.EPILOG)(edges.edges)
+app.command(epilog=paper.EPILOG)(paper.paper)
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Every file format: logs, cameras, maps, trajectories, results."""
 
-from localiser.storage.cameras import load_camera, save_camera
+from localiser.storage.cameras import camera_file, load_camera, save_camera, update_mount
 from localiser.storage.folder import write_log
 from localiser.storage.images import Image, ImageEvent
 from localiser.storage.log import Event, Frame, Log, LogReader
@@ -21,6 +21,7 @@ __all__ = [
     "LogReader",
     "RunFolder",
     "TrackWriter",
+    "camera_file",
     "find_run",
     "json_text",
     "load_camera",
@@ -34,5 +35,6 @@ __all__ = [
     "save_map",
     "save_poses",
     "save_tum",
+    "update_mount",
     "write_log",
 ]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import re
+from collections.abc import Mapping
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount
-from localiser.documents import Document, dump, load, shown, validate
-from localiser.storage.files import write_text
+from localiser.documents import Document, dump, load, parse, read_text, shown, validate
+from localiser.errors import InputError
+from localiser.storage.files import inside, output_errors, write_text
 
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
@@ -132,6 +137,81 @@ def _shape(matrix: MatrixFile) -> str:
 def save_camera(camera: Camera, path: Path) -> None:
     """Write a camera file. Raises OutputError."""
     write_text(path, dump(camera_data(camera)))
+
+
+def camera_file(log: Path) -> Path:
+    """Return the path of the camera file that a log folder names. Raises InputError when it is no such folder."""
+    document = load(log / "log.yaml")
+    name = document.value.get("camera") if isinstance(document.value, dict) else None
+    if not isinstance(name, str):
+        raise document.error(("camera",), f"expected the name of a file, found {shown(name)}")
+    try:
+        return inside(log, name)
+    except ValueError as error:
+        raise document.error(("camera",), f"{error}, found {name!r}") from None
+
+
+def update_mount(path: Path, changes: Mapping[str, float]) -> Path:
+    """Change values of the mount in a camera file, by their keys; everything else stays, comments included.
+
+    Returns where the old file is kept: beside it, as FILE.bak, FILE.bak2, … Raises InputError, OutputError.
+    """
+    text = read_text(path)
+    document = parse(text, str(path))
+    camera_from_document(document)
+    wanted = copy.deepcopy(document.value)
+    wanted["mount"] |= changes
+    for key, value in changes.items():
+        text = _with_mount_value(text, str(path), key, value)
+    if _value(text) != wanted:  # written in a way that cannot be changed in place: then comments are lost
+        text = dump(wanted)
+    camera_from_document(parse(text, str(path)))
+    kept = _keep_beside(path)
+    write_text(path, text)
+    return kept
+
+
+def _with_mount_value(text: str, source: str, key: str, value: float) -> str:
+    """Return the text of a camera file with one number of its mount replaced, or added after the tilt."""
+    places = parse(text, source).places
+    known = ("mount", key) in places
+    place = places["mount", key if known else "tilt_deg"]
+    lines = text.split("\n")
+    line, column = (place.line or 1) - 1, (place.column or 1) - 1
+    before, after = lines[line][:column], lines[line][column:]
+    entry = re.match(r"([^:]*:\s*)([^\s,}#]+)", after)  # places are those of keys
+    if entry is None:
+        return text
+    rest = after[entry.end() :]
+    if known:
+        lines[line] = f"{before}{entry[1]}{value!r}{rest}"
+    elif before.strip() or rest.lstrip().startswith((",", "}")):  # in braces
+        lines[line] = f"{before}{entry[0]}, {key}: {value!r}{rest}"
+    else:
+        lines.insert(line + 1, f"{before}{key}: {value!r}")
+    return "\n".join(lines)
+
+
+def _value(text: str) -> Any:
+    try:
+        return parse(text, "").value
+    except InputError:
+        return None
+
+
+def _keep_beside(path: Path) -> Path:
+    """Copy a file to the first free name of FILE.bak, FILE.bak2, … and return that."""
+    with output_errors(path):
+        content = path.read_bytes()
+        for number in count(1):
+            kept = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
+            try:
+                with kept.open("xb") as file:
+                    file.write(content)
+            except FileExistsError:
+                continue
+            return kept
+    raise AssertionError("numbers do not end")
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

@@ -1,0 +1,18 @@
+"""Where the camera looks and what its lens does: tilt and roll from edges, everything from a board."""
+
+from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
+from localiser.calibration.log_mount import LogMount, mount_of_images, mount_of_lines, spread, views_of
+from localiser.calibration.mount_plot import save_mount_plot
+
+__all__ = [
+    "Lines",
+    "LogMount",
+    "down_in_camera",
+    "lines_of",
+    "mount_from_down",
+    "mount_of_images",
+    "mount_of_lines",
+    "save_mount_plot",
+    "spread",
+    "views_of",
+]

@@ -1,0 +1,95 @@
+"""Image lines as planes through the camera's centre: what they say about the direction of down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+
+_END_SIGMA_PX = 0.5
+"""Error across the line of an end of a segment that was rejected and so not measured further."""
+_SHORTEST_PX = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Lines of the images of one camera, K of them, each as the plane through it and the camera's centre.
+
+    normal: (K, 3) unit normals in the camera's axes (right, up, backward). per_turn: (K, 3) by how much the normal
+    moves per radian that the line turns about its middle, in the image. sigma: (K,) rad, error of that direction.
+    frame: (K,) index of the image.
+    """
+
+    normal: Array
+    per_turn: Array
+    sigma: Array
+    frame: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.sigma)
+
+    def take(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Lines:
+        """Return some of the lines."""
+        return Lines(*(getattr(self, column.name)[index] for column in fields(self)))
+
+    @classmethod
+    def together(cls, parts: Sequence[Lines]) -> Lines:
+        """Return the lines of all parts."""
+        if not parts:
+            return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))
+        return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
+
+    def misses(self, mount: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return by how much (K,) rad lines miss the down of tilt and roll (2,), its derivative (K, 2), its sigma (K,).
+
+        A vertical edge lies in a plane that holds the direction of down: normal · down = 0.
+        """
+        down = down_in_camera(mount)
+        return self.normal @ down, self.normal @ _down_per_mount(mount), self.sigma * np.abs(self.per_turn @ down)
+
+
+def lines_of(edges: Edges, camera: Camera, frame: int = 0) -> Lines:
+    """Return all lines of one image: its edges, and those that were rejected as not vertical.
+
+    Both, so that a wrong tilt does not choose the lines that agree with it; the mount of `camera` has no say. Edges
+    that were not measured in an image, whose ends are nan, are left out.
+    """
+    ends = camera.image_from_pixels(np.concatenate([edges.ends_px, edges.rejected_px]))
+    along = ends[:, 1] - ends[:, 0]
+    length = np.hypot(*along.T)
+    of_ends = np.sqrt(2.0) * _END_SIGMA_PX / camera.focal_px / np.maximum(length, 1e-9)
+    sigma = np.concatenate([edges.lean_sigma, of_ends[len(edges) :]])
+    known = np.isfinite(ends).all(axis=(1, 2)) & (length * camera.focal_px > _SHORTEST_PX) & np.isfinite(sigma)
+    ends, direction = ends[known], along[known] / length[known, None]
+    zero = np.zeros((len(ends), 1))
+    middle = np.concatenate([ends.mean(axis=1), zero - 1], axis=1)
+    normal = np.cross(middle, np.concatenate([direction, zero], axis=1))
+    per_turn = np.cross(middle, np.concatenate([-direction[:, 1:], direction[:, :1], zero], axis=1))
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    return Lines(normal / size, per_turn / size, sigma[known], np.full(len(ends), frame, dtype=np.int64))
+
+
+def down_in_camera(mount: ArrayLike) -> Array:
+    """Return the unit vector (..., 3) that points down, in the camera's axes, for tilt and roll (..., 2)."""
+    tilt, roll = np.moveaxis(np.asarray(mount, dtype=np.float64), -1, 0)
+    return np.stack([np.cos(tilt) * np.sin(roll), -np.cos(tilt) * np.cos(roll), -np.sin(tilt)], axis=-1)
+
+
+def mount_from_down(down: ArrayLike) -> Array:
+    """Return tilt and roll (..., 2) for which the unit vector (..., 3) points down; inverse of `down_in_camera`."""
+    right, up, back = np.moveaxis(np.asarray(down, dtype=np.float64), -1, 0)
+    return np.stack([np.arctan2(-back, np.hypot(right, up)), np.arctan2(right, -up)], axis=-1)
+
+
+def _down_per_mount(mount: ArrayLike) -> Array:
+    """Return the derivative (3, 2) of `down_in_camera` by tilt and roll."""
+    tilt, roll = np.asarray(mount, dtype=np.float64)
+    by_tilt = [-np.sin(tilt) * np.sin(roll), np.sin(tilt) * np.cos(roll), -np.cos(tilt)]
+    by_roll = [np.cos(tilt) * np.cos(roll), np.cos(tilt) * np.sin(roll), 0.0]
+    return np.stack([by_tilt, by_roll], axis=-1)

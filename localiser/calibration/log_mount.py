@@ -1,0 +1,169 @@
+"""Tilt and roll over a log: all lines of all images together, with a sigma that knows which of them are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.calibration.lines import Lines, lines_of
+from localiser.calibration.plumb import PRIOR_SIGMA_RAD, REACH_SIGMA, fitted, voted
+from localiser.camera import Camera
+from localiser.edges import EdgeParameters, find_edges
+from localiser.geometry import Array, wrap_angle
+
+_COARSE_IMAGES = 60
+_COARSE_PASSES = 4
+_SETTLED_RAD = np.deg2rad(0.1)
+"""A mount this near shows the edge detector the same lines."""
+_NEW_VIEW_M, _NEW_VIEW_RAD = 1.0, np.deg2rad(30.0)
+"""After moving or turning this far most edges in view are other ones, or are seen elsewhere in the image."""
+_FEWEST_VIEWS = 5
+_VAGUE_RAD = np.deg2rad(0.5)
+"""A mount measured by hand is as certain as this."""
+_BORDER_SHARE = 0.9
+
+LoadImage = Callable[[int], NDArray[np.uint8]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogMount:
+    """Tilt and roll over F images: (2,) rad each.
+
+    cov: (2, 2). image_mount, image_cov: (F, 2), (F, 2, 2) what each image says by itself; where it says nothing, the
+    mean over all with the sigma of the prior. lines, vertical: how many lines there were, and how many of them are
+    vertical edges. plumb_sigma: rad, how far edges are from plumb. views: number of views that count as independent.
+    """
+
+    stated: Array
+    mount: Array
+    cov: Array
+    image_mount: Array
+    image_cov: Array
+    lines: int
+    vertical: float
+    plumb_sigma: float
+    views: int
+
+    @property
+    def sigma(self) -> Array:
+        """The sigma (2,) of tilt and roll."""
+        return np.sqrt(np.diag(self.cov))
+
+    @property
+    def problem(self) -> str:
+        """What is doubtful about the result, for people; empty when nothing is."""
+        vague = [name for name, sigma in zip(("tilt", "roll"), self.sigma, strict=True) if sigma > _VAGUE_RAD]
+        if vague:
+            return (
+                f"The images hardly tell the {' and the '.join(vague)}: that needs vertical edges, for the tilt some "
+                "far to the left and right in the image."
+            )
+        if np.any(np.abs(self.mount - self.stated) > _BORDER_SHARE * REACH_SIGMA * PRIOR_SIGMA_RAD):
+            return "This is at the limit of the search: state a tilt and roll nearer to this, and look once more."
+        return ""
+
+
+def mount_of_images(
+    load: LoadImage,
+    views: NDArray[np.int64],
+    camera: Camera,
+    parameters: EdgeParameters,
+    progress: Callable[[], None] = lambda: None,
+) -> LogMount:
+    """Return tilt and roll of `camera` over images 0 … F - 1, starting from a stated mount that may be degrees off.
+
+    views: (F,) which view each image belongs to; see `views_of`. The detector looks along the columns of an image from
+    which the stated mount is undone, so that is brought up to date on a few images first. `progress` is called once
+    per image of the last pass.
+    """
+    stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
+    few = spread(len(views), _COARSE_IMAGES)
+    wide = np.rad2deg(PRIOR_SIGMA_RAD)
+    searching = replace(parameters, tilt_sigma_deg=float(wide[0]), roll_sigma_deg=float(wide[1]))
+    present = stated
+    for _ in range(_COARSE_PASSES):
+        lines = _lines_at(present, load, few, camera, searching)
+        before, present = present, fitted(lines, stated, voted(lines, stated)).mount
+        if np.abs(present - before).max() < _SETTLED_RAD:
+            break
+    lines = _lines_at(present, load, range(len(views)), camera, parameters, progress)
+    return mount_of_lines(lines, views, stated)
+
+
+def _lines_at(
+    mount: Array,
+    load: LoadImage,
+    images: Sequence[int],
+    camera: Camera,
+    parameters: EdgeParameters,
+    progress: Callable[[], None] = lambda: None,
+) -> Lines:
+    """Return the lines of some images as the detector finds them with the tilt and roll (2,)."""
+    turned = camera.with_mount(tilt_rad=float(mount[0]), roll_rad=float(mount[1]))
+    parts = []
+    for i in images:
+        parts.append(lines_of(find_edges(load(i), turned, parameters), turned, i))
+        progress()
+    return Lines.together(parts)
+
+
+def mount_of_lines(lines: Lines, views: NDArray[np.int64], stated: Array) -> LogMount:
+    """Return tilt and roll from the lines (K) of F images of the views (F,), around the stated (2,)."""
+    whole = fitted(lines, stated, voted(lines, stated))
+    count = len(views)
+    each = [fitted(lines.take(lines.frame == i), whole.mount, whole.mount, whole.plumb_sigma) for i in range(count)]
+    return LogMount(
+        stated=stated,
+        mount=whole.mount,
+        cov=_covariance(lines, views, whole.mount, whole.vertical, whole.plumb_sigma),
+        image_mount=np.array([image.mount for image in each]).reshape(-1, 2),
+        image_cov=np.array([image.cov for image in each]).reshape(-1, 2, 2),
+        lines=len(lines),
+        vertical=float(whole.vertical.sum()),
+        plumb_sigma=whole.plumb_sigma,
+        views=len(np.unique(views)),
+    )
+
+
+def _covariance(lines: Lines, views: NDArray[np.int64], mount: Array, vertical: Array, plumb_sigma: float) -> Array:
+    """Return the covariance (2, 2) of tilt and roll when all images of a view show the same edges and the same errors.
+
+    A view then tells no more than one of its images does on average. Where views differ by more than that explains,
+    the covariance grows until it covers their scatter (sandwich estimator, one cluster per view).
+    """
+    miss, per_mount, sigma = lines.misses(mount)
+    view, images = np.unique(views, return_inverse=True)[1], len(views)
+    of_line = view[lines.frame] if images else lines.frame
+    size = np.bincount(view)
+    weight = vertical / (sigma**2 + plumb_sigma**2) / size[of_line]
+    information = np.diag(PRIOR_SIGMA_RAD**-2) + per_mount.T @ (weight[:, None] * per_mount)
+    cov = np.asarray(np.linalg.inv(information))
+    if len(size) < _FEWEST_VIEWS:
+        return cov
+    pulls = np.stack([np.bincount(of_line, weight * miss * by, len(size)) for by in per_mount.T], axis=-1)
+    scatter = cov @ (pulls.T @ pulls) @ cov * len(size) / (len(size) - 1)
+    root = np.linalg.inv(np.linalg.cholesky(cov))
+    excess = float(np.linalg.eigvalsh(root @ scatter @ root.T).max())
+    return cov * max(1.0, excess)
+
+
+def views_of(poses: Array) -> NDArray[np.int64]:
+    """Return which view (F,) images belong to that were taken at poses (F, 3): a new one begins after moving on."""
+    views = np.zeros(len(poses), dtype=np.int64)
+    since = 0
+    for i in range(1, len(poses)):
+        moved = np.hypot(*(poses[i, :2] - poses[since, :2]))
+        turned = abs(float(wrap_angle(poses[i, 2] - poses[since, 2])))
+        views[i] = views[i - 1]
+        if moved > _NEW_VIEW_M or turned > _NEW_VIEW_RAD:
+            views[i] += 1
+            since = i
+    return views
+
+
+def spread(count: int, most: int) -> list[int]:
+    """Return at most `most` indices, evenly spread over 0 … count - 1."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
