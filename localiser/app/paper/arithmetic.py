@@ -179,4 +179,4 @@ def _pixel_in_both_views() -> Array:
     each = np.array(
         [_moved_deg(camera, _whole_edge(camera, 90 - np.rad2deg(lean)), MOVES["both ends"])[0] for lean in leans]
     )
-    return each[:-1] + each[1:]
+    return np.asarray(each[:-1] + each[1:])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """name: of its file. title, note: what it shows, and what to make of it. columns, rows: texts."""
+    """name: of its file. title, note: what it shows, and what to make of it. columns (all different), rows: texts."""
 
     name: str
     title: str
@@ -24,7 +24,8 @@ class Sheet:
 
     def csv(self) -> str:
         """Return the table as CSV."""
-        return csv_text(self.columns, [dict(zip(self.columns, row, strict=True)) for row in self.rows])
+        names = [column.replace("\n", " ") for column in self.columns]
+        return csv_text(names, [dict(zip(names, row, strict=True)) for row in self.rows])
 
     def markdown(self) -> str:
         """Return title, table and note as Markdown."""
@@ -47,4 +48,4 @@ class Sheet:
 
 
 def _line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+    return "| " + " | ".join(cell.replace("\n", " ") for cell in cells) + " |"
