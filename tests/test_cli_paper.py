@@ -81,15 +81,23 @@ def test_one_pixel_moves_psi_by_half_to_two_degrees() -> None:
 
 
 def test_what_else_moves_psi() -> None:
-    rows = {row[0].split(":")[0]: row[1:] for row in explanations().rows}
-    assert rows["nothing"] == rows["paper, by extrinsic parameters"] == ("10.96", "10.33", "10.39")
-    assert rows["paper, by eq. 13"] == ("10.72", "8.09", "14.92")
-    # Ten centimetres to the left of a jamb two metres away turn it by atan(0.1 / 2) to the right, in the last turn.
-    drifted = rows["robot has drifted 10 cm to the left, all of it in the last turn"]
-    assert drifted[:2] == rows["nothing"][:2]
+    rows = {row[0]: row[1:] for row in explanations().rows}
+    exact = rows["nothing else"]
+    assert exact[:3] == exact[3:] == rows["paper, by extrinsic parameters"][:3] == ("10.96", "10.33", "10.39")
+    assert rows["paper, by eq. 13"][:3] == ("10.72", "8.09", "14.92")
+    # Ten centimetres to the left of a jamb two metres away turn it by about atan(0.1 / 2) to the right, at the end.
+    drifted = rows["drift by 10 cm to the left, in the last turn"]
+    assert drifted[:2] == exact[:2]
     assert 10.39 - float(drifted[2]) == pytest.approx(np.rad2deg(np.arctan(0.1 / 2)), abs=0.3)
-    pixel = [numbers(cell)[0] for cell in rows["one pixel at each end, in both views, at worst"]]
+    # Design equation 8: by slope a tilt error turns a bearing b by sin 2b cot θ / 2 of itself, by line far less.
+    tilted = np.array(rows["tilt is 1° more than stated"], dtype=float) - np.array(exact, dtype=float)
+    bearing = np.deg2rad([10.0, -0.96])
+    moved = np.diff(np.sin(2 * bearing) / np.tan(TILT_RAD) / 2)
+    assert tilted[0] == pytest.approx(-moved[0], abs=0.05)
+    assert np.abs(tilted[3:]).max() < np.abs(tilted[:3]).min() / 2
+    pixel = [numbers(cell)[0] for cell in rows["one pixel at each end, in both views"]]
     assert pixel[2] > 14.92 - 10.39
+    assert max(pixel[3:]) < min(pixel[:3]) / 3
 
 
 # -- motions of edges that are measured exactly -----------------------------------------------------------------------
@@ -208,13 +216,15 @@ def test_help_has_an_example(localiser: Localiser) -> None:
     assert "localiser paper" in result.out.split("Examples")[1]
 
 
-def test_the_command_prints_and_writes_every_table(localiser: Localiser, tmp_path: Path) -> None:
+def test_the_command_prints_and_writes_every_table(
+    localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "out"
-    result = localiser("paper", "--places", 1, "--seed", 3, "--out", out)
+    result = localiser("paper", "--places", 2, "--seed", 0, "--out", out)
     assert result.exit_code == 0, result.err
-    sheets = reproduce(1, 3, lambda: None).sheets  # the same seed, the same tables
+    sheets = reproduced.sheets  # the same seed, the same tables
     markdown = (out / "paper.md").read_text()
-    assert "`localiser paper --places 1 --seed 3`" in markdown
+    assert "`localiser paper --places 2 --seed 0`" in markdown
     printed = "".join(result.out.split())
     for sheet in sheets:
         assert "".join(sheet.title.split()) in printed
@@ -226,17 +236,21 @@ def test_the_command_prints_and_writes_every_table(localiser: Localiser, tmp_pat
         assert [tuple(row) for row in rows] == list(sheet.rows)
     assert {file.suffix for file in out.iterdir()} == {".csv", ".md", ".png"}
     assert cv2.imread(str(out / "paper.png")).shape == (960, 1400, 3)
-    assert "2/2" in result.err
+    assert "4/4" in result.err
 
     before = markdown
-    again = localiser("paper", "--places", 1, "--out", out)
+    monkeypatch.setattr("localiser.app.paper.reproduce", lambda *_: pytest.fail("measured before looking"))
+    again = localiser("paper", "--out", out)
     assert again.exit_code == 2
     assert f"{out}: expected a new or empty folder" in again.err
     assert (out / "paper.md").read_text() == before
 
 
-def test_quiet_writes_without_a_word(localiser: Localiser, tmp_path: Path) -> None:
-    result = localiser("paper", "--places", 1, "--quiet", "--out", tmp_path / "out")
+def test_quiet_writes_without_a_word(
+    localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("localiser.app.paper.reproduce", lambda *_: reproduced)
+    result = localiser("paper", "--quiet", "--out", tmp_path / "out")
     assert (result.exit_code, result.out, result.err) == (0, "", "")
     assert (tmp_path / "out" / "paper.png").is_file()
 

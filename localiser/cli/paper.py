@@ -28,8 +28,10 @@ def paper(
     quiet: Quiet = False,
 ) -> None:
     """Reproduce the founding paper: its tables by our equations, its motions measured from rendered images."""
-    from localiser.app.paper import reproduce, steps
+    from localiser.app.paper import reproduce, require_new, steps
 
+    if out is not None:
+        require_new(out)
     with progress("Rendering and measuring", steps(places), quiet) as advance:
         reproduction = reproduce(places, seed, advance)
     if not quiet:

@@ -28,7 +28,7 @@ MOVES: dict[str, Moves] = {"one end": ((0, 1), (1, 0)), "both ends": ((-1, 1), (
 """Pixels by which bottom and top end are moved."""
 _JAMB_M = 2.0
 """How far the door jamb of example 2 is taken to stand; the paper does not say."""
-_BEARINGS_2_DEG = np.array([10.0, 0.0, -10.0, -20.0])
+_BEARINGS_2_RAD = np.deg2rad([10.0, 0.0, -10.0, -20.0])
 """Of the jamb in its four images: nearly straight ahead in the second, as the paper says."""
 
 
@@ -88,7 +88,7 @@ def one_pixel() -> Sheet:
     rows = []
     for size, (name, moves) in product(SIZES, MOVES.items()):
         camera = camera_of(size, TILT_1_DEG)
-        edges = [_whole_edge(camera, slope_deg) for line in TABLE_1 for slope_deg in line[:2]]
+        edges = [_edge_of_slope(camera, slope_deg) for line in TABLE_1 for slope_deg in line[:2]]
         moved = [_moved_deg(camera, ends, moves) for ends in edges]
         slope, line = np.array(moved).T
         length = [float(np.linalg.norm(ends[1] - ends[0])) for ends in edges]
@@ -106,14 +106,16 @@ def one_pixel() -> Sheet:
     )
 
 
-def _whole_edge(camera: Camera, slope_deg: float) -> Array:
-    """Return the ends (2, 2) px, bottom first, of an edge of this slope, cut off by the image's border."""
-    tilt = camera.mount.tilt_rad
-    bearing = geometry.bearing_from_lean(np.deg2rad(90 - slope_deg), tilt)
-    v = np.linspace(camera.height - 1.0, 0.0, camera.height)
-    e = (camera.cy - v) / camera.focal_px
-    pixels = camera.pixels_from_upright(np.stack([geometry.edge_a_at(e, bearing, tilt), e], axis=-1))
-    inside = pixels[(pixels[:, 0] >= 0) & (pixels[:, 0] <= camera.width - 1)]
+def _edge_of_slope(camera: Camera, slope_deg: float) -> Array:
+    return _whole_edge(camera, float(geometry.bearing_from_lean(np.deg2rad(90 - slope_deg), camera.mount.tilt_rad)))
+
+
+def _whole_edge(camera: Camera, bearing_rad: float) -> Array:
+    """Return the ends (2, 2) px, bottom first, of an edge at this bearing, cut off by the image's border."""
+    e = (camera.cy - np.linspace(camera.height - 1.0, 0.0, camera.height)) / camera.focal_px
+    a = geometry.edge_a_at(e, bearing_rad, camera.mount.tilt_rad)
+    pixels = camera.pixels_from_upright(np.stack([a, e], axis=-1))
+    inside = pixels[np.all((pixels >= 0) & (pixels <= [camera.width - 1, camera.height - 1]), axis=1)]
     return np.asarray(inside[[0, -1]])
 
 
@@ -131,52 +133,58 @@ def _moved_deg(camera: Camera, ends: Array, moves: Moves) -> tuple[float, float]
 
 def explanations() -> Sheet:
     """Return what psi of table 2 would have been, had something else than a turn on the spot happened."""
-    actual = -np.deg2rad([delta for _, delta, _ in TABLE_2])
-    headings = np.concatenate([[0.0], np.cumsum(actual)])
-    ahead, still = np.zeros(2), np.zeros(4)
+    on_the_spot, still, exact = np.zeros(2), np.zeros(4), (0.0, 0.0)
     cases = (
-        ("nothing: eq. 13 of exact slopes", ahead, still, 0.0),
-        ("camera 10 cm ahead of the turning point", np.array([0.0, -0.10]), still, 0.0),
-        ("robot has drifted 10 cm to the left, all of it in the last turn", ahead, np.array([0, 0, 0, -0.10]), 0.0),
-        ("tilt is 1° more than stated", ahead, still, np.deg2rad(1.0)),
-        ("camera is rolled by 0.5°", ahead, still, None),
+        ("nothing else", on_the_spot, still, exact),
+        ("camera 10 cm ahead of the turning point", np.array([0.0, -0.10]), still, exact),
+        ("drift by 10 cm to the left, in the last turn", on_the_spot, np.array([0.0, 0.0, 0.0, -0.10]), exact),
+        ("tilt is 1° more than stated", on_the_spot, still, (np.deg2rad(1.0), 0.0)),
+        ("roll is 0.5° more than stated", on_the_spot, still, (0.0, np.deg2rad(0.5))),
     )
-    rows = [("paper, by eq. 13", *(f"{psi:.2f}" for _, _, psi in TABLE_2))]
-    rows += [("paper, by extrinsic parameters", *(f"{delta:.2f}" for _, delta, _ in TABLE_2))]
-    for name, offset, drift, tilt_error in cases:
-        psi = np.rad2deg(_psi_seen(headings, offset, drift, tilt_error))
-        rows.append((name, *(f"{value:.2f}" for value in psi)))
-    pixel = [f"±{value:.1f}" for value in _pixel_in_both_views()]
-    rows.append(("one pixel at each end, in both views, at worst", *pixel))
+    unknown = ("–",) * 3
+    rows = [("paper, by eq. 13", *(f"{psi:.2f}" for _, _, psi in TABLE_2), *unknown)]
+    rows += [("paper, by extrinsic parameters", *(f"{delta:.2f}" for _, delta, _ in TABLE_2), *unknown)]
+    for name, offset, drift, mount_error in cases:
+        psi = np.rad2deg(_psi_seen(offset, drift, mount_error))
+        rows.append((name, *(f"{value:.2f}" for value in psi.ravel())))
+    rows.append(
+        ("one pixel at each end, in both views", *(f"±{value:.2f}" for value in _pixel_in_both_views().ravel()))
+    )
+    images = [f"image {image}" for image, _, _ in TABLE_2]
     return Sheet(
         "explanations",
         f"Table 2: what else moves ψ; a jamb {_JAMB_M:.0f} m away that starts 10° to the right, tilt {TILT_2_DEG}°",
-        ("cause", "image 2 °", "image 3 °", "image 4 °"),
+        ("cause", *(f"{image} °\nslope" for image in images), *(f"{image} °\nline" for image in images)),
         tuple(rows),
         "Distance and start are assumed: the paper does not give them. Drift to the left makes the last ψ smaller, "
         "not larger; one pixel at each end of the edge, here as long as a 176×144 image allows, is enough for 14.92°.",
     )
 
 
-def _psi_seen(headings: Array, offset: Array, drift_right_m: Array, tilt_error: float | None) -> Array:
-    """Return psi (3,) by eq. 13 of one edge seen in four views. tilt_error: rad; None for half a degree of roll."""
-    tilt = float(np.deg2rad(TILT_2_DEG))
-    jamb = _JAMB_M * np.array([np.sin(np.deg2rad(10.0)), -np.cos(np.deg2rad(10.0))])
-    # Drift is to the robot's own side, as it stands before the turn in which it happens.
-    drift = drift_right_m[:, None] * geometry.right(np.concatenate([headings[:1], headings[:-1]]))
+def _psi_seen(offset: Array, drift_right_m: Array, mount_error_rad: tuple[float, float]) -> Array:
+    """Return psi (2, 3), by slope and by line, of a jamb seen in four views.
+
+    offset: (2,) of the camera on the robot. drift_right_m: (4,) to the robot's right in the turn before each view.
+    mount_error_rad: true minus stated tilt and roll.
+    """
+    headings = -np.deg2rad(np.cumsum([0.0, *(delta for _, delta, _ in TABLE_2)]))
+    jamb = _JAMB_M * np.array([np.sin(_BEARINGS_2_RAD[0]), -np.cos(_BEARINGS_2_RAD[0])])
+    # Drift is to the side of the robot as it stands before the turn.
+    drift = drift_right_m[:, None] * geometry.right(np.append(headings[0], headings[:-1]))
     poses = np.concatenate([np.cumsum(drift, axis=0), headings[:, None]], axis=1)
     seen = geometry.robot_from_map(poses, jamb) - offset
-    lean = geometry.lean_from_bearing(geometry.bearing_from_point(*seen.T), tilt + (tilt_error or 0.0))
-    if tilt_error is None:
-        lean = lean + np.deg2rad(0.5)
-    slope = geometry.slope_from_lean(lean)
-    return np.asarray(-geometry.rotation_from_slopes(slope[:-1], slope[1:], tilt))
+    stated = camera_of(SIZES[0], TILT_2_DEG)
+    tilt_error, roll_error = mount_error_rad
+    true = stated.with_mount(tilt_rad=stated.mount.tilt_rad + tilt_error, roll_rad=roll_error)
+    ends = np.array([_whole_edge(true, float(bearing)) for bearing in geometry.bearing_from_point(*seen.T)])
+    slope = geometry.slope_from_lean(stated.lean_of_segments(ends))
+    by_slope = -geometry.rotation_from_slopes(slope[:-1], slope[1:], stated.mount.tilt_rad)
+    return np.stack([by_slope, -np.diff(stated.bearing_of_segments(ends))])
 
 
 def _pixel_in_both_views() -> Array:
+    """Return by how many degrees psi (2, 3), by slope and by line, moves at most."""
     camera = camera_of(SIZES[0], TILT_2_DEG)
-    leans = geometry.lean_from_bearing(np.deg2rad(_BEARINGS_2_DEG), camera.mount.tilt_rad)
-    each = np.array(
-        [_moved_deg(camera, _whole_edge(camera, 90 - np.rad2deg(lean)), MOVES["both ends"])[0] for lean in leans]
-    )
-    return np.asarray(each[:-1] + each[1:])
+    ends = [_whole_edge(camera, float(bearing)) for bearing in _BEARINGS_2_RAD]
+    each = np.array([_moved_deg(camera, edge, MOVES["both ends"]) for edge in ends]).T
+    return np.asarray(each[:, :-1] + each[:, 1:])

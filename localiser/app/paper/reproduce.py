@@ -29,14 +29,18 @@ class Reproduction:
 
     def write(self, folder: Path) -> None:
         """Write each table as CSV, all of them as paper.md, and the figure. Raises OutputError."""
-        with output_errors(folder):
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-                raise OutputError(f"{folder}: expected a new or empty folder, found files in it")
         for sheet in self.sheets:
             write_text(folder / f"{sheet.name}.csv", sheet.csv())
         texts = [_HEAD.format(command=self.command), *(sheet.markdown() for sheet in self.sheets), "![](paper.png)\n"]
         write_text(folder / "paper.md", "\n".join(texts))
         write_bytes(folder / "paper.png", figure_png(self.found))
+
+
+def require_new(folder: Path) -> None:
+    """Raise OutputError when the folder holds something already; to be asked before all the work."""
+    with output_errors(folder):
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise OutputError(f"{folder}: expected a new or empty folder, found files in it")
 
 
 def reproduce(places: int, seed: int, progress: Callable[[], None]) -> Reproduction:
