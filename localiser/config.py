@@ -19,6 +19,7 @@ from localiser.documents import Document, Place, Schema
 from localiser.edges import EdgeParameters
 from localiser.edges.bearings import BearingSensor
 from localiser.errors import InputError
+from localiser.mapping import MappingParameters
 from localiser.mcl import MclParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
@@ -38,6 +39,7 @@ class Config(BaseModel):
     observation: ObservationParameters = ObservationParameters()
     edges: EdgeParameters = EdgeParameters()
     sensor: BearingSensor = BearingSensor()
+    mapping: MappingParameters = MappingParameters()
     versions: Annotated[
         dict[str, str], Field(description="what wrote this file; read by people, not by the program")
     ] = {}

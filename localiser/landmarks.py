@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,13 +16,38 @@ FRAME = {"axes": "x right, y up, z backward", "units": "m"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Quality:
+    """How well landmarks (L) are known beside their covariance; nan where something is not known.
+
+    sightings: (L,) images that showed it. parallax_rad: (L,) widest angle between the directions it was seen from.
+    existence: (L,) probability that it is there. profile: (L, P) grey values across it, P may be 0.
+    """
+
+    sightings: Array
+    parallax_rad: Array
+    existence: Array
+    profile: Array
+
+    @classmethod
+    def unknown(cls, count: int) -> Quality:
+        """Return the quality of `count` landmarks of which nothing is known."""
+        nothing = np.full(count, np.nan)
+        return cls(nothing, nothing, nothing, np.zeros((count, 0)))
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Quality:
+        """Return the quality of the landmarks at `index`."""
+        return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index], self.profile[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LandmarkMap:
     """Vertical edges of a building, L of them, as columns; nan where something is not known.
 
     ids: L unique names. points: (L, 2) x, z in metres. cov: (L, 2, 2) m². bottom_m, top_m: (L,) heights above the
     floor between which the edge can be seen. polarity: (L,) as in `Edges`, seen from where it was measured, 0 unknown.
     source: how each was obtained. extra: unknown keys of each landmark, header: unknown keys of the file; both are
-    kept so that a newer version's file survives being saved.
+    kept so that a newer version's file survives being saved. quality: how well each is known, None where the map does
+    not say.
     """
 
     name: str
@@ -36,6 +61,7 @@ class LandmarkMap:
     frame: dict[str, Any] = field(default_factory=lambda: dict(FRAME))
     extra: tuple[dict[str, Any], ...] = ()
     header: dict[str, Any] = field(default_factory=dict)
+    quality: Quality | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -63,6 +89,21 @@ class LandmarkMap:
             polarity=np.zeros(count, dtype=np.int8),
             source=(source,) * count,
             extra=({},) * count,
+        )
+
+    def take(self, index: NDArray[np.int64]) -> LandmarkMap:
+        """Return the map of the landmarks at `index` (K,), in that order."""
+        return replace(
+            self,
+            ids=tuple(self.ids[i] for i in index),
+            points=self.points[index],
+            cov=self.cov[index],
+            bottom_m=self.bottom_m[index],
+            top_m=self.top_m[index],
+            polarity=self.polarity[index],
+            source=tuple(self.source[i] for i in index),
+            extra=tuple(self.extra[i] for i in index) if self.extra else (),
+            quality=None if self.quality is None else self.quality.take(index),
         )
 
 

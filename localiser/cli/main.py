@@ -13,6 +13,7 @@ import typer
 from localiser import __version__
 from localiser.cli import edges, paper
 from localiser.cli.camera import camera_app
+from localiser.cli.maps import map_app
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show
 from localiser.errors import InputError, LocaliserError
 
@@ -36,6 +37,7 @@ app = typer.Typer(
 config_app = typer.Typer(no_args_is_help=True, help="Show what can be set.")
 app.add_typer(config_app, name="config")
 app.add_typer(camera_app, name="camera")
+app.add_typer(map_app, name="map")
 
 
 class Kind(StrEnum):

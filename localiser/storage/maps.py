@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
 
 from localiser.documents import Document, dump, load, shown, validate
-from localiser.landmarks import FRAME, LandmarkMap
+from localiser.landmarks import FRAME, LandmarkMap, Quality
 from localiser.storage.files import write_text
 
 FORMAT = "localiser-map/1"
@@ -49,6 +49,10 @@ class LandmarkFile(BaseModel):
     top_m: Metres = math.nan
     polarity: Literal[-1, 1] | None = None
     source: Annotated[str, Field(min_length=1)] = ""
+    sightings: Annotated[int, Field(ge=0)] | None = None
+    parallax_deg: Annotated[float, Field(ge=0, le=360)] = math.nan
+    existence: Annotated[float, Field(ge=0, le=1)] = math.nan
+    profile: Annotated[list[Annotated[float, Field(ge=0, le=255)]], Field(max_length=101)] = Field(default_factory=list)
 
 
 class MapFile(BaseModel):
@@ -85,7 +89,25 @@ def map_from_document(document: Document) -> LandmarkMap:
         frame=file.frame,
         extra=tuple(dict(landmark.model_extra or {}) for landmark in landmarks),
         header=dict(file.model_extra or {}),
+        quality=_quality(landmarks),
     )
+
+
+def _quality(landmarks: list[LandmarkFile]) -> Quality | None:
+    """Return what the landmarks say of their quality, None where none says anything."""
+    width = max(len(landmark.profile) for landmark in landmarks)
+    profile = np.full((len(landmarks), width), np.nan)
+    for row, landmark in zip(profile, landmarks, strict=True):
+        if len(landmark.profile) == width:
+            row[:] = landmark.profile
+    quality = Quality(
+        sightings=np.array([math.nan if mark.sightings is None else mark.sightings for mark in landmarks]),
+        parallax_rad=np.deg2rad([landmark.parallax_deg for landmark in landmarks]),
+        existence=np.array([landmark.existence for landmark in landmarks]),
+        profile=profile,
+    )
+    known = (quality.sightings, quality.parallax_rad, quality.existence, profile)
+    return quality if any(np.isfinite(column).any() for column in known) else None
 
 
 def _check_frame(document: Document, frame: dict[str, Any]) -> None:
@@ -145,4 +167,19 @@ def _landmark_data(landmark_map: LandmarkMap, index: int) -> dict[str, Any]:
         data["polarity"] = int(landmark_map.polarity[index])
     if landmark_map.source[index]:
         data["source"] = landmark_map.source[index]
+    if landmark_map.quality is not None:
+        data |= _quality_data(landmark_map.quality, index)
     return data | (landmark_map.extra[index] if landmark_map.extra else {})
+
+
+def _quality_data(quality: Quality, index: int) -> dict[str, Any]:
+    data: dict[str, Any] = {}
+    if np.isfinite(quality.sightings[index]):
+        data["sightings"] = int(quality.sightings[index])
+    if np.isfinite(quality.parallax_rad[index]):
+        data["parallax_deg"] = round(math.degrees(quality.parallax_rad[index]), 6)
+    if np.isfinite(quality.existence[index]):
+        data["existence"] = round(float(quality.existence[index]), 6)
+    if quality.profile.shape[1] and np.isfinite(quality.profile[index]).all():
+        data["profile"] = [round(float(grey), 1) for grey in quality.profile[index]]
+    return data

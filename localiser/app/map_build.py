@@ -1,0 +1,175 @@
+"""Build a landmark map from a log: edges, poses, landmarks, a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from localiser import mapping, motion, storage
+from localiser.app.map_edges import edges_of_log
+from localiser.config import Config
+from localiser.edges import Edges
+from localiser.errors import InputError, OutputError
+from localiser.geometry import Array, Increment, Trajectory, between
+from localiser.landmarks import LandmarkMap
+from localiser.storage import Log
+
+TRUTH, ODOMETRY, SLAM = "truth", "odometry", "slam"
+_KNOWN_TURN_RAD = 1e-3
+"""How far poses that are said to be true may be off between two images: synchronisation, interpolation."""
+_FEWEST_FRAMES = 2
+_STANDING_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapBuilt:
+    """A map, and how it came about.
+
+    trajectory: robot poses at the frames used. edges: of those frames. of: landmark of each sighting, in the order of
+    the frames, -1 for none; indices are those of `built`, not of the map.
+    """
+
+    landmark_map: LandmarkMap
+    trajectory: Trajectory
+    edges: list[Edges]
+    sightings: mapping.Sightings
+    built: mapping.Built
+
+
+def build_map(log: Log, poses: str, config: Config, progress: Callable[[], None]) -> MapBuilt:
+    """Return the map of a log; poses: `truth`, `odometry`, `slam`, or the path of a trajectory (TUM, CSV).
+
+    Raises InputError when poses are missing, the robot stands still, or nothing is seen from two sides.
+    """
+    known = None if poses == SLAM else known_poses(log, poses)
+    edges = edges_of_log(log, config.edges, progress)
+    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
+    track = log.odometry if known is None else known
+    inside = np.flatnonzero((t_ns >= track.t_ns[0]) & (t_ns <= track.t_ns[-1]))
+    if len(inside) < _FEWEST_FRAMES:
+        raise InputError(
+            f"expected poses at two images at least, found poses from {track.t_ns[0]} to {track.t_ns[-1]} ns and "
+            f"images from {t_ns[0]} to {t_ns[-1]} ns",
+            path=log.path,
+            field="--poses",
+        )
+    trajectory = track.sampled(t_ns[inside])
+    _require_motion(log, trajectory)
+    used = [edges[index] for index in inside]
+    return _from_known_poses(log, trajectory, used, config, exact=poses != ODOMETRY, source=poses)
+
+
+def known_poses(log: Log, poses: str) -> Trajectory:
+    """Return the robot's poses in the map frame, from the log's truth, its odometry, or a file. Raises InputError."""
+    if poses == TRUTH:
+        if log.groundtruth is None:
+            raise InputError("the log has no true poses; expected another --poses", path=log.path, field="groundtruth")
+        return log.groundtruth
+    if poses == ODOMETRY:
+        return _odometry_in_map(log)
+    path = Path(poses)
+    if not path.exists():
+        raise InputError(
+            f"expected {TRUTH}, {ODOMETRY}, {SLAM} or the path of a trajectory, found {poses!r}", field="--poses"
+        )
+    return storage.load_poses(path) if path.suffix == ".csv" else storage.load_tum(path)
+
+
+def _odometry_in_map(log: Log) -> Trajectory:
+    """Return the odometry moved so that it begins at the log's stated start, where it has one."""
+    from localiser.geometry import compose
+
+    if log.start is None:
+        return log.odometry
+    first = log.odometry.at(log.start.t_ns)
+    return Trajectory(log.odometry.t_ns, compose(log.start.mean, between(first, log.odometry.poses)))
+
+
+def _require_motion(log: Log, trajectory: Trajectory) -> None:
+    moved = trajectory.poses[:, :2] - trajectory.poses[0, :2]
+    farthest = float(np.hypot(moved[:, 0], moved[:, 1]).max())
+    if farthest < _STANDING_M:
+        raise InputError(
+            f"expected a robot that drives, found one that stays within {farthest:.3f} m: without motion an edge is "
+            "seen from one side only, and its distance cannot be told",
+            path=log.path,
+        )
+
+
+def _from_known_poses(
+    log: Log, trajectory: Trajectory, edges: list[Edges], config: Config, *, exact: bool, source: str
+) -> MapBuilt:
+    parameters = config.mapping
+    cameras = log.camera.pose_in_map(trajectory.poses)
+    sightings = mapping.Sightings.from_edges(edges, log.camera)
+    _require_edges(log, sightings)
+    turn_sigma = np.full(len(trajectory), _KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config)
+    track = mapping.follow(sightings, cameras, turn_sigma, parameters.tracks)
+    sigma = mapping.measured_sigma(sightings, log.camera.focal_px, parameters)
+    built = mapping.build_from_poses(sightings, track, cameras, sigma, parameters)
+    source = source if source in (TRUTH, ODOMETRY) else Path(source).name
+    landmark_map = mapping.landmark_map_of(
+        sightings, built, cameras, sigma, log.camera, parameters, log.name, f"{log.name}, poses: {source}"
+    )
+    if not len(landmark_map):
+        raise nothing_built(log, built, parameters)
+    return MapBuilt(landmark_map, trajectory, edges, sightings, built)
+
+
+def turn_sigmas(trajectory: Trajectory, config: Config) -> Array:
+    """Return by how much (T,) rad the turn since the frame before may be off, for poses from odometry."""
+    moves = between(trajectory.poses[:-1], trajectory.poses[1:])
+    turns = [motion.noise_variances(Increment.from_mean(move), config.motion)[1] for move in moves]
+    return np.hypot(_KNOWN_TURN_RAD, np.sqrt([0.0, *turns]))
+
+
+def _require_edges(log: Log, sightings: mapping.Sightings) -> None:
+    if len(sightings) == 0:
+        raise InputError(
+            f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
+        )
+
+
+def nothing_built(log: Log, built: mapping.Built, parameters: mapping.MappingParameters) -> InputError:
+    """Return the error that says why no landmark came out."""
+    followed = built.count >= parameters.sightings_min
+    if not followed.any():
+        most = int(built.count.max(initial=0))
+        return InputError(
+            f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
+            f"(at most {most}): what the images show is clutter, or too few of them overlap",
+            path=log.path,
+        )
+    widest = float(np.rad2deg(built.parallax[followed].max()))
+    if widest < parameters.parallax_min_deg:
+        return InputError(
+            f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found at most {widest:.1f}°: "
+            "too little parallax to tell distances; drive past things, not only towards them",
+            path=log.path,
+        )
+    return InputError(
+        "expected edges that are found again where they should be, found none likely enough to exist: what the images "
+        "show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
+
+
+def save(built: MapBuilt, path: Path, *, overwrite: bool) -> None:
+    """Write the map. Raises OutputError when the file exists and is not to be overwritten, or cannot be written."""
+    require_writable(path, overwrite=overwrite)
+    storage.save_map(replace(built.landmark_map, header=_header(built)), path)
+
+
+def require_writable(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputError when there is a file at `path` that is not to be overwritten."""
+    if path.is_dir():
+        raise OutputError(f"{path}: expected the name of a file, found a folder")
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path}: exists already; --force overwrites it")
+
+
+def _header(built: MapBuilt) -> dict[str, object]:
+    return {"built_from_frames": len(built.trajectory)}

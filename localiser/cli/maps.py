@@ -1,0 +1,88 @@
+"""`localiser map`: build maps, and look at them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
+
+if TYPE_CHECKING:
+    from localiser.app.map_build import MapBuilt
+
+map_app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Build landmark maps, and look at them.")
+
+MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="Landmark map (YAML).")]
+
+
+@map_app.command(
+    epilog="""Examples:
+
+`localiser map build logs/corridor --poses truth -o maps/mine.yaml`
+
+`localiser map build logs/corridor --poses mine.tum -o maps/mine.yaml --set mapping.parallax_min_deg=8`"""
+)
+def build(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder, or FOLDER:N of the UTIAS MRCLAM data set.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write.")],
+    poses: Annotated[
+        str,
+        typer.Option(
+            metavar="truth|FILE|odometry",
+            help="Where the robot was: the log's truth, a trajectory (TUM, or CSV t_ns,x,z,heading), or its odometry.",
+        ),
+    ] = "truth",
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    log_format: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="folder or mrclam; by default found out.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing map.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build a map of the vertical edges that a LOG shows, with what is known of each."""
+    from localiser.app import map_build
+    from localiser.config import load_config
+    from localiser.storage import open_log
+
+    map_build.require_writable(out, overwrite=force)
+    settings = [*(overrides or [])]
+    recorded = open_log(log, format=log_format, sensor=load_config(config, settings).sensor)
+    effective = load_config(config, settings, recorded.settings)
+    with progress("Finding edges", len(recorded.frames), quiet) as advance:
+        built = map_build.build_map(recorded, poses, effective, advance)
+    map_build.save(built, out, overwrite=force)
+    if not quiet:
+        _show_built(built, out)
+
+
+def _show_built(built: MapBuilt, out: Path) -> None:
+    from localiser.app.map_show import summary_table
+
+    show(summary_table(built.landmark_map))
+    typer.echo(f"{len(built.landmark_map)} landmarks in {out}; `localiser map show {out}` draws them.")
+
+
+@map_app.command("show", epilog="Example: `localiser map show maps/corridor.yaml -o corridor.png`")
+def show_map(
+    map_file: MapFile,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture; by default MAP.png beside the map.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing picture.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw a MAP from above, with the certainty of every landmark, and print what is known of them."""
+    from localiser.app import map_show
+    from localiser.app.map_build import require_writable
+    from localiser.storage import load_map
+
+    landmark_map = load_map(map_file)
+    picture = out or map_file.with_suffix(".png")
+    require_writable(picture, overwrite=force)
+    map_show.save_picture(landmark_map, picture)
+    if not quiet:
+        show(map_show.summary_table(landmark_map))
+        typer.echo(f"Picture in {picture}")

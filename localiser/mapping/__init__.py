@@ -1,0 +1,21 @@
+"""Build landmark maps: from logs with known poses, and from logs alone."""
+
+from localiser.mapping.known import build_from_poses
+from localiser.mapping.landmarks import Built, measured_sigma
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.quality import landmark_map_of
+from localiser.mapping.sightings import Sightings, direction_of, parallax
+from localiser.mapping.tracks import TrackParameters, follow
+
+__all__ = [
+    "Built",
+    "MappingParameters",
+    "Sightings",
+    "TrackParameters",
+    "build_from_poses",
+    "direction_of",
+    "follow",
+    "landmark_map_of",
+    "measured_sigma",
+    "parallax",
+]

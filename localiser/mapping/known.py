@@ -1,0 +1,33 @@
+"""Landmarks from known poses: follow, triangulate, join, and associate again until nothing changes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from localiser.geometry import Array
+from localiser.mapping.landmarks import Built, joined, long_enough, numbered
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.reassociate import reassociate
+from localiser.mapping.sightings import Index, Sightings
+
+_ROUNDS = 6
+
+
+def build_from_poses(
+    sightings: Sightings, track: Index, cameras: Array, sigma: Array, parameters: MappingParameters
+) -> Built:
+    """Return the landmarks that tracks (S,) make, seen from cameras (T, 3), with bearing errors sigma (S,) rad."""
+    built = joined(sightings, long_enough(track), cameras, sigma, parameters)
+    for _ in range(_ROUNDS):
+        of = reassociate(sightings, built, cameras, sigma, parameters)
+        if (of == built.of).all():
+            break
+        built = joined(sightings, with_leftovers(of, track), cameras, sigma, parameters)
+    return built
+
+
+def with_leftovers(of: Index, track: Index) -> Index:
+    """Return the landmarks `of` (S,), and what no landmark took as groups by its tracks (S,)."""
+    left = of < 0
+    rest = long_enough(np.where(left, track, -1))
+    return numbered(long_enough(np.where(left & (rest >= 0), rest + of.max(initial=-1) + 1, of)))

@@ -1,0 +1,172 @@
+"""Tracks become landmarks: triangulate, join what is one edge, until nothing changes.
+
+The unit of association is the track: a single edge matches some landmark by chance rather often, a run of edges whose
+directions change as those of one point does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array, wrap_angle
+from localiser.mapping.likeness import log_likeness
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.sightings import Index, Sightings, direction_of
+from localiser.mapping.triangulate import Triangulated, triangulate
+
+SHORTEST_TRACK = 3
+_JOIN_CHI2 = 11.8  # 99.7 % of a Gaussian in the plane: three sigmas
+_UNLIKE = -3.0  # log-likelihood ratio of looks below which two tracks are not one edge
+_VAGUE_M = 0.5  # a place less certain than this says nothing
+_ROUNDS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Built:
+    """Landmarks (L) and which sightings (S) show them.
+
+    of: (S,) landmark of each sighting, -1 for none. used: (K,) the sightings that have one. fit: of those K.
+    parallax: (L,) rad. count: (L,) frames that show it. side, polarity, profile: (L, 2), (L,), (L, P) how it looks.
+    """
+
+    of: Index
+    used: Index
+    fit: Triangulated
+    parallax: Array
+    count: Index
+    side: Array
+    polarity: NDArray[np.int8]
+    profile: Array
+
+    def __len__(self) -> int:
+        return len(self.parallax)
+
+    @property
+    def cov(self) -> Array:
+        """Covariance (L, 2, 2) m² by the spread of the bearings, never better than their stated errors allow."""
+        landmark = self.of[self.used]
+        excess = np.bincount(landmark, self.fit.chi2 * self.fit.weight, len(self))
+        freedom = np.maximum(np.bincount(landmark, self.fit.weight, len(self)) - 2, 1)
+        return self.fit.cov * np.maximum(excess / freedom, 1.0)[:, None, None]
+
+
+def measured_sigma(sightings: Sightings, focal_px: float, parameters: MappingParameters) -> Array:
+    """Return the sigma (S,) rad of each bearing with what does not average out."""
+    return np.hypot(sightings.sigma, parameters.systematic_px / focal_px)
+
+
+def joined(sightings: Sightings, of: Index, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
+    """Return the landmarks that groups of sightings, `of` (S,), make when all that are one edge are joined."""
+    built = fitted(sightings, numbered(of), cameras, sigma)
+    for _ in range(_ROUNDS):
+        number = _join(built, parameters)
+        if (number == np.arange(len(built))).all():
+            break
+        built = fitted(sightings, numbered(np.where(built.of >= 0, number[built.of], -1)), cameras, sigma)
+    return built
+
+
+def long_enough(of: Index, shortest: int = SHORTEST_TRACK) -> Index:
+    """Return the labels (S,) with those that occur less often than `shortest` times replaced by -1."""
+    count = np.bincount(of + 1)
+    return np.where(count[of + 1] >= shortest, of, -1)
+
+
+def fitted(sightings: Sightings, of: Index, cameras: Array, sigma: Array) -> Built:
+    """Return the landmarks that the sightings (S,) with the numbers `of` make; -1 is left out."""
+    used = np.flatnonzero(of >= 0)
+    landmark = of[used]
+    count = int(landmark.max(initial=-1)) + 1
+    seen_from = cameras[sightings.frame[used]]
+    direction = wrap_angle(seen_from[:, 2] - sightings.bearing[used])
+    fit = triangulate(landmark, count, seen_from, direction, sigma[used])
+    good = fit.weight > 0.5
+    heading, _ = direction_of(fit.points[landmark], seen_from)
+    frames = np.unique(np.stack([landmark[good], sightings.frame[used][good]]), axis=1)[0]
+    return Built(
+        of=of,
+        used=used,
+        fit=fit,
+        parallax=_spread(landmark[good], count, heading[good]),
+        count=np.bincount(frames, minlength=count),
+        side=_medians(landmark, count, sightings.side[used]),
+        polarity=np.sign(np.bincount(landmark, sightings.polarity[used], count)).astype(np.int8),
+        profile=_medians(landmark, count, sightings.profile[used]),
+    )
+
+
+def _join(built: Built, parameters: MappingParameters) -> Index:
+    """Return for each landmark (L) the number of the one that it is the same as; its own where there is none.
+
+    Two are one when their positions differ by no more than their errors, and they look alike. Best pairs first; each
+    landmark joins once a round, because joining moves it.
+    """
+    one, other = _near(built, parameters)
+    chi2 = _distance2(built, one, other, parameters)
+    order = np.argsort(chi2, kind="stable")
+    order = order[chi2[order] < _JOIN_CHI2]
+    number = np.arange(len(built))
+    taken = np.zeros(len(built), dtype=bool)
+    for i, j in zip(one[order], other[order], strict=True):
+        if not (taken[i] or taken[j]) and _alike(built, i, j):
+            taken[i] = taken[j] = True
+            number[j] = i
+    return number
+
+
+def _near(built: Built, parameters: MappingParameters) -> tuple[Index, Index]:
+    """Return the pairs of landmarks that may be one by their place; one of a pair at least must be well known.
+
+    The error of a track of little parallax reaches over half the building: it would join anything.
+    """
+    sigma = np.sqrt(np.linalg.eigvalsh(built.cov)[:, 1]) + parameters.plumb_sigma_m
+    certain = np.flatnonzero(sigma < _VAGUE_M)
+    points, sigma = built.fit.points[certain], sigma[certain]
+    apart = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+    known = built.parallax[certain] >= np.deg2rad(parameters.parallax_min_deg) / 2
+    near = apart < np.sqrt(_JOIN_CHI2) * (sigma[:, None] + sigma[None])
+    one, other = np.nonzero(np.triu(near & (known[:, None] | known[None]), k=1))
+    return certain[one], certain[other]
+
+
+def _alike(built: Built, one: int, other: int) -> bool:
+    looks = log_likeness(built.side[[one]], built.polarity[[one]], built.side[[other]], built.polarity[[other]])
+    return bool(looks[0, 0] > _UNLIKE)
+
+
+def _distance2(built: Built, one: Index, other: Index, parameters: MappingParameters) -> Array:
+    """Return the squared Mahalanobis distances (P,) between pairs of landmarks."""
+    cov = built.cov
+    total = cov[one] + cov[other] + parameters.plumb_sigma_m**2 * np.eye(2)
+    offset = built.fit.points[one] - built.fit.points[other]
+    return np.asarray(np.einsum("pi,pij,pj->p", offset, np.linalg.inv(total), offset))
+
+
+def numbered(of: Index) -> Index:
+    """Return the labels (S,) renumbered without gaps, -1 kept."""
+    labels, number = np.unique(of, return_inverse=True)
+    return number - 1 if labels[0] == -1 else number
+
+
+def _spread(group: Index, count: int, heading: Array) -> Array:
+    """Return the widest angle (L,) rad between the headings (K,) of each group."""
+    x, y = (np.bincount(group, part, count) for part in (np.cos(heading), np.sin(heading)))
+    turned = wrap_angle(heading - np.arctan2(y, x)[group])
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(low, group, turned)
+    np.maximum.at(high, group, turned)
+    return np.where(np.isfinite(low), high - low, 0.0)
+
+
+def _medians(group: Index, count: int, values: Array) -> Array:
+    """Return the lower medians (L, C) of values (K, C) of each group, nan for none."""
+    size = np.bincount(group, minlength=count)
+    middle = np.cumsum(size) - size + np.maximum(size - 1, 0) // 2
+    result = np.full((count, values.shape[1]), np.nan)
+    for column in range(values.shape[1]):
+        ordered = values[np.lexsort((values[:, column], group)), column]
+        result[size > 0, column] = ordered[middle[size > 0]]
+    return result

@@ -1,0 +1,146 @@
+"""What is known of each landmark beside its place: whether it exists, how high it reaches, how it looks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
+from localiser.mapping.landmarks import Built
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.sightings import Index, Sightings, direction_of
+
+_END_SHARE = 0.1  # share of sightings that may reach beyond a landmark's stated end
+_MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
+_BESIDE_RAD = np.deg2rad(3.0)  # so far beside the directions it was seen from, a landmark is still expected to be seen
+_BESIDE_SHARE = 0.15  # likewise nearer or farther
+
+
+def existence(
+    sightings: Sightings,
+    built: Built,
+    heights: tuple[Array, Array],
+    cameras: Array,
+    sigma: Array,
+    camera: Camera,
+    parameters: MappingParameters,
+) -> Array:
+    """Return the probability (L,) that each landmark exists, against its sightings being unrelated clutter.
+
+    log-odds = Σ_seen ln(p N(r; σ²) / λ) + ln(2π √|C| / A) + Σ_missed ln(1 - p): the marginal likelihood of the
+    sightings of a landmark that stands anywhere in view (area A), with chance p of being found, over that of clutter
+    of density λ per radian [Blackman, Popoli 1999, ch. 6].
+    """
+    found = parameters.tracks.found
+    landmark = built.of[built.used]
+    span = 2.0 * np.arctan(camera.width / 2 / camera.focal_px)
+    area = span / 2 * parameters.range_max_m**2
+    unexplained = max(int((built.of < 0).sum()), sightings.frames)
+    clutter_per_rad = unexplained / (sightings.frames * span)
+    spread = sigma[built.used]
+    gain = np.log(found / (clutter_per_rad * np.sqrt(2 * np.pi) * spread)) - 0.5 * built.fit.chi2
+    # A sighting that does not fit is no evidence, for or against.
+    evidence = np.bincount(landmark, np.maximum(gain, 0.0) * (built.fit.weight > 0.5), len(built))
+    volume = np.log(2 * np.pi * np.sqrt(np.linalg.det(built.cov)) / area)
+    missed = expected(sightings, built, heights, cameras, camera, parameters) - built.count
+    odds = evidence + np.minimum(volume, 0.0) + np.maximum(missed, 0) * np.log(1 - found)
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_EVIDENCE, _MOST_EVIDENCE))))
+
+
+def expected(
+    sightings: Sightings,
+    built: Built,
+    heights: tuple[Array, Array],
+    cameras: Array,
+    camera: Camera,
+    parameters: MappingParameters,
+) -> Index:
+    """Return how many frames (L,) should show each landmark: from directions and distances like those that did.
+
+    From elsewhere it may be hidden, which is no evidence against it.
+    """
+    landmark = built.of[built.used]
+    heading, range_m = direction_of(built.fit.points[landmark], cameras[sightings.frame[built.used]])
+    seen_from = _views(landmark, heading, range_m)
+    plain = LandmarkMap.from_points(built.fit.points, bottom_m=heights[0], top_m=heights[1])
+    limits = SightParameters(range_max_m=parameters.range_max_m, length_min_px=30.0, margin_px=-10.0)
+    count = np.zeros(len(built), dtype=np.int64)
+    for start in range(0, sightings.frames, 256):
+        pairs = sight(camera, cameras[start : start + 256], plain, limits)
+        heading, range_m = direction_of(built.fit.points[pairs.landmark], cameras[start + pairs.pose])
+        known = np.isin(_views(pairs.landmark, heading, range_m), seen_from)
+        count += np.bincount(pairs.landmark[known], minlength=len(built))
+    return np.maximum(count, built.count)
+
+
+def _views(landmark: Index, heading: Array, range_m: Array) -> Index:
+    """Return one number (K,) for views of one landmark from nearly the same direction and distance."""
+    direction = np.floor((heading % (2 * np.pi)) / (2 * _BESIDE_RAD)).astype(np.int64)
+    distance = np.floor(np.log(np.maximum(range_m, 0.05)) / (2 * _BESIDE_SHARE)).astype(np.int64)
+    return np.asarray((landmark * 1000 + direction) * 1000 + distance + 500)
+
+
+def height_span(sightings: Sightings, built: Built, cameras: Array, camera: Camera) -> tuple[Array, Array]:
+    """Return bottom and top (L,) m above the floor of each landmark; nan where it goes on beyond every image.
+
+    Edges end where something hides them or their contrast fades, so the span is nearly the widest that was seen.
+    """
+    landmark = built.of[built.used]
+    pose = cameras[sightings.frame[built.used]]
+    _, range_m = direction_of(built.fit.points[landmark], pose)
+    ahead = range_m * np.cos(sightings.bearing[built.used])
+    height = camera.mount.height_m + ahead[:, None] * sightings.slope_up[built.used]
+    cut = sightings.cut[built.used]
+    bottom = _outermost(landmark, len(built), -height[:, 0], cut[:, 0])
+    top = _outermost(landmark, len(built), height[:, 1], cut[:, 1])
+    bottom = np.maximum(-bottom, 0.0)
+    return np.where(bottom > top, np.nan, bottom), np.where(bottom > top, np.nan, top)
+
+
+def _outermost(landmark: Index, count: int, height: Array, cut: NDArray[np.bool_]) -> Array:
+    """Return the height (L,) that all but a tenth of the sightings (K,) stay below; nan if only cut ones reach it."""
+    result = np.full(count, np.nan)
+    order = np.argsort(landmark, kind="stable")
+    for index in np.split(order, np.flatnonzero(np.diff(landmark[order])) + 1):
+        if len(index) == 0:
+            continue
+        known = index[np.isfinite(height[index])]
+        if len(known) == 0:
+            continue
+        limit = np.quantile(height[known], 1 - _END_SHARE, method="closest_observation")
+        beyond = known[height[known] >= limit]
+        result[landmark[index[0]]] = np.nan if cut[beyond].all() else limit
+    return result
+
+
+def worth_keeping(built: Built, probability: Array, parameters: MappingParameters) -> NDArray[np.bool_]:
+    """Return which landmarks (L,) belong on a map: seen often enough, from far enough apart, likely to be there."""
+    return np.asarray(
+        (built.parallax >= np.deg2rad(parameters.parallax_min_deg))
+        & (built.count >= parameters.sightings_min)
+        & (probability >= parameters.existence_min)
+    )
+
+
+def landmark_map_of(
+    sightings: Sightings,
+    built: Built,
+    cameras: Array,
+    sigma: Array,
+    camera: Camera,
+    parameters: MappingParameters,
+    name: str,
+    source: str,
+) -> LandmarkMap:
+    """Return the map of the landmarks that are worth keeping, with all that is known of each; it may be empty."""
+    heights = height_span(sightings, built, cameras, camera)
+    probability = existence(sightings, built, heights, cameras, sigma, camera, parameters)
+    whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
+    quality = Quality(built.count.astype(np.float64), built.parallax, probability, built.profile)
+    whole = replace(whole, cov=built.cov, polarity=built.polarity, quality=quality)
+    kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters)))
+    return replace(kept, ids=tuple(range(len(kept))))

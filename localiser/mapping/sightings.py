@@ -1,0 +1,133 @@
+"""All edges of a log as one table, and the poses from which they were seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser import geometry
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+
+Index = NDArray[np.int64]
+_BORDER_PX = 3.0  # an end this close to the image border goes on outside
+_SIDE = 3  # outer samples of a profile that make up one side of the edge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """The edges of T frames as columns, S of them, sorted by frame.
+
+    first: (T + 1,) where each frame's edges begin. frame: (S,). bearing, sigma: (S,) rad, in the camera's level frame.
+    polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown. length_px: (S,).
+    slope_up: (S, 2) height above the camera of the lower and the upper end per metre ahead. cut: (S, 2) whether
+    that end lies at the image's border, so that the edge may go on. foot_m, foot_sigma_m: (S,) range of the foot if it
+    stands on the floor, nan where no foot is seen. profile: (S, P).
+    """
+
+    first: Index
+    frame: Index
+    bearing: Array
+    sigma: Array
+    polarity: NDArray[np.int8]
+    side: Array
+    length_px: Array
+    slope_up: Array
+    cut: NDArray[np.bool_]
+    foot_m: Array
+    foot_sigma_m: Array
+    profile: Array
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return len(self.first) - 1
+
+    @classmethod
+    def from_edges(cls, frames: Sequence[Edges], camera: Camera) -> Sightings:
+        """Return the table of the edges of T frames, all seen by one camera."""
+        count = np.array([len(edges) for edges in frames], dtype=np.int64)
+        first = np.concatenate([[0], np.cumsum(count)])
+
+        def column(name: str, shape: tuple[int, ...] = ()) -> Array:
+            parts = [getattr(edges, name) for edges in frames if len(edges)]
+            return np.concatenate(parts) if parts else np.zeros((0, *shape))
+
+        profile = _profiles(frames)
+        ends_px = column("ends_px", (2, 2))
+        slope_up, cut = _ends(ends_px, camera)
+        return cls(
+            first=first,
+            frame=np.repeat(np.arange(len(frames)), count),
+            bearing=column("bearing"),
+            sigma=column("bearing_sigma"),
+            polarity=column("polarity").astype(np.int8),
+            side=_sides(profile),
+            length_px=column("length_px"),
+            slope_up=slope_up,
+            cut=cut,
+            foot_m=column("foot_range_m"),
+            foot_sigma_m=column("foot_range_sigma_m"),
+            profile=profile,
+        )
+
+    def direction(self, camera_poses: Array) -> Array:
+        """Return the heading (S,) rad in the map along which each edge was seen; camera_poses: (T, 3)."""
+        return np.asarray(camera_poses[self.frame, 2] - self.bearing)
+
+
+def _profiles(frames: Sequence[Edges]) -> Array:
+    """Return the profiles (S, P) of all edges; nan for those of frames that know none."""
+    parts = [edges.profile for edges in frames if len(edges)]
+    width = max((part.shape[1] for part in parts), default=0)
+    parts = [part if part.shape[1] == width else np.full((len(part), width), np.nan) for part in parts]
+    return np.concatenate(parts) if parts else np.zeros((0, width))
+
+
+def _sides(profile: Array) -> Array:
+    """Return the median grey value (S, 2) left and right of the edge, nan where no profile is known."""
+    if profile.shape[1] < 2 * _SIDE:
+        return np.full((len(profile), 2), np.nan)
+    middle = profile.shape[1] // 2
+    # The samples next to the edge hold its blur, the outermost ones perhaps the next edge.
+    left, right = profile[:, middle - _SIDE : middle], profile[:, middle + 1 : middle + 1 + _SIDE]
+    return np.stack([np.median(left, axis=1), np.median(right, axis=1)], axis=-1)
+
+
+def _ends(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """Return height per metre ahead (S, 2) of the ends (S, 2, 2), and whether each is cut off by the border."""
+    upright = camera.upright_from_pixels(ends_px)
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    e = upright[..., 1]
+    size = np.array([camera.width, camera.height])
+    cut = ~((ends_px >= _BORDER_PX) & (ends_px <= size - 1 - _BORDER_PX)).all(axis=-1)
+    # The inverse of e = (c y + s d) / (c d - s y), for y above the camera and d ahead of it.
+    return np.asarray((e * c - s) / (c + e * s)), np.asarray(cut)
+
+
+def direction_of(points: Array, cameras: Array) -> tuple[Array, Array]:
+    """Return heading (K,) rad and distance (K,) m from cameras (K, 2+) to points (K, 2), in the map."""
+    offset = points - cameras[:, :2]
+    return np.arctan2(-offset[:, 0], -offset[:, 1]), np.hypot(offset[:, 0], offset[:, 1])
+
+
+def per_point(points: Array, cameras: Array) -> Array:
+    """Return the derivative (K, 2) of `direction_of`'s heading by the point's (x, z)."""
+    offset = points - cameras[:, :2]
+    squared = np.maximum((offset**2).sum(axis=1), 1e-12)
+    return np.asarray(np.stack([offset[:, 1], -offset[:, 0]], axis=-1) / squared[:, None])
+
+
+def parallax(directions: Array) -> float:
+    """Return the widest angle (rad) between headings (K,) that lie within half a turn of each other."""
+    if len(directions) < 2:
+        return 0.0
+    turned = geometry.wrap_angle(directions - geometry.circular_mean(directions))
+    return float(turned.max() - turned.min())

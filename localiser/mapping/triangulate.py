@@ -1,0 +1,153 @@
+"""Landmarks from bearings at known poses: a robust least-squares problem of two unknowns for each.
+
+Minimises Σ ρ((φ_k - direction(point - camera_k)) / σ_k) with Cauchy's ρ by damped Gauss-Newton, all landmarks at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array, forward, wrap_angle
+from localiser.mapping.sightings import Index, direction_of, per_point
+
+CAUCHY = 2.0  # sigmas beyond which a bearing's say falls
+_ITERATIONS = 30
+_DAMPING, _MOST_DAMPING = 1e-3, 1e4
+_SMALL_M = 1e-5  # a step below this is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangulated:
+    """Landmarks (L) and how the bearings (K) they were made of fit.
+
+    points: (L, 2). information: (L, 2, 2) 1/m², of independent bearings. residual: (K,) rad. weight: (K,) 0…1, of the
+    robust cost. depth_m: (K,) distance in front of the camera along the measured direction; negative is behind.
+    chi2: (K,) squared residuals in sigmas.
+    """
+
+    points: Array
+    information: Array
+    residual: Array
+    weight: Array
+    depth_m: Array
+    chi2: Array
+
+    @property
+    def cov(self) -> Array:
+        """Covariance (L, 2, 2) m² of independent bearings; very large where bearings tell too little."""
+        trace = np.trace(self.information, axis1=1, axis2=2)[:, None, None]
+        return np.asarray(np.linalg.inv(self.information + (1e-12 * trace + 1e-6) * np.eye(2)))
+
+
+def triangulate(
+    landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array, start: Array | None = None
+) -> Triangulated:
+    """Return `count` landmarks (L) from bearings (K): landmark (K,) says whose, cameras (K, 2+) where from.
+
+    direction, sigma: (K,) rad, headings in the map. start: (L, 2), by default the linear solution. A landmark without
+    two different bearings has no information and stays where it started.
+    """
+    points = _linear(landmark, count, cameras, direction, sigma) if start is None else start.copy()
+    rays = _Rays(landmark, cameras[:, :2], direction, sigma)
+    active = np.arange(count)
+    damping = np.full(count, _DAMPING)
+    for _ in range(_ITERATIONS):
+        moved, damping_now, done = _step(points[active], damping[active], rays)
+        points[active], damping[active] = moved, damping_now
+        if done.all():
+            break
+        rays, active = rays.of(~done), active[~done]
+    residual, jacobian, weight = _linearised(points, landmark, cameras, direction, sigma)
+    normal, _ = _normal(landmark, count, residual / sigma, jacobian / sigma[:, None], weight)
+    offset = points[landmark] - cameras[:, :2]
+    depth = (offset * forward(direction)).sum(axis=1)
+    return Triangulated(points, normal, residual, weight, depth, (residual / sigma) ** 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rays:
+    """Bearings (K,): whose landmark, from where (K, 2), along which heading (K,), how certain (K,)."""
+
+    landmark: Index
+    cameras: Array
+    direction: Array
+    sigma: Array
+
+    def of(self, chosen: NDArray[np.bool_]) -> _Rays:
+        """Return the rays of the chosen landmarks (L,), which are numbered anew."""
+        kept = chosen[self.landmark]
+        number = np.cumsum(chosen) - 1
+        return _Rays(number[self.landmark[kept]], self.cameras[kept], self.direction[kept], self.sigma[kept])
+
+
+def _step(points: Array, damping: Array, rays: _Rays) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return points (L, 2) after one step of Levenberg-Marquardt, the damping (L,) for the next, and who is done."""
+    count = len(points)
+    residual, jacobian, weight = _linearised(points, rays.landmark, rays.cameras, rays.direction, rays.sigma)
+    scaled = residual / rays.sigma
+    normal, gradient = _normal(rays.landmark, count, scaled, jacobian / rays.sigma[:, None], weight)
+    step = _solve(normal + damping[:, None, None] * _diagonal(normal), gradient)
+    moved = points + step
+    predicted, _ = direction_of(moved[rays.landmark], rays.cameras)
+    after = _cost(rays.landmark, count, wrap_angle(rays.direction - predicted) / rays.sigma)
+    better = after < _cost(rays.landmark, count, scaled)
+    done = (np.hypot(step[:, 0], step[:, 1]) < _SMALL_M) | (~better & (damping > _MOST_DAMPING))
+    return np.where(better[:, None], moved, points), np.where(better, damping / 10, damping * 10), done
+
+
+def _linear(landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array) -> Array:
+    """Return the points (L, 2) nearest to all rays, each ray weighed by its bearing's certainty."""
+    ahead = forward(direction)
+    across = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    weight = np.minimum(sigma, 1.0) ** -2
+    offset = (across * cameras[:, :2]).sum(axis=1)
+    normal = _sum_by(landmark, count, weight[:, None, None] * across[:, :, None] * across[:, None, :])
+    right = _sum_by(landmark, count, (weight * offset)[:, None] * across)
+    middle = _sum_by(landmark, count, cameras[:, :2]) / np.maximum(np.bincount(landmark, minlength=count), 1)[:, None]
+    # Rays that are all but parallel meet nowhere: a little regularisation keeps the point near the cameras.
+    regular = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-12 * np.eye(2)
+    return middle + _solve(normal + regular, right - np.einsum("lij,lj->li", normal, middle))
+
+
+def _linearised(
+    points: Array, landmark: Index, cameras: Array, direction: Array, sigma: Array
+) -> tuple[Array, Array, Array]:
+    """Return residual (K,), Jacobian of the prediction (K, 2) and robust weight (K,)."""
+    at = points[landmark]
+    predicted, _ = direction_of(at, cameras)
+    residual = wrap_angle(direction - predicted)
+    return residual, per_point(at, cameras), 1.0 / (1.0 + (residual / (CAUCHY * sigma)) ** 2)
+
+
+def _cost(landmark: Index, count: int, scaled: Array) -> Array:
+    """Return the robust cost (L,) of residuals (K,) in sigmas."""
+    return np.asarray(np.bincount(landmark, CAUCHY**2 * np.log1p((scaled / CAUCHY) ** 2), count), dtype=np.float64)
+
+
+def _normal(landmark: Index, count: int, residual: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
+    normal = _sum_by(landmark, count, weight[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :])
+    return normal, _sum_by(landmark, count, (weight * residual)[:, None] * jacobian)
+
+
+def _diagonal(normal: Array) -> Array:
+    return np.asarray(np.einsum("lii->li", normal)[:, :, None] * np.eye(2) + 1e-9 * np.eye(2))
+
+
+def _solve(normal: Array, right: Array) -> Array:
+    """Return the solutions (L, 2) of 2×2 systems; 0 where a system is singular."""
+    (a, b), (_, d) = np.moveaxis(normal[:, 0], -1, 0), np.moveaxis(normal[:, 1], -1, 0)
+    determinant = a * d - b**2
+    safe = np.where(determinant > 1e-300, determinant, np.inf)
+    x = (d * right[:, 0] - b * right[:, 1]) / safe
+    z = (a * right[:, 1] - b * right[:, 0]) / safe
+    return np.stack([x, z], axis=-1)
+
+
+def _sum_by(group: Index, count: int, values: Array) -> Array:
+    """Return the sums (L, …) of values (K, …) by group (K,)."""
+    flat = values.reshape(len(values), -1)
+    summed = np.stack([np.bincount(group, flat[:, i], count) for i in range(flat.shape[1])], axis=-1)
+    return np.asarray(summed.reshape(count, *values.shape[1:]), dtype=np.float64)

@@ -1,0 +1,184 @@
+"""`localiser map`: from the command line to files, and every bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mapping_worlds import world
+from typer.testing import CliRunner, Result
+
+from localiser import mcl
+from localiser.app import map_edges
+from localiser.cli.main import app
+from localiser.edges import EdgeParameters, Edges
+from localiser.errors import LocaliserError
+from localiser.geometry import Trajectory
+from localiser.storage import load_map, open_log, save_tum, write_log
+
+LOG = Path(__file__).resolve().parent.parent / "logs" / "corridor"
+
+
+def run(*arguments: object) -> Result:
+    """Run a command; errors that a user sees become the output, as in `main`."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit | LocaliserError):
+        raise result.exception
+    return result
+
+
+def refused(*arguments: object) -> str:
+    """Return the message of a command that must be refused."""
+    result = run(*arguments)
+    assert isinstance(result.exception, LocaliserError), result.output
+    assert result.exception.exit_code == 2
+    return str(result.exception)
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Keep the edges of every test apart from the user's."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("LOCALISER_CACHE", str(folder))
+    return folder
+
+
+def edge_log(
+    folder: Path, edges: list[Edges], poses: np.ndarray | None = None, truth: bool = True, frames: int | None = None
+) -> Path:
+    """Write a log of edges of the corridor's drive, perhaps with other poses than the true ones."""
+    drive = world("corridor")
+    frames = frames or len(edges)
+    t_ns = drive.truth.t_ns[:frames]
+    track = Trajectory(t_ns, drive.truth.poses[:frames] if poses is None else poses[:frames])
+    write_log(
+        folder,
+        name="drive",
+        camera=drive.camera,
+        odometry=track,
+        sightings=[mcl.Sighting(int(t), edge) for t, edge in zip(t_ns, edges, strict=False)],
+        groundtruth=track if truth else None,
+    )
+    return folder
+
+
+def test_build_and_show(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
+    out = tmp_path / "map.yaml"
+    built = run("map", "build", log, "--poses", "truth", "-o", out)
+    assert built.exit_code == 0
+    landmark_map = load_map(out)
+    assert len(landmark_map) > 50
+    assert landmark_map.quality is not None
+    assert np.isfinite(landmark_map.cov).all()
+    assert f"{len(landmark_map)} landmarks" in built.output
+    shown = run("map", "show", out)
+    assert shown.exit_code == 0
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+    assert "exists already" in refused("map", "show", out)
+
+
+def test_poses_from_a_file_give_the_same_map_as_the_truth(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
+    save_tum(world("corridor").truth, tmp_path / "poses.tum")
+    for poses, name in (("truth", "a.yaml"), (tmp_path / "poses.tum", "b.yaml"), ("odometry", "c.yaml")):
+        assert run("map", "build", log, "--poses", poses, "-o", tmp_path / name, "-q").exit_code == 0
+    first, second, third = (load_map(tmp_path / name) for name in ("a.yaml", "b.yaml", "c.yaml"))
+    assert second.points == pytest.approx(first.points, abs=1e-6)
+    assert abs(len(third) - len(first)) <= 2  # this log's odometry is the truth, but less trusted while following
+
+
+def test_an_existing_map_is_not_overwritten_unasked(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
+    out = tmp_path / "map.yaml"
+    out.write_text("precious")
+    assert "exists already" in refused("map", "build", log, "-o", out)
+    assert out.read_text() == "precious"
+    assert run("map", "build", log, "-o", out, "--force", "-q").exit_code == 0
+    assert len(load_map(out)) > 50
+
+
+@pytest.mark.parametrize("poses", ["truth", "nowhere.tum"])
+def test_missing_poses_are_named(tmp_path: Path, poses: str) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0), truth=False)
+    message = refused("map", "build", log, "--poses", poses, "-o", tmp_path / "map.yaml")
+    assert "poses" in message
+    assert not (tmp_path / "map.yaml").exists()
+
+
+def test_a_robot_that_stands_still_makes_no_map(tmp_path: Path) -> None:
+    drive = world("corridor")
+    edges = drive.edges(seed=0)
+    log = edge_log(tmp_path / "log", [edges[0]] * 40, np.tile(drive.truth.poses[0], (40, 1)))
+    assert "expected a robot that drives" in refused("map", "build", log, "-o", tmp_path / "map.yaml")
+
+
+def test_too_little_parallax_is_said(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0, clutter=0.0), frames=6)
+    message = refused("map", "build", log, "-o", tmp_path / "map.yaml")
+    assert "parallax" in message
+    assert "°" in message
+
+
+def test_nothing_but_clutter_makes_no_map(tmp_path: Path) -> None:
+    drive = world("corridor")
+    clutter = [frame.take(frame.landmark_id < 0) for frame in drive.edges(seed=0, clutter=4.0)]
+    log = edge_log(tmp_path / "log", clutter)
+    assert "clutter" in refused("map", "build", log, "-o", tmp_path / "map.yaml")
+
+
+def test_images_without_edges_make_no_map(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", [Edges.none()] * 20)
+    assert "found none in 20" in refused("map", "build", log, "-o", tmp_path / "map.yaml")
+
+
+# -- the cache of edges -----------------------------------------------------------------------------------------------
+
+
+def first_images(count: int):  # type: ignore[no-untyped-def]
+    """Return the log of the corridor, cut to its first images."""
+    from dataclasses import replace
+
+    log = open_log(LOG)
+    return replace(log, frames=log.frames[:count])
+
+
+def test_a_second_build_finds_no_edges_anew(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = first_images(4)
+    steps: list[int] = []
+    first = map_edges.edges_of_log(log, EdgeParameters(), lambda: steps.append(1))
+
+    def never(*_: object) -> Edges:
+        raise AssertionError("edges were found again")
+
+    monkeypatch.setattr(map_edges, "find_edges", never)
+    second = map_edges.edges_of_log(log, EdgeParameters(), lambda: steps.append(1))
+    assert len(steps) == 8
+    assert len(list(cache.iterdir())) == 1
+    for one, other in zip(first, second, strict=True):
+        for name in ("bearing", "lean_sigma", "polarity", "ends_px", "profile", "foot_range_m", "landmark_id"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_array_equal(one.common.cov, other.common.cov)
+        np.testing.assert_array_equal(one.common.bearing_from_line, other.common.bearing_from_line)
+        assert one.common.names == other.common.names
+    with pytest.raises(AssertionError):
+        map_edges.edges_of_log(log, EdgeParameters(min_length_px=40.0), lambda: None)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
+def test_a_broken_cache_is_made_anew(cache: Path, content: bytes) -> None:
+    log = first_images(2)
+    first = map_edges.edges_of_log(log, EdgeParameters(), lambda: None)
+    (kept,) = cache.iterdir()
+    kept.write_bytes(content)
+    second = map_edges.edges_of_log(log, EdgeParameters(), lambda: None)
+    np.testing.assert_array_equal(first[1].bearing, second[1].bearing)
+    assert kept.stat().st_size > len(content)
+
+
+def test_a_cache_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    found = map_edges.edges_of_log(first_images(2), EdgeParameters(), lambda: None, blocked / "inside")
+    assert len(found[0]) > 0
