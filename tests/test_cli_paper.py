@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from conftest import ROOT
 from short_log import Localiser
 
 from localiser import geometry
@@ -98,6 +100,12 @@ def test_what_else_moves_psi() -> None:
     pixel = [numbers(cell)[0] for cell in rows["one pixel at each end, in both views"]]
     assert pixel[2] > 14.92 - 10.39
     assert max(pixel[3:]) < min(pixel[:3]) / 3
+
+
+@pytest.mark.parametrize("make", [table_1, steepest_slope, one_pixel, explanations])
+def test_the_docs_have_these_tables(make: Callable[[], Sheet]) -> None:
+    page = (ROOT / "docs" / "paper.md").read_text()
+    assert "\n".join(make().markdown().rstrip().splitlines()[1:]) in page
 
 
 # -- motions of edges that are measured exactly -----------------------------------------------------------------------

@@ -28,7 +28,8 @@ def paper(
     quiet: Quiet = False,
 ) -> None:
     """Reproduce the founding paper: its tables by our equations, its motions measured from rendered images."""
-    from localiser.app.paper import reproduce, require_new, steps
+    from localiser.app.outputs import require_new
+    from localiser.app.paper import reproduce, steps
 
     if out is not None:
         require_new(out)

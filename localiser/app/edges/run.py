@@ -13,11 +13,12 @@ from localiser.app.edges.compare import Comparison
 from localiser.app.edges.inputs import Taken
 from localiser.app.edges.overlay import save_overlay
 from localiser.app.edges.records import COLUMNS, csv_text, rows_of
+from localiser.app.outputs import require_new
 from localiser.app.stop import stop_request
 from localiser.camera import Camera
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import EdgeParameters, Edges, find_edges
-from localiser.errors import LocaliserError, OutputError, RunEndedEarlyError
+from localiser.errors import LocaliserError, RunEndedEarlyError
 from localiser.storage import Image, RunFolder, json_text, save_camera
 from localiser.storage.files import output_errors, write_text
 
@@ -35,9 +36,8 @@ class Outputs:
         """Return the folder, made. Raises OutputError when it holds something already."""
         if self.out is None:
             return RunFolder.create(Path("results"), "edges").path
+        require_new(self.out)
         with output_errors(self.out):
-            if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-                raise OutputError(f"{self.out}: expected a new or empty folder, found files in it")
             self.out.mkdir(parents=True, exist_ok=True)
         return self.out
 

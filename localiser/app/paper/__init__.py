@@ -1,6 +1,6 @@
 """The founding paper, reproduced: its tables by our equations, and its motions measured from rendered images."""
 
-from localiser.app.paper.measured import PLACES, steps
-from localiser.app.paper.reproduce import Reproduction, reproduce, require_new
+from localiser.app.paper.measured import steps
+from localiser.app.paper.reproduce import Reproduction, reproduce
 
-__all__ = ["PLACES", "Reproduction", "reproduce", "require_new", "steps"]
+__all__ = ["Reproduction", "reproduce", "steps"]

@@ -21,7 +21,6 @@ DETECTORS = ("hough", "columns")
 TURN_RAD = np.deg2rad(10.0)
 VIEWS = 4
 DRIVE_M = 0.25
-PLACES = 10
 _NEAR_RAD = np.deg2rad(1.0)
 
 Index = NDArray[np.int64]

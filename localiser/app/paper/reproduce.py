@@ -10,8 +10,7 @@ from localiser.app.paper import arithmetic, results
 from localiser.app.paper.figure import figure_png
 from localiser.app.paper.measured import Measured, measure
 from localiser.app.paper.sheet import Sheet
-from localiser.errors import OutputError
-from localiser.storage.files import output_errors, write_bytes, write_text
+from localiser.storage.files import write_bytes, write_text
 
 _HEAD = """# The paper, reproduced
 
@@ -34,13 +33,6 @@ class Reproduction:
         texts = [_HEAD.format(command=self.command), *(sheet.markdown() for sheet in self.sheets), "![](paper.png)\n"]
         write_text(folder / "paper.md", "\n".join(texts))
         write_bytes(folder / "paper.png", figure_png(self.found))
-
-
-def require_new(folder: Path) -> None:
-    """Raise OutputError when the folder holds something already; to be asked before all the work."""
-    with output_errors(folder):
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise OutputError(f"{folder}: expected a new or empty folder, found files in it")
 
 
 def reproduce(places: int, seed: int, progress: Callable[[], None]) -> Reproduction:

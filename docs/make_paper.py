@@ -1,0 +1,31 @@
+"""Make the tables and the figure of docs/paper.md anew: python docs/make_paper.py."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from localiser.app.paper import reproduce
+from localiser.app.paper.figure import figure_png
+
+PLACES, SEED = 10, 0
+DOCS = Path(__file__).parent
+
+
+def main() -> None:
+    """Replace what stands between the marks of each table."""
+    reproduction = reproduce(PLACES, SEED, lambda: None)
+    (DOCS / "figures" / "paper.png").write_bytes(figure_png(reproduction.found))
+    page = (DOCS / "paper.md").read_text()
+    for sheet in reproduction.sheets:
+        title, *rest = sheet.markdown().rstrip().splitlines()
+        table = "\n".join([f"**{title.removeprefix('## ')}**", *rest])
+        marks = re.compile(rf"(<!-- {sheet.name} -->\n).*?(\n<!-- end -->)", re.DOTALL)
+        page, count = marks.subn(lambda found, table=table: found[1] + table + found[2], page)
+        if count != 1:
+            raise SystemExit(f"expected one place for the table {sheet.name}, found {count}")
+    (DOCS / "paper.md").write_text(page)
+
+
+if __name__ == "__main__":
+    main()
