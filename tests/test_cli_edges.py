@@ -100,6 +100,16 @@ def test_json_and_csv_hold_the_same_edges(localiser: Localiser, folder: Path) ->
                     assert row[name] == ("" if value is None else str(value))
 
 
+def test_tilt_and_roll_by_the_edges_stand_beside_what_is_stated(localiser: Localiser, folder: Path) -> None:
+    save_camera(CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(0.8)), folder / "camera.yaml")
+    wide = ("--set", "edges.tilt_sigma_deg=3", "--set", "edges.plumb_sigma_deg=0.05")
+    found = json.loads((run(localiser, folder, folder / "0.png", *wide) / "0.json").read_text())
+    mount = found["detectors"]["columns"]["mount_by_edges"]
+    assert mount["tilt_sigma_deg"] < 0.5
+    assert mount["tilt_deg"] == pytest.approx(20.0, abs=3 * mount["tilt_sigma_deg"])
+    assert mount["roll_deg"] == pytest.approx(0.0, abs=3 * mount["roll_sigma_deg"])
+
+
 def test_the_picture_shows_what_was_found(localiser: Localiser, folder: Path) -> None:
     one = cv2.imread(str(run(localiser, folder, folder / "0.png", pictures=True) / "0.png"))
     assert one.shape[1] >= 1000  # a small image is drawn larger
@@ -163,6 +173,7 @@ def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, 
     )
     assert "4 vertical edges in" in one.out
     assert "-21.0" in one.out
+    assert "By these edges: tilt 20." in one.out or "By these edges: tilt 19.9" in one.out
     assert "Finding" not in one.err
     many = localiser("edges", folder / "0.png", folder / "1.png", "--camera", folder / "camera.yaml",
                      "--out", folder / "many", "--no-pictures")  # fmt: skip

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from localiser import geometry
-from localiser.edges import Edges
+from localiser.camera import Camera
+from localiser.edges import EdgeParameters, Edges
+from localiser.edges.mount import mount_error_of_edges
 
 Row = dict[str, Any]
 
@@ -63,6 +65,16 @@ def rows_of(edges: Edges) -> list[Row]:
 def slope_deg(edges: Edges) -> geometry.Array:
     """Return the angle (E,) of edges from the image's horizontal, 0 to 180 degrees, as in the paper's tables."""
     return np.asarray(90.0 - np.rad2deg(edges.lean))
+
+
+def mount_by_edges(edges: Edges, camera: Camera, parameters: EdgeParameters) -> dict[str, float]:
+    """Return the tilt and roll of the camera by the edges of one image, from what is stated and how certain that is."""
+    stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
+    prior_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
+    error = mount_error_of_edges(edges, camera, prior_rad, float(np.deg2rad(parameters.plumb_sigma_deg)))
+    found, sigma = np.rad2deg(stated + error.mean), np.rad2deg(np.sqrt(np.diag(error.cov)))
+    names = ("tilt_deg", "roll_deg", "tilt_sigma_deg", "roll_sigma_deg")
+    return dict(zip(names, (*found.tolist(), *sigma.tolist()), strict=True))
 
 
 def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> str:

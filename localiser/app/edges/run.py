@@ -12,7 +12,7 @@ import numpy as np
 from localiser.app.edges.compare import Comparison
 from localiser.app.edges.inputs import Taken
 from localiser.app.edges.overlay import save_overlay
-from localiser.app.edges.records import COLUMNS, csv_text, rows_of
+from localiser.app.edges.records import COLUMNS, csv_text, mount_by_edges, rows_of
 from localiser.app.outputs import require_new
 from localiser.app.stop import stop_request
 from localiser.camera import Camera
@@ -109,7 +109,12 @@ class EdgeRun:
         about = {"image": taken.image, **({} if taken.t_ns is None else {"t_ns": taken.t_ns})}
         rows = {name: rows_of(edges) for name, edges in found.items()}
         detectors = {
-            name: {"edges": rows[name], "rejected_px": edges.rejected_px, "rejected": len(edges.rejected_px)}
+            name: {
+                "edges": rows[name],
+                "rejected_px": edges.rejected_px,
+                "rejected": len(edges.rejected_px),
+                "mount_by_edges": mount_by_edges(edges, self.camera, self._parameters(name)),
+            }
             for name, edges in found.items()
         }
         head = {"format": FORMAT, **about, "width": self.camera.width, "height": self.camera.height}

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from localiser.app.edges.records import Row, rows_of
+from localiser.app.edges.records import Row, mount_by_edges, rows_of
 from localiser.app.edges.run import EdgeRun
+from localiser.edges import Edges
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,7 +22,10 @@ def tables_of(run: EdgeRun) -> Iterator[Table]:
     """Yield the table of edges where one detector saw one image, and the comparison of detectors otherwise."""
     if len(run.images) == 1 and len(run.detectors) == 1:
         (edges,) = run.last.values()
-        yield _edge_table(rows_of(edges), run.images[0].image)
+        table = _edge_table(rows_of(edges), run.images[0].image)
+        if len(edges):
+            table.caption = _mount_text(run, edges)
+        yield table
     else:
         yield _detector_table(run.comparison.rows())
     if len(run.detectors) > 1:
@@ -44,8 +48,18 @@ def _edge_table(rows: list[Row], image: str) -> Table:
         foot = [_text(row[name], ".2f") for name in ("foot_range_m", "foot_range_sigma_m")]
         table.add_row(str(row["edge"]), *angles, f"{row['slope_deg']:.2f}", f"{row['length_px']:.0f}", side, *foot)
     if len(rows) > _MOST_ROWS:
-        table.caption = f"{len(rows) - _MOST_ROWS} more in edges.csv"
+        table.add_row(f"{len(rows) - _MOST_ROWS} more in edges.csv")
     return table
+
+
+def _mount_text(run: EdgeRun, edges: Edges) -> str:
+    found = mount_by_edges(edges, run.camera, run.config.edges)
+    stated = np.rad2deg([run.camera.mount.tilt_rad, run.camera.mount.roll_rad])
+    parts = [
+        f"{name} {found[f'{name}_deg']:.2f} ± {found[f'{name}_sigma_deg']:.2f}° (stated {value:.2f}°)"
+        for name, value in zip(("tilt", "roll"), stated, strict=True)
+    ]
+    return "By these edges: " + ", ".join(parts)
 
 
 def _detector_table(rows: list[dict[str, Any]]) -> Table:
