@@ -1,23 +1,17 @@
-"""Images with known vertical edges, for judging edge detectors: simulated in three classes, and two data sets."""
+"""Simulated images with known vertical edges, for judging edge detectors: three classes, and one change at a time."""
 
 from __future__ import annotations
 
-import csv
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from localiser.camera import Camera, Mount
-from localiser.geometry import Array, edge_a_at, robot_from_map
-from localiser.simulate import simulate_log, world_of
+from localiser.geometry import Array
 
 COUNTED_LENGTH_PX = 60.0
-COUNTED_STEP = 8.0
 COUNTED_SIMULATED_STEP = 16.0
 LEAST_STEP = 2.0
 NEIGHBOUR_PX = 6.0
@@ -28,44 +22,82 @@ _LEAST_RUN_PX = 8.0
 class Scene:
     """An image and its true vertical edges. truth_px: (T, 2, 2) bottom and top in the image as it was taken.
 
-    counted: (T,) edges that a detector should find. alone: (T,) edges without a true neighbour within 6 px.
+    share: (T,) how much of an edge between its ends nothing hides. counted: (T,) edges that a detector should find.
+    alone: (T,) edges whose line is known exactly and has no other within 6 px, at any height.
     """
 
     image: Array
     camera: Camera
     truth_px: Array
+    share: Array
     counted: Array
     alone: Array
 
 
-# -- simulated --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class Difficulty:
-    """What is done to a simulated image."""
+    """How a simulated image is taken: camera, lens, exposure, noise. steps: grey levels between neighbours."""
 
-    noise_sigma: float
-    blur_px: float
-    motion_px: int
-    k1: float
-    steps: tuple[float, ...]
+    noise_sigma: float = 4.0
+    blur_px: float = 0.7
+    motion_px: int = 1
+    steps: tuple[float, ...] = (20.0, 40.0, 70.0)
+    size: tuple[int, int] = (640, 480)
+    tilt_deg: float = 20.0
+    model: str = "none"
+    distortion: tuple[float, ...] = ()
+    vignette: float = 0.0
+    gain: float = 1.0
+    jpeg_quality: int = 0
+    colour: bool = False
+
+    def camera(self) -> Camera:
+        """Return the camera; its field of view is that of 554 px for 640."""
+        width, height = self.size
+        focal = 554.0 * width / 640
+        mount = Mount(np.deg2rad(self.tilt_deg), 0.8, np.deg2rad(1.0))
+        centre = ((width - 1) / 2, (height - 1) / 2)
+        return Camera(width, height, focal, focal, *centre, mount, self.model, self.distortion)
 
 
+def _bent(k1: float) -> dict[str, object]:
+    return {"model": "plumb_bob", "distortion": (k1, 0.0, 0.0, 0.0)}
+
+
+_MODERATE = Difficulty(**_bent(-0.25))  # type: ignore[arg-type]
+_PLAIN = Difficulty()
+_HARD = Difficulty(noise_sigma=10.0, blur_px=0.0, motion_px=5, steps=(20.0,))
+_RATIONAL = (0.3, 0.1, 0.0005, -0.0005, 0.02, 0.45, 0.12, 0.01)
 DIFFICULTIES = {
-    "clean": Difficulty(0.0, 0.0, 1, 0.0, (20.0, 40.0, 70.0)),
-    "moderate": Difficulty(4.0, 0.7, 1, -0.25, (20.0, 40.0, 70.0)),
-    "hard": Difficulty(10.0, 0.0, 5, 0.0, (20.0,)),
+    "clean": Difficulty(noise_sigma=0.0, blur_px=0.0),
+    "moderate": _MODERATE,
+    "hard": _HARD,
 }
+SWEEP = {
+    "plain": _PLAIN,
+    **{f"{width}×{height}": replace(_PLAIN, size=(width, height)) for width, height in
+       ((176, 144), (320, 240), (1280, 720), (1920, 1080))},
+    **{f"tilt {tilt}°": replace(_PLAIN, tilt_deg=float(tilt)) for tilt in (0, 5, 10, 30, 45)},
+    **{f"k1 {k1:+}": replace(_PLAIN, **_bent(k1)) for k1 in (-0.3, 0.3)},
+    "rational": replace(_PLAIN, model="rational_polynomial", distortion=_RATIONAL),
+    "fisheye": replace(_PLAIN, model="equidistant", distortion=(-0.02, 0.005, 0.0, 0.0)),
+    **{f"motion {motion} px": replace(_PLAIN, motion_px=motion) for motion in (3, 5, 9, 15)},
+    **{f"noise {noise}": replace(_PLAIN, noise_sigma=float(noise)) for noise in (1, 8, 16)},
+    "vignette": replace(_PLAIN, vignette=0.8),
+    "underexposed": replace(_PLAIN, gain=0.4),
+    "overexposed": replace(_PLAIN, gain=1.6),
+    **{f"JPEG {quality}": replace(_PLAIN, jpeg_quality=quality) for quality in (90, 50, 20)},
+    "colour": replace(_PLAIN, colour=True),
+    "hard, k1 -0.25": replace(_HARD, **_bent(-0.25)),
+    "hard, fisheye": replace(_HARD, model="equidistant", distortion=(-0.02, 0.005, 0.0, 0.0)),
+    "hard, tilt 45°": replace(_HARD, tilt_deg=45.0),
+}  # fmt: skip
+"""One thing changed at a time against plain, that is moderate without distortion; and hard with another camera."""
 
 
-def simulated(kind: str, count: int, seed: int = 0) -> Iterator[Scene]:
+def simulated(difficulty: Difficulty, count: int, seed: int = 0) -> Iterator[Scene]:
     """Yield scenes of boxes that stand before one another, with shading, floor boards and slanted clutter."""
-    difficulty = DIFFICULTIES[kind]
-    distortion = (difficulty.k1, 0.0, 0.0, 0.0) if difficulty.k1 else ()
-    model = "plumb_bob" if distortion else "none"
-    mount = Mount(np.deg2rad(20.0), 0.8, np.deg2rad(1.0))
-    camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, mount, model, distortion)
+    camera = difficulty.camera()
     view = _Rays(camera)
     for index in range(count):
         yield _simulate(camera, view, difficulty, np.random.default_rng([seed, index]))
@@ -109,6 +141,7 @@ def _simulate(camera: Camera, view: _Rays, difficulty: Difficulty, rng: np.rando
         inside = (view.beyond(left) - view.beyond(right)) * (view.above(bottom) - view.above(top))
         image += inside * (grey + shade * view.up - image)
         grey_at[inside > 0.5] = index
+    image = _exposed(image, difficulty)
     truth, counted = [], []
     for index, (left, right, bottom, top, *_) in enumerate(boxes):
         for side in (left, right):
@@ -118,7 +151,8 @@ def _simulate(camera: Camera, view: _Rays, difficulty: Difficulty, rng: np.rando
     ends = np.array(truth).reshape(-1, 2, 2)
     sides = np.tan(camera.bearing_of_segments(ends))[:, None] - np.ravel([box[:2] for box in boxes])
     alone = (np.abs(sides) * camera.focal_px < NEIGHBOUR_PX).sum(axis=1) == 1
-    return Scene(_taken(image, difficulty, rng), camera, ends, np.array(counted, dtype=bool), alone)
+    taken = _taken(image, difficulty, rng)
+    return Scene(taken, camera, ends, np.ones(len(ends)), np.array(counted, dtype=bool), alone)
 
 
 def _background(view: _Rays, camera: Camera, step: float, rng: np.random.Generator) -> Array:
@@ -135,7 +169,9 @@ def _background(view: _Rays, camera: Camera, step: float, rng: np.random.Generat
 def _boxes(difficulty: Difficulty, rng: np.random.Generator) -> list[tuple[float, ...]]:
     """Return boxes (left, right, bottom, top, grey, shade), far to near; greys differ by whole steps."""
     boxes: list[tuple[float, ...]] = []
-    for depth in np.linspace(5.0, 1.2, 14):
+    # A camera that looks down more steeply sees only what is nearer.
+    nearer = min(1.0, np.tan(np.deg2rad(34.0)) / np.tan(np.deg2rad(difficulty.tilt_deg + 14.0)))
+    for depth in np.linspace(5.0, 1.2, 14) * nearer:
         left = rng.uniform(-0.75, 0.65)
         width = rng.choice([rng.uniform(0.02, 0.06), rng.uniform(0.06, 0.3)])
         bottom, top = -0.8 / depth, rng.uniform(-0.5, 1.6) / depth
@@ -170,7 +206,14 @@ def _visible_runs(
         length = float(np.linalg.norm(ends[1] - ends[0]))
         if length >= _LEAST_RUN_PX:
             strong = abs(float(np.median(step[start:stop]))) >= COUNTED_SIMULATED_STEP
-            yield ends, length >= COUNTED_LENGTH_PX and strong
+            # In images of fewer rows than 480 edges are shorter, and those that can be expected to be found are, too.
+            yield ends, length >= COUNTED_LENGTH_PX * float(np.clip(camera.height / 480, 0.6, 1.0)) and strong
+
+
+def _exposed(image: Array, difficulty: Difficulty) -> Array:
+    """Return the image as a lens with a vignette lets it through, exposed and clipped."""
+    v, u = np.meshgrid(*(np.linspace(-1, 1, size) for size in image.shape), indexing="ij")
+    return np.clip(image * difficulty.gain * (1 - difficulty.vignette * (u**2 + v**2) / 2), 0, 255)
 
 
 def _taken(image: Array, difficulty: Difficulty, rng: np.random.Generator) -> Array:
@@ -179,134 +222,10 @@ def _taken(image: Array, difficulty: Difficulty, rng: np.random.Generator) -> Ar
     if difficulty.motion_px > 1:
         image = cv2.blur(image, (difficulty.motion_px, 1))
     noisy = image + rng.normal(0, max(difficulty.noise_sigma, 1e-9), image.shape)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-
-
-def rendered(world_file: Path, every: int = 1) -> Iterator[Scene]:
-    """Yield scenes of a drive through a world that ships with the project."""
-    log = simulate_log(world_of(yaml.safe_load(world_file.read_text())), seed=0)
-    for index in range(0, len(log), every):
-        image, visible = log.image(index), log.visible[index]
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        ends = visible.ends_px
-        counted = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= COUNTED_LENGTH_PX
-        yield Scene(grey, log.camera, ends, counted & (_median_step(grey, ends) >= COUNTED_STEP), is_alone(ends))
-
-
-# -- data sets --------------------------------------------------------------------------------------------------------
-
-
-def house(folder: Path, every: int = 1) -> Iterator[Scene]:
-    """Yield scenes of a rendered log with the exact visibility of its landmarks.
-
-    A landmark may stand for several edges up to 2 cm apart; bearings are judged where it stands for one.
-    """
-    camera = _camera_of(folder / "camera.yaml")
-    exact, visible = defaultdict(list), defaultdict(list)
-    for row in _rows(folder / "edges_exact.csv"):
-        exact[row["landmark_id"]].append([float(row["x"]), float(row["z"])])
-    for row in _rows(folder / "visible.csv"):
-        visible[int(row["image"])].append(row)
-    poses = {
-        int(row["t_ns"]): [float(row[key]) for key in ("x", "z", "heading")]
-        for row in _rows(folder / "groundtruth.csv")
-    }
-    for index, row in enumerate(_rows(folder / "images.csv")):
-        if index % every:
-            continue
-        image = cv2.imread(str(folder / row["file"]), cv2.IMREAD_GRAYSCALE)
-        known = visible[index]
-        ends = np.array(
-            [[[float(edge[f"{axis}_{end}"]) for axis in "uv"] for end in ("bottom", "top")] for edge in known]
-        )
-        ends = ends.reshape(-1, 2, 2)
-        share = np.array([float(edge["visible_fraction"]) for edge in known])
-        visible_px = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * share
-        counted = (visible_px >= COUNTED_LENGTH_PX) & (_median_step(image, ends) >= COUNTED_STEP)
-        single = np.array([len(exact[edge["landmark_id"]]) == 1 for edge in known], dtype=bool)
-        alone = is_alone(ends) & single
-        points = np.array(
-            [exact[edge["landmark_id"]][0] if one else [np.nan] * 2 for edge, one in zip(known, single, strict=True)]
-        )
-        moved = _at_points(ends, points.reshape(-1, 2), camera, np.array(poses[int(row["t_ns"])]))
-        yield Scene(image, camera, np.where(single[:, None, None], moved, ends), counted, alone)
-
-
-def _at_points(ends_px: Array, points: Array, camera: Camera, pose: Array) -> Array:
-    """Return segments (T, 2, 2) moved to the vertical edges at map points (T, 2), at the same image heights."""
-    right, backward = robot_from_map(camera.pose_in_map(pose), points).T
-    height = camera.upright_from_pixels(ends_px)[..., 1]
-    across = edge_a_at(height, np.arctan2(right, -backward)[:, None], camera.mount.tilt_rad)
-    return camera.pixels_from_upright(np.stack([across, height], axis=-1))
-
-
-def york_urban(folder: Path) -> Iterator[Scene]:
-    """Yield photographs with hand-labelled lines, each with its own tilt and roll."""
-    labels = defaultdict(list)
-    for row in _rows(folder / "labelled_lines.csv"):
-        if row["is_vertical"] == "1":
-            labels[row["image"]].append([float(row[key]) for key in ("x1", "y1", "x2", "y2")])
-    for row in _rows(folder / "images.csv"):
-        mount = Mount(np.deg2rad(float(row["pitch_down_deg"])), 1.5, np.deg2rad(float(row["roll_deg"])))
-        intrinsics = (float(row[key]) for key in ("fx", "fy", "cx", "cy"))
-        camera = Camera(int(row["width"]), int(row["height"]), *intrinsics, mount)
-        image = cv2.imread(str(next((folder / "images").glob(f"{row['image']}.*"))), cv2.IMREAD_GRAYSCALE)
-        ends = np.array(labels[row["image"]]).reshape(-1, 2, 2)
-        upside_down = ends[:, 0, 1] < ends[:, 1, 1]
-        ends = np.where(upside_down[:, None, None], ends[:, ::-1], ends)
-        counted = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= COUNTED_LENGTH_PX
-        yield Scene(image, camera, ends, counted, is_alone(ends))
-
-
-def is_alone(ends_px: Array) -> Array:
-    """Return (T,) whether edges (T, 2, 2) have no other within 6 px of their middle."""
-    middle = ends_px.mean(axis=1)
-    apart = distance_px(middle[:, None, :], ends_px)[:, 0]
-    np.fill_diagonal(apart, np.inf)
-    return np.all(apart > NEIGHBOUR_PX, axis=1) if len(ends_px) else np.zeros(0, dtype=bool)
-
-
-def distance_px(points: Array, ends_px: Array) -> Array:
-    """Return the distance (P, K, F) of points (P, K, 2) from segments (F, 2, 2)."""
-    start, along = ends_px[:, 0], ends_px[:, 1] - ends_px[:, 0]
-    relative = points[:, :, None] - start
-    share = ((relative * along).sum(axis=-1) / np.maximum((along**2).sum(axis=-1), 1e-9)).clip(0, 1)
-    return np.linalg.norm(relative - share[..., None] * along, axis=-1)
-
-
-def _median_step(image: Array, ends: Array) -> Array:
-    """Return (T,) the size of the median grey difference across ±2.5 px of edges (T, 2, 2)."""
-    along = np.linspace(0.02, 0.98, 60)[None, :, None]
-    points = (ends[:, :1] * (1 - along) + ends[:, 1:] * along).astype(np.float32)
-    if len(points) == 0:
-        return np.zeros(0)
-    left, right = (
-        cv2.remap(
-            image.astype(np.float32),
-            points + np.float32([by, 0]),
-            None,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for by in (-2.5, 2.5)
-    )
-    return np.abs(np.median(right - left, axis=1))
-
-
-def _camera_of(path: Path) -> Camera:
-    fields = yaml.safe_load(path.read_text())
-    fx, _, cx, _, fy, cy = fields["camera_matrix"]["data"][:6]
-    mount = fields["mount"]
-    angles = {f"{name}_rad": np.deg2rad(mount[f"{name}_deg"]) for name in ("tilt", "roll", "yaw")}
-    return replace(
-        Camera(
-            fields["image_width"], fields["image_height"], fx, fy, cx, cy, Mount(height_m=mount["height_m"], **angles)
-        ),
-        distortion_model=fields["distortion_model"],
-        distortion=tuple(fields["distortion_coefficients"]["data"]),
-    )
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
+    if difficulty.colour:
+        noisy = noisy[..., None] * np.array([0.8, 1.0, 1.15])
+    taken = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    if difficulty.jpeg_quality:
+        packed = cv2.imencode(".jpg", taken, [cv2.IMWRITE_JPEG_QUALITY, difficulty.jpeg_quality])[1]
+        taken = np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
+    return taken

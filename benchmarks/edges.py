@@ -1,7 +1,9 @@
 """Judge all edge detectors on the same images in one run: recall, precision, bearing error, sigma honesty, time.
 
 python benchmarks/edges.py                      simulated images, and the data sets where LOCALISER_DATA has them
-python benchmarks/edges.py --scenes hard --count 100 --detector columns
+python benchmarks/edges.py --scenes hard --count 100 --detector columns lsd
+python benchmarks/edges.py --sweep --count 20   sizes, tilts, lenses, blur, noise, exposure, one at a time
+python benchmarks/edges.py --reference ENV      EdgeDrawing as well, by opencv-contrib in an environment at ENV
 """
 
 from __future__ import annotations
@@ -10,127 +12,120 @@ import argparse
 import os
 import time
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-from edge_scenes import DIFFICULTIES, Scene, distance_px, house, rendered, simulated, york_urban
+from edge_data import house, rendered, york_urban
+from edge_drawing import EdgeDrawing
+from edge_mount import MountScore
+from edge_scenes import DIFFICULTIES, SWEEP, Scene, simulated
+from edge_score import Score, robust_std
 from rich.console import Console
 from rich.table import Table
 
 from localiser.camera import Camera
-from localiser.edges import DETECTORS, EdgeParameters, Edges, find_edges
-from localiser.geometry import Array
+from localiser.edges import DETECTORS, EdgeParameters, find_edges
+from localiser.edges.segments import on_ideal_image
 
-NEAR_PX = 2.5
-COVERED_SHARE = 0.5
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
+REFERENCE = "EdgeDrawing"
+COLUMNS = ("recall", "missed", "precision", "|error| °", "bias °", "error/σ std (robust)", "lean error/σ")
 
 
-def covered(ends_px: Array, by_px: Array) -> Array:
-    """Return the share (A, B) of each segment (A, 2, 2) that lies within 2.5 px of segments (B, 2, 2)."""
-    along = np.linspace(0, 1, 41)[None, :, None]
-    points = ends_px[:, :1] * (1 - along) + ends_px[:, 1:] * along
-    return distance_px(points, by_px) <= NEAR_PX
-
-
-class Score:
-    """What one detector did on the images of one kind."""
-
-    def __init__(self) -> None:
-        self.found = self.counted = self.true = self.reported = 0
-        self.error_rad: list[float] = []
-        self.normalised: list[float] = []
-        self.lean_normalised: list[float] = []
-        self.seconds: list[float] = []
-
-    def add(self, scene: Scene, edges: Edges, seconds: float) -> None:
-        """Match the edges of one image to the truth."""
-        self.seconds.append(seconds)
-        truth, measured = undistorted(scene.truth_px, scene.camera), undistorted(edges.ends_px, scene.camera)
-        near = covered(truth, measured)
-        found = scene.counted & (near.any(axis=2).mean(axis=1) >= COVERED_SHARE)
-        self.found, self.counted = self.found + found.sum(), self.counted + scene.counted.sum()
-        self.true += (covered(measured, truth).any(axis=2).mean(axis=1) >= COVERED_SHARE).sum()
-        self.reported += len(edges)
-        bearing, lean = scene.camera.bearing_of_segments(scene.truth_px), scene.camera.lean_of_segments(scene.truth_px)
-        for index in np.flatnonzero(found & scene.alone):
-            match = int(np.argmax(near[index].mean(axis=0)))
-            error = edges.bearing[match] - bearing[index]
-            self.error_rad.append(error)
-            self.normalised.append(error / edges.bearing_sigma[match])
-            self.lean_normalised.append((edges.lean[match] - lean[index]) / edges.lean_sigma[match])
-
-    def row(self) -> list[str]:
-        """Return the cells of this detector's row."""
-        error = np.rad2deg(self.error_rad)
-        return [
-            f"{self.found / max(self.counted, 1):.3f}",
-            f"{self.counted - self.found}/{self.counted}",
-            f"{self.true / max(self.reported, 1):.3f}",
-            f"{np.median(np.abs(error)):.4f}",
-            f"{np.median(error):+.4f}",
-            f"{np.std(self.normalised):.2f} ({robust_std(self.normalised):.2f})",
-            f"{np.std(self.lean_normalised):.2f} ({robust_std(self.lean_normalised):.2f})",
-            f"{1e3 * np.median(self.seconds):.1f}",
-        ]
-
-
-COLUMNS = ("recall", "missed", "precision", "|error| °", "bias °", "error/σ std (robust)", "lean error/σ", "ms")
-
-
-def undistorted(ends_px: Array, camera: Camera) -> Array:
-    """Return segments (E, 2, 2) where lines are straight."""
-    return camera.undistorted().pixels_from_image(camera.image_from_pixels(ends_px))
-
-
-def robust_std(values: list[float]) -> float:
-    return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if values else float("nan")
-
-
-def judge(scenes: Iterable[Scene], detectors: list[str]) -> dict[str, Score]:
+def judge(scenes: Iterable[Scene], detectors: list[str], threads: list[int], reference: EdgeDrawing | None) -> dict:
     """Return the score of each detector; what a detector caches for a camera is not part of its time."""
     scores = {name: Score() for name in detectors}
     known: Camera | None = None
     for scene in scenes:
         new, known = scene.camera is not known, scene.camera
         for name in detectors:
-            parameters = EdgeParameters(detector=name)
+            parameters = EdgeParameters(detector=name)  # type: ignore[arg-type]
+            search = partial(find_edges, scene.image, scene.camera, parameters)
             if new:
-                find_edges(scene.image, scene.camera, parameters)
-            start = time.perf_counter()
-            edges = find_edges(scene.image, scene.camera, parameters)
-            scores[name].add(scene, edges, time.perf_counter() - start)
+                search()
+            for count in threads:
+                scores[name].seconds.setdefault(count, []).append(_seconds(search, count, reference))
+            scores[name].add(scene, search())
     return scores
+
+
+def _seconds(search: partial, threads: int, reference: EdgeDrawing | None) -> float:
+    """Return the time of one search, without what it takes to ask another process."""
+    cv2.setNumThreads(threads)
+    if reference is not None:
+        reference.threads, reference.overhead_s = threads, 0.0
+    start = time.perf_counter()
+    search()
+    seconds = time.perf_counter() - start
+    return seconds - (reference.overhead_s if reference is not None else 0.0)
+
+
+def cells(score: Score, lsd: Score | None, threads: list[int]) -> list[str]:
+    """Return the cells of a detector's row."""
+    times = [f"{score.milliseconds(count):.1f}" for count in threads]
+    ratios = [f"{score.time_over(lsd, count):.2f}" if lsd else "" for count in threads]
+    return [
+        f"{score.recall:.3f}",
+        f"{score.missed}/{score.counted}",
+        f"{score.precision:.3f}",
+        f"{score.median_error_deg:.4f}",
+        f"{score.bias_deg:+.4f}",
+        f"{np.std(score.normalised):.2f} ({robust_std(score.normalised):.2f})",
+        f"{np.std(score.lean_normalised):.2f} ({robust_std(score.lean_normalised):.2f})",
+        *[cell for pair in zip(times, ratios, strict=True) for cell in pair],
+    ]
+
+
+def scenes_of(options: argparse.Namespace) -> dict[str, Iterable[Scene]]:
+    """Return all kinds of images that are there, each as an iterator that makes them when asked."""
+    if options.sweep:
+        return {kind: simulated(difficulty, options.count, options.seed) for kind, difficulty in SWEEP.items()}
+    kinds: dict[str, Iterable[Scene]] = {
+        kind: simulated(difficulty, options.count, options.seed) for kind, difficulty in DIFFICULTIES.items()
+    }
+    for world in sorted(WORLDS.glob("*.yaml")):
+        kinds[world.stem] = rendered(world, options.every)
+    if (options.data / "house").is_dir():
+        kinds["house"] = house(options.data / "house", options.every)
+    if (options.data / "york_urban").is_dir():
+        kinds["york_urban"] = york_urban(options.data / "york_urban")
+    return kinds
 
 
 def main() -> None:
     options = arguments()
-    cv2.setNumThreads(options.threads)
-    scenes: dict[str, Iterable[Scene]] = {kind: simulated(kind, options.count, options.seed) for kind in DIFFICULTIES}
-    for world in sorted(WORLDS.glob("*.yaml")):
-        scenes[world.stem] = rendered(world, options.every)
-    if (options.data / "house").is_dir():
-        scenes["house"] = house(options.data / "house", options.every)
-    if (options.data / "york_urban").is_dir():
-        scenes["york_urban"] = york_urban(options.data / "york_urban")
-    table = Table("images", "detector", *COLUMNS, title="Vertical edges of at least 60 px")
-    for kind in options.scenes or scenes:
-        for name, score in judge(scenes[kind], options.detector).items():
-            table.add_row(kind, name, *score.row())
+    reference = EdgeDrawing(options.reference) if options.reference else None
+    detectors = list(options.detector)
+    if reference:
+        DETECTORS[REFERENCE] = lambda image, camera, _: on_ideal_image(image, camera, reference.lines, 0.35)
+        detectors.append(REFERENCE)
+    timed = [cell for count in options.threads for cell in (f"ms, {count} thread{'s'[: count > 1]}", "/ LSD")]
+    table = Table("images", "detector", *COLUMNS, *timed, title="Vertical edges of at least 60 px")
+    kinds = scenes_of(options)
+    for kind in options.scenes or kinds:
+        scores = judge(kinds[kind], detectors, options.threads, reference)
+        for name, score in scores.items():
+            table.add_row(kind, name, *cells(score, scores.get("lsd"), options.threads))
         table.add_section()
-    Console(width=150).print(table)
+    console = Console(width=170)
+    console.print(table)
+    if "york_urban" in (options.scenes or kinds):
+        console.print(MountScore.of(york_urban(options.data / "york_urban")).text())
 
 
 def arguments() -> argparse.Namespace:
     default_data = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", help="kinds of images (default: all that are there)")
+    parser.add_argument("--sweep", action="store_true", help="simulated images with one thing changed at a time")
     parser.add_argument("--detector", nargs="+", default=sorted(DETECTORS), choices=sorted(DETECTORS))
+    parser.add_argument("--reference", type=Path, help="environment with opencv-contrib; made when there is none")
     parser.add_argument("--count", type=int, default=60, help="simulated images of each class")
-    parser.add_argument("--every", type=int, default=10, help="take every n-th image of a drive")
+    parser.add_argument("--every", type=int, default=1, help="take every n-th image of a drive")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated images")
-    parser.add_argument("--threads", type=int, default=1, help="of OpenCV, the same for all detectors")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="of OpenCV, the same for all detectors")
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("LOCALISER_DATA", default_data)))
     return parser.parse_args()
 

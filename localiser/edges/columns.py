@@ -47,13 +47,15 @@ class GradientField:
 
     fine: at `SCALE_PX`. smooth: the same averaged over neighbouring blocks. coarse: at twice the scale.
     clutter: sigma of what changes from block to block nearby, noise and texture, at least 1.
-    noise_grey: the noise's sigma (grey levels per px). smooth_sigma: the noise's sigma in `smooth`.
+    unseen: blocks where the image has nothing to show. noise_grey: the noise's sigma (grey levels per px).
+    smooth_sigma: the noise's sigma in `smooth`.
     """
 
     fine: NDArray[np.float32]
     smooth: NDArray[np.float32]
     coarse: NDArray[np.float32]
     clutter: NDArray[np.float32]
+    unseen: NDArray[np.bool_]
     noise_grey: float
     smooth_sigma: float
 
@@ -82,7 +84,7 @@ def gradient_field(image: Image, camera: Camera) -> GradientField:
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
     smooth_sigma = max(_robust_sigma(smooth[~unseen]), float(np.linalg.norm(ALONG)))
-    return GradientField(fine, smooth, coarse, _clutter(fine), noise, smooth_sigma)
+    return GradientField(fine, smooth, coarse, _clutter(fine), unseen, noise, smooth_sigma)
 
 
 def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:
@@ -117,10 +119,14 @@ def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
 
 
 def peaks_of(field: GradientField) -> Peaks:
-    """Return where the size of the smoothed gradient has a peak along its row."""
-    size = np.abs(field.smooth)
+    """Return where the size of the smoothed gradient has a peak along its row.
+
+    None beside what is not seen: a slope that the border cuts off has no top there.
+    """
+    size = np.where(field.unseen, np.float32(np.inf), np.abs(field.smooth))
     middle = size[:, 1:-1]
     is_peak = (middle > PEAK_SIGMA * field.smooth_sigma) & (middle > size[:, :-2]) & (middle >= size[:, 2:])
+    is_peak &= np.isfinite(middle)
     row, column = np.nonzero(is_peak)
     column += 1
     sign = np.sign(field.smooth[row, column])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,15 +34,20 @@ _PRIOR_BLOCKS = 4.0
 """As how many blocks of residuals the predicted noise counts, when a line's own scatter is judged."""
 _TUKEY = 4.0
 """Blocks further from the line than this many sigmas have no say."""
-_TABLE_SIGMA_PX = 0.018
-"""Error of the remap, whose tables hold 1/32 px and which interpolates linearly."""
+_SAMPLING_SIGMA_PX = {1: 0.03, 2: 0.01}
+"""Error by pixels and by the remap, at `SCALE_PX` and at twice that: tables hold 1/32 px, and an edge that is sharper
+than a pixel has none of its own scale to be interpolated."""
 _MARGIN_BLOCKS = 2
 _SAME_EDGE_SHARE = 0.25
 """Where the gradient falls below this share of its mean, the edge has ended or is hidden."""
 
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
-_STEEPNESS_SIGMA = float(np.linalg.norm(np.convolve(_KERNEL, [0.5, 0.0, -0.5])))
-_CURVATURE_SIGMA = float(np.linalg.norm(np.convolve(_KERNEL, [-1.0, 2.0, -1.0])) * np.linalg.norm(ALONG))
+_FIRST, _SECOND = np.array([0.5, 0.0, -0.5]), np.array([-1.0, 2.0, -1.0])
+_WIDER = cv2.getGaussianKernel(15, np.sqrt(3.0) * SCALE_PX).ravel()
+_STEEPNESS_SIGMA = float(np.linalg.norm(np.convolve(_KERNEL, _FIRST)))
+_CURVATURE_SIGMA = float(np.linalg.norm(np.convolve(_KERNEL, _SECOND)) * np.linalg.norm(ALONG))
+_COARSE_STEEPNESS_SIGMA = float(np.linalg.norm(np.convolve(np.convolve(_KERNEL, _WIDER), _FIRST)))
+_COARSE_CURVATURE_SIGMA = float(np.linalg.norm(np.convolve(np.convolve(_KERNEL, _WIDER), _SECOND)))
 """Noise of the gradient's first and second difference along a row, in units of the gradient's own."""
 
 
@@ -92,11 +98,10 @@ class _Fitted:
     height: Array
     on_line: NDArray[np.bool_]
     step: Array
-    scatter: Array
     shift: Array
 
     def take(self, index: NDArray[np.int64]) -> _Fitted:
-        of_lines = {name: getattr(self, name)[index] for name in ("step", "scatter", "shift")}
+        of_lines = {name: getattr(self, name)[index] for name in ("step", "shift")}
         return replace(self, lines=self.lines.take(index), **of_lines)
 
 
@@ -137,59 +142,96 @@ def _sampled(values: NDArray[np.float32], cells: _Cells, column: Array) -> tuple
     return height, steepness, curvature
 
 
-def _steady(curvature: Array, cells: _Cells) -> Array:
+def _steady(curvature: Array, noise: float, cells: _Cells) -> Array:
     """Return the curvature (K,) of each block, drawn towards its line's mean as far as it varies by noise only."""
     line = cells.groups.of
     mean = cells.groups.mean(curvature, cells.in_chain)
     variance = cells.groups.mean((curvature - mean[line]) ** 2, cells.in_chain)
-    real = np.maximum(variance - _CURVATURE_SIGMA**2, 0) / np.maximum(variance, 1e-9)
-    return np.maximum(mean[line] + real[line] * (curvature - mean[line]), 0.05 * _STEEPNESS_SIGMA)
+    real = np.maximum(variance - noise**2, 0) / np.maximum(variance, 1e-9)
+    return np.maximum(mean[line] + real[line] * (curvature - mean[line]), 0.05 * noise)
 
 
 def _refined(lines: _Lines, cells: _Cells, field: GradientField) -> _Fitted:
     """Return the lines that the gradient's peaks lie on, by Gauss-Newton steps with Tukey's weights.
 
-    At a peak the steepness is 0; near it, it tells how far off the peak is: steepness / curvature. The variance of a
-    line is what the noise predicts, times how much more than predicted its blocks scatter, times what neighbouring
-    residuals have in common.
+    At a peak the steepness is 0; near it, it tells how far off the peak is: steepness / curvature.
     """
     groups, line = cells.groups, cells.groups.of
     fit, robust = lines.fit, cells.in_chain.astype(np.float64)
     for _ in range(3):
         column = fit.at(line, cells.row)
         height, steepness, _ = _sampled(field.fine, cells, column)
-        curvature = _steady(_sampled(field.smooth, cells, column)[2], cells)
+        curvature = _steady(_sampled(field.smooth, cells, column)[2], _CURVATURE_SIGMA, cells)
         weight = (curvature / _STEEPNESS_SIGMA) ** 2
         target = column + (steepness / curvature).clip(-2, 2)
         fit = groups.line(cells.row, target, weight * robust)
         residual = target - fit.at(line, cells.row)
-        used = groups.sum(robust)
-        excess = (_PRIOR_BLOCKS + groups.sum(robust * weight * residual**2)) / (_PRIOR_BLOCKS + np.maximum(used - 2, 0))
-        far = weight * residual**2 / np.maximum(excess[line], 1)
+        far = weight * residual**2 / np.maximum(_excess(weight * residual**2, robust, groups)[line], 1)
         inlier, robust = robust, cells.in_chain * np.clip(1 - far / _TUKEY**2, 0, None) ** 2
-    shift = _shift_by_scale(fit, cells, field, inlier)
-    alike = _correlation(np.sqrt(weight * inlier / excess[line]) * residual, line)
+    fit, shift = _of_both_scales(
+        _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
+    )
     return _Fitted(
-        # What shifts an edge grows with the square of the scale: at twice the scale by 4 instead of 1.
-        lines=replace(lines, fit=replace(fit, y=fit.y - shift / 3)),
+        lines=replace(lines, fit=fit),
         height=height,
         on_line=np.abs(residual) < 2,
         step=_step_grey(height, curvature, cells, field),
-        scatter=excess * (1 + alike) / (1 - alike),
-        shift=np.abs(shift),
+        shift=shift,
     )
 
 
-def _shift_by_scale(fit: LineFit, cells: _Cells, field: GradientField, inlier: Array) -> Array:
-    """Return how far (G,) each line lies from where it would be seen at twice the scale.
+def _coarse_fit(fit: LineFit, inlier: Array, cells: _Cells, field: GradientField) -> LineFit:
+    """Return the lines as they are seen at twice the scale."""
+    groups, column = cells.groups, fit.at(cells.groups.of, cells.row)
+    _, steepness, curvature = _sampled(field.coarse, cells, column)
+    curvature = _steady(curvature, _COARSE_CURVATURE_SIGMA, cells)
+    target = column + (steepness / curvature).clip(-3, 3)
+    weight = (curvature / _COARSE_STEEPNESS_SIGMA) ** 2
+    coarse = groups.line(cells.row, target, weight * inlier)
+    residual = target - coarse.at(groups.of, cells.row)
+    return _with_scatter(coarse, np.sqrt(weight) * residual, inlier, groups)
 
-    0 for a clean step; a shadow, a soft corner or a close neighbour on one side pulls the edge, the more the coarser
-    it is looked at.
+
+def _with_scatter(fit: LineFit, normalised: Array, inlier: Array, groups: Groups) -> LineFit:
+    """Return lines as uncertain as their residuals (K,) say, given in units of what the noise predicts.
+
+    The variance is what the noise predicts, times how much more than predicted blocks scatter, times what neighbouring
+    residuals have in common.
     """
-    _, steepness, curvature = _sampled(field.coarse, cells, fit.at(cells.groups.of, cells.row))
-    weight = inlier * np.maximum(curvature, 0)
-    shift = cells.groups.sum(weight * steepness) / np.maximum(cells.groups.sum(weight * curvature), 1e-9)
-    return shift.clip(-3, 3)
+    excess = _excess(normalised**2, inlier, groups)
+    alike = _correlation(np.sqrt(inlier / excess[groups.of]) * normalised, groups.of)
+    scatter = excess * (1 + alike) / (1 - alike)
+    return replace(fit, weight=fit.weight / scatter, spread=fit.spread / scatter)
+
+
+def _excess(squares: Array, inlier: Array, groups: Groups) -> Array:
+    """Return by what factor (G,) the squares (K,) of normalised residuals exceed what the noise predicts, 1."""
+    used = np.maximum(groups.sum(inlier) - 2, 0)
+    return (_PRIOR_BLOCKS + groups.sum(inlier * squares)) / (_PRIOR_BLOCKS + used)
+
+
+def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array]:
+    """Return the best lines that both scales tell of, and by how much (G,) something beside them may have moved them.
+
+    A clean step is seen at one place at every scale, and at the coarser one more certainly. A shadow, a soft corner or
+    a close neighbour on one side pulls it, by an amount that grows with the square of the scale: by 4 instead of 1. So
+    far as noise explains the difference the coarser scale is believed, as far as it does not the finer one, less a
+    third of the difference. The coarser scale being the better of two estimates of the same, their difference varies
+    by the difference of their variances.
+    """
+    sampling = _SAMPLING_SIGMA_PX[1] ** 2 - _SAMPLING_SIGMA_PX[2] ** 2
+    difference = coarse.y + coarse.slope * (fine.x - coarse.x) - fine.y
+    by_noise = np.maximum(1 / fine.weight - 1 / coarse.weight, 0) + sampling
+    share = by_noise / np.maximum(difference**2, by_noise)
+    fit = LineFit(
+        x=fine.x,
+        y=fine.y + difference * (share - (1 - share) / 3),
+        slope=share * coarse.slope + (1 - share) * fine.slope,
+        weight=1 / (share / coarse.weight + (1 - share) / fine.weight),
+        spread=1 / (share / coarse.spread + (1 - share) / fine.spread),
+    )
+    sampling_px = share * _SAMPLING_SIGMA_PX[2] + (1 - share) * _SAMPLING_SIGMA_PX[1]
+    return fit, np.hypot(np.sqrt(1 - share) * difference, sampling_px)
 
 
 def _correlation(normalised: Array, line: NDArray[np.int64]) -> float:
@@ -236,8 +278,8 @@ def _segments(fitted: _Fitted, top: Array, bottom: Array, view: ColumnView, came
     return Segments(
         ends_px=ideal_px[:, :2],
         support_px=ideal_px[:, 2:],
-        sigma_px=to_px * np.sqrt(2 * fitted.scatter / fit.weight),
-        shift_sigma_px=to_px * np.hypot(fitted.shift, _TABLE_SIGMA_PX),
+        sigma_px=to_px * np.sqrt(2 / fit.weight),
+        shift_sigma_px=to_px * fitted.shift,
         polarity=fitted.lines.polarity,
     )
 

@@ -73,12 +73,12 @@ Detector = Callable[[Image, Camera, EdgeParameters], Segments]
 
 def lsd(image: Image, camera: Camera, _: EdgeParameters) -> Segments:
     """Return the segments of a grey image (H, W) by the line segment detector of von Gioi et al. (2010)."""
-    return _on_ideal_image(image, camera, _lsd_lines, LSD_SIGMA_PX)
+    return on_ideal_image(image, camera, _lsd_lines, LSD_SIGMA_PX)
 
 
 def hough(image: Image, camera: Camera, _: EdgeParameters) -> Segments:
     """Return the segments of a grey image (H, W) by Canny's edges and Hough's transform, as the paper does."""
-    return _on_ideal_image(image, camera, _hough_lines, HOUGH_SIGMA_PX)
+    return on_ideal_image(image, camera, _hough_lines, HOUGH_SIGMA_PX)
 
 
 def _lsd_lines(image: Image) -> Array:
@@ -97,7 +97,7 @@ def _lines(found: object) -> Array:
     return np.zeros((0, 4)) if found is None else np.asarray(found, dtype=np.float64).reshape(-1, 4)
 
 
-def _on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Array], sigma_px: float) -> Segments:
+def on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Array], sigma_px: float) -> Segments:
     """Return the segments that a detector finds where lines are straight, in undistorted pixels.
 
     Where the lens bends lines negligibly the taken image is searched and the ends are undistorted.

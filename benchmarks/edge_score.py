@@ -1,0 +1,98 @@
+"""What a detector did on the images of one kind, against the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+from edge_scenes import Scene
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+
+NEAR_PX = 2.5
+COVERED_SHARE = 0.5
+
+
+class Score:
+    """Counts and errors of one detector on the images of one kind.
+
+    Found is a true edge when what was reported lies within 2.5 px of it along at least half of its visible length;
+    true is a reported edge when at least half of it lies within 2.5 px of any true one. Errors are those of found
+    edges that are alone, against the reported edge that runs nearest.
+    """
+
+    def __init__(self) -> None:
+        self.found = self.counted = self.true = self.reported = 0
+        self.error_deg: list[float] = []
+        self.normalised: list[float] = []
+        self.lean_normalised: list[float] = []
+        self.seconds: dict[int, list[float]] = {}
+
+    def add(self, scene: Scene, edges: Edges) -> None:
+        """Match the edges of one image to the truth."""
+        truth, measured = undistorted(scene.truth_px, scene.camera), undistorted(edges.ends_px, scene.camera)
+        far = _distances(truth, measured)
+        found = scene.counted & ((far <= NEAR_PX).any(axis=2).mean(axis=1) >= COVERED_SHARE * scene.share)
+        self.found, self.counted = self.found + int(found.sum()), self.counted + int(scene.counted.sum())
+        is_true = (_distances(measured, truth) <= NEAR_PX).any(axis=2).mean(axis=1) >= COVERED_SHARE
+        self.true, self.reported = self.true + int(is_true.sum()), self.reported + len(edges)
+        bearing, lean = scene.camera.bearing_of_segments(scene.truth_px), scene.camera.lean_of_segments(scene.truth_px)
+        for index in np.flatnonzero(found & scene.alone):
+            match = int(np.argmin(np.minimum(far[index], 2 * NEAR_PX).mean(axis=0)))
+            error = edges.bearing[match] - bearing[index]
+            self.error_deg.append(float(np.rad2deg(error)))
+            self.normalised.append(error / edges.bearing_sigma[match])
+            self.lean_normalised.append((edges.lean[match] - lean[index]) / edges.lean_sigma[match])
+
+    @property
+    def recall(self) -> float:
+        """The share of the edges that should be found that are found."""
+        return self.found / max(self.counted, 1)
+
+    @property
+    def missed(self) -> int:
+        """How many edges that should be found are not."""
+        return self.counted - self.found
+
+    @property
+    def precision(self) -> float:
+        """The share of the reported edges that are true."""
+        return self.true / max(self.reported, 1)
+
+    @property
+    def median_error_deg(self) -> float:
+        """The median size of the error of a bearing."""
+        return float(np.median(np.abs(self.error_deg)))
+
+    @property
+    def bias_deg(self) -> float:
+        """The median error of a bearing."""
+        return float(np.median(self.error_deg))
+
+    def milliseconds(self, threads: int) -> float:
+        """Return the median time of an image."""
+        return 1e3 * float(np.median(self.seconds[threads]))
+
+    def time_over(self, other: Score, threads: int) -> float:
+        """Return the median over images of this detector's time over another's on the same image."""
+        return float(np.median(np.array(self.seconds[threads]) / other.seconds[threads]))
+
+
+def undistorted(ends_px: Array, camera: Camera) -> Array:
+    """Return segments (E, 2, 2) where lines are straight."""
+    return camera.undistorted().pixels_from_image(camera.image_from_pixels(ends_px))
+
+
+def robust_std(values: list[float]) -> float:
+    """Return 1.48 times the median distance from the median: what the bulk says, whatever the tails do."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if values else float("nan")
+
+
+def _distances(ends_px: Array, others_px: Array) -> Array:
+    """Return (A, 41, B) how far points along segments (A, 2, 2) are from segments (B, 2, 2)."""
+    along = np.linspace(0, 1, 41)[None, :, None]
+    points = ends_px[:, :1] * (1 - along) + ends_px[:, 1:] * along
+    start, direction = others_px[:, 0], others_px[:, 1] - others_px[:, 0]
+    relative = points[:, :, None] - start
+    share = ((relative * direction).sum(axis=-1) / np.maximum((direction**2).sum(axis=-1), 1e-9)).clip(0, 1)
+    return np.linalg.norm(relative - share[..., None] * direction, axis=-1)
