@@ -8,9 +8,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from board_views import board_image, floor_pose, poses_before
+from edge_images import camera_of
 from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_log import write_edge_log, write_small_log
 
+from localiser.calibration import Board
+from localiser.errors import InputError
 from localiser.storage import load_camera
 
 
@@ -28,7 +32,7 @@ def log(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", [["tilt"]])
+@pytest.mark.parametrize("command", [["tilt"], ["calibrate"], ["board"]])
 def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
     result = localiser("camera", *command, "--help")
     assert result.exit_code == 0
@@ -97,3 +101,96 @@ def test_an_image_that_cannot_be_read_is_named(localiser: Localiser, log: Path) 
     image.write_bytes(image.read_bytes()[:5000])
     result = localiser("camera", "tilt", log)
     assert result.exit_code == 2 and image.name in result.err and "Traceback" not in result.err
+
+
+# -- calibrate --------------------------------------------------------------------------------------------------------
+
+CAMERA = camera_of(480, 360, tilt_deg=35.0, roll_deg=-1.5, k1=-0.2)
+BOARD = Board("charuco", 8, 6, 0.1, 0.075)
+OPTIONS = ("--board", "charuco", "--squares", "8x6", "--square-m", "0.1")
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Four views of a board, the last of them on the floor."""
+    folder = tmp_path_factory.mktemp("board")
+    poses = [*poses_before(BOARD, 3, seed=5), floor_pose(CAMERA, BOARD, 1.3)]
+    paths = [folder / f"{index}.png" for index in range(len(poses))]
+    for seed, (path, pose) in enumerate(zip(paths, poses, strict=True)):
+        cv2.imwrite(str(path), board_image(CAMERA, BOARD, pose, seed=seed))
+    return paths
+
+
+def test_calibrated_camera_file_is_read_back(localiser: Localiser, images: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "camera.yaml"
+    result = localiser("camera", "calibrate", *images[:3], "--floor", images[3], *OPTIONS, "-o", out)
+    assert result.exit_code == 0, result.err
+    for text in ("0.png", "3.png", "error (px)", "fx (px)", "k1", "tilt (°)", "height (m)"):
+        assert text in result.out
+    camera = load_camera(out)
+    assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    assert camera.mount.tilt_rad == pytest.approx(CAMERA.mount.tilt_rad, abs=np.deg2rad(0.5))
+    assert camera.mount.height_m == pytest.approx(CAMERA.mount.height_m, abs=0.02)
+    again = localiser("camera", "calibrate", *images, *OPTIONS, "-o", out)
+    assert again.exit_code == 2 and "expected a new file" in again.err
+
+
+def test_without_floor_the_mount_is_asked_for(localiser: Localiser, images: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "camera.yaml"
+    result = localiser("camera", "calibrate", *images, *OPTIONS, "-o", out, "--quiet")
+    assert result.exit_code == 0 and "no mount yet" in result.err
+    with pytest.raises(InputError, match="mount"):
+        load_camera(out)
+
+
+def test_images_without_the_board_are_listed_and_too_few_refused(
+    localiser: Localiser, images: list[Path], tmp_path: Path
+) -> None:
+    blank = tmp_path / "blank.png"
+    cv2.imwrite(str(blank), np.full((360, 480), 90, dtype=np.uint8))
+    result = localiser("camera", "calibrate", *images, blank, *OPTIONS)
+    assert result.exit_code == 0
+    assert "no board found" in next(line for line in result.out.splitlines() if "blank.png" in line)
+    for arguments, problem in (
+        ((blank, blank), "found it in none"),
+        ((*images[:2], blank), "at least 3 images, found it in 2"),
+        ((*images, "--floor", blank), f"{blank}: expected a charuco board of 8x6 squares"),
+    ):
+        result = localiser("camera", "calibrate", *arguments, *OPTIONS)
+        assert result.exit_code == 2 and problem in result.err.replace("\n", " "), result.err
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [(b"", "an empty file"), (b"no image", "expected a JPEG or PNG"), (None, "no such file"), ("small", "found 64×48")],
+)
+def test_images_that_cannot_be_used_are_named(
+    localiser: Localiser, images: list[Path], tmp_path: Path, content: bytes | str | None, problem: str
+) -> None:
+    bad = tmp_path / "bad.png"
+    if isinstance(content, bytes):
+        bad.write_bytes(content)
+    elif content is not None:
+        cv2.imwrite(str(bad), np.zeros((48, 64), dtype=np.uint8))
+    result = localiser("camera", "calibrate", images[0], bad, *OPTIONS)
+    assert result.exit_code == 2 and str(bad) in result.err and problem in result.err
+
+
+@pytest.mark.parametrize("squares", ["8", "8x", "axb", "8x6x4", "2x2"])
+def test_squares_are_columns_and_rows(localiser: Localiser, images: list[Path], squares: str) -> None:
+    options = ("--board", "charuco", "--squares", squares, "--square-m", "0.1")
+    result = localiser("camera", "calibrate", *images, *options)
+    assert result.exit_code == 2 and "--squares: expected" in result.err
+
+
+def test_drawn_board_is_found_again(localiser: Localiser, tmp_path: Path) -> None:
+    options = ("--board", "charuco", "--squares", "5x4", "--square-m", "0.01")
+    for suffix in ("pdf", "png"):
+        assert localiser("camera", "board", tmp_path / f"board.{suffix}", *options).exit_code == 0
+    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    small = cv2.resize(picture, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    board = Board("charuco", 5, 4, 0.01, 0.0075)
+    view = board.find(small)
+    assert view is not None and len(view.corners_px) == board.corner_count
+    assert localiser("camera", "board", tmp_path / "board.pdf", *options).exit_code == 2
+    assert localiser("camera", "board", tmp_path / "board.doc", *options).exit_code == 2

@@ -1,17 +1,26 @@
 """Where the camera looks and what its lens does: tilt and roll from edges, everything from a board."""
 
+from localiser.calibration.board import Board, BoardView
+from localiser.calibration.intrinsics import LENSES, FloorMount, Intrinsics, calibrated, mount_over_board
 from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
 from localiser.calibration.log_mount import LogMount, mount_of_images, mount_of_lines, spread, views_of
 from localiser.calibration.mount_plot import save_mount_plot
 
 __all__ = [
+    "LENSES",
+    "Board",
+    "BoardView",
+    "FloorMount",
+    "Intrinsics",
     "Lines",
     "LogMount",
+    "calibrated",
     "down_in_camera",
     "lines_of",
     "mount_from_down",
     "mount_of_images",
     "mount_of_lines",
+    "mount_over_board",
     "save_mount_plot",
     "spread",
     "views_of",

@@ -134,9 +134,16 @@ def _shape(matrix: MatrixFile) -> str:
     return f"{matrix.rows} rows, {matrix.cols} cols and {len(matrix.data)} numbers"
 
 
-def save_camera(camera: Camera, path: Path) -> None:
-    """Write a camera file. Raises OutputError."""
-    write_text(path, dump(camera_data(camera)))
+def save_camera(camera: Camera, path: Path, *, with_mount: bool = True, comment: str = "") -> None:
+    """Write a camera file. Raises OutputError.
+
+    with_mount: whether the mount is known; without, the file lacks it and the program asks for it. comment: lines to
+    begin the file with.
+    """
+    data = camera_data(camera)
+    if not with_mount:
+        del data["mount"]
+    write_text(path, "".join(f"# {line}\n" for line in comment.splitlines()) + dump(data))
 
 
 def camera_file(log: Path) -> Path:
