@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from localiser.calibration import (
     Lines,
+    check_mount,
     down_in_camera,
     lines_of,
     mount_from_down,
@@ -186,6 +187,33 @@ def test_views_change_with_distance_and_with_turning():
     assert views_of(ahead).tolist() == [0, 0, 0, 1, 1, 1, 2]
     turning = np.column_stack([np.zeros((5, 2)), [3.1, -3.0, -2.6, -2.5, -2.0]])
     assert views_of(turning).tolist() == [0, 0, 1, 1, 2]
+
+
+# -- the check of a run -----------------------------------------------------------------------------------------------
+
+BELIEVED_RAD = np.deg2rad([0.5, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "disagrees"), [((0.0, 0.0), False), ((0.6, 0.0), False), ((2.0, 0.0), True), ((0.0, -1.5), True)]
+)
+def test_a_run_disagrees_beyond_what_the_stated_mount_may_be_off(off_deg, disagrees):
+    true = camera_of(tilt_deg=20.0, roll_deg=1.0)
+    rng = np.random.default_rng(0)
+    frames = [
+        edges_at(true, rng.uniform(-0.45, 0.45, 8), turn_rad=rng.normal(0, 3e-3, 8), sigma_rad=3e-3) for _ in range(20)
+    ]
+    tilt, roll = np.deg2rad([20.0, 1.0]) + np.deg2rad(off_deg)
+    poses = np.column_stack([np.zeros(20), -0.3 * np.arange(20), np.zeros(20)])
+    check = check_mount(frames, poses, true.with_mount(tilt_rad=tilt, roll_rad=roll), BELIEVED_RAD)
+    assert check.disagrees is disagrees
+    np.testing.assert_allclose(check.found, TRUE, atol=np.deg2rad(0.15))
+
+
+def test_a_run_that_sees_nothing_disagrees_with_nothing():
+    check = check_mount([Edges.none()] * 3, np.zeros((3, 3)), camera_of(), BELIEVED_RAD)
+    assert not check.disagrees and np.all(check.sigma > np.deg2rad(2.0))
+    assert not check_mount([], np.zeros((0, 3)), camera_of(), BELIEVED_RAD).disagrees
 
 
 # -- images -----------------------------------------------------------------------------------------------------------

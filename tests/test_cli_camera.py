@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -101,6 +102,28 @@ def test_an_image_that_cannot_be_read_is_named(localiser: Localiser, log: Path) 
     image.write_bytes(image.read_bytes()[:5000])
     result = localiser("camera", "tilt", log)
     assert result.exit_code == 2 and image.name in result.err and "Traceback" not in result.err
+
+
+# -- replay -----------------------------------------------------------------------------------------------------------
+
+
+def test_replay_warns_once_when_edges_contradict_the_stated_tilt(
+    localiser: Localiser, log: Path, tmp_path: Path
+) -> None:
+    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--set", "mcl.particles=100")
+    assert result.exit_code == 0
+    assert result.err.count(f"localiser camera tilt {log}") == 1
+    (metrics,) = (tmp_path / "out").glob("*/1/metrics.json")
+    figures = json.loads(metrics.read_text())
+    assert abs(figures["tilt_found_deg"] - 20.0) < 0.3 and len(figures["warnings"]) == 1
+    run = localiser.replay(log, tmp_path / "quiet", "--set", "mcl.particles=100")  # which demands an empty stderr
+    assert json.loads((run / "metrics.json").read_text())["warnings"] == figures["warnings"]
+
+
+def test_replay_says_nothing_of_a_tilt_that_is_right(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    assert localiser("camera", "tilt", log, "--write", "--images", 4, "--quiet").exit_code == 0
+    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--set", "mcl.particles=100")
+    assert result.exit_code == 0 and "localiser camera tilt" not in result.err
 
 
 # -- calibrate --------------------------------------------------------------------------------------------------------

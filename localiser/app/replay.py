@@ -15,6 +15,7 @@ from localiser import evaluate, mcl, motion, view
 from localiser.app.sinks import History, Image, Sink, close_all
 from localiser.app.start import start_of
 from localiser.app.stop import stop_request
+from localiser.app.tilt import mount_figures
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
@@ -158,6 +159,7 @@ class Replay:
             sighted=_sighted(self.history.edges),
         )
         figures["complete"] = complete
+        figures |= mount_figures(self.log, self.history.edges, track.odometry, self.config)
         timing = evaluate.timing_metrics(self.timing)
         self.folder.write_json("metrics.json", figures | timing)
         self.folder.write_json("timing.json", timing)

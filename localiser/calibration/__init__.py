@@ -1,6 +1,7 @@
 """Where the camera looks and what its lens does: tilt and roll from edges, everything from a board."""
 
 from localiser.calibration.board import Board, BoardView
+from localiser.calibration.check import MountCheck, check_mount
 from localiser.calibration.intrinsics import LENSES, FloorMount, Intrinsics, calibrated, mount_over_board
 from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
 from localiser.calibration.log_mount import LogMount, mount_of_images, mount_of_lines, spread, views_of
@@ -14,7 +15,9 @@ __all__ = [
     "Intrinsics",
     "Lines",
     "LogMount",
+    "MountCheck",
     "calibrated",
+    "check_mount",
     "down_in_camera",
     "lines_of",
     "mount_from_down",

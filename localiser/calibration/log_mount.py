@@ -118,7 +118,7 @@ def mount_of_lines(lines: Lines, views: NDArray[np.int64], stated: Array) -> Log
     return LogMount(
         stated=stated,
         mount=whole.mount,
-        cov=_covariance(lines, views, whole.mount, whole.vertical, whole.plumb_sigma),
+        cov=covariance_by_views(lines, views, whole.mount, whole.vertical, whole.plumb_sigma),
         image_mount=np.array([image.mount for image in each]).reshape(-1, 2),
         image_cov=np.array([image.cov for image in each]).reshape(-1, 2, 2),
         lines=len(lines),
@@ -128,8 +128,10 @@ def mount_of_lines(lines: Lines, views: NDArray[np.int64], stated: Array) -> Log
     )
 
 
-def _covariance(lines: Lines, views: NDArray[np.int64], mount: Array, vertical: Array, plumb_sigma: float) -> Array:
-    """Return the covariance (2, 2) of tilt and roll when all images of a view show the same edges and the same errors.
+def covariance_by_views(
+    lines: Lines, views: NDArray[np.int64], mount: Array, vertical: Array, plumb_sigma: float
+) -> Array:
+    """Return the covariance (2, 2) of tilt and roll when all images of a view show the same edges and errors.
 
     A view then tells no more than one of its images does on average. Where views differ by more than that explains,
     the covariance grows until it covers their scatter (sandwich estimator, one cluster per view).

@@ -130,6 +130,8 @@ def replay(
         figures = run.run(advance)
     if not quiet:
         _show_run(figures, run.folder.path, rrd)
+        for warning in figures["warnings"]:
+            typer.secho(warning, fg="yellow", err=True)
     if run.live is not None and run.live.address:
         typer.echo("The page is served until Ctrl-C.", err=True)
         run.live.wait()

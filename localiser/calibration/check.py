@@ -1,0 +1,53 @@
+"""Whether the edges of a run agree with the tilt and roll that were stated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from localiser.calibration.lines import Lines, lines_of
+from localiser.calibration.log_mount import covariance_by_views, spread, views_of
+from localiser.calibration.plumb import fitted, voted
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+
+_MOST_IMAGES = 500
+_SURE, _UNLIKELY = 13.8, 6.0
+"""Squared Mahalanobis distances in two dimensions that chance exceeds in 0.1 % and in 5 % of the cases."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountCheck:
+    """What the edges of a run say about tilt and roll: stated (2,), found (2,), cov (2, 2), rad.
+
+    disagrees: that stated and found differ is sure, and it is more than the stated one's own uncertainty explains.
+    """
+
+    stated: Array
+    found: Array
+    cov: Array
+    disagrees: bool
+
+    @property
+    def sigma(self) -> Array:
+        """The sigma (2,) of what was found."""
+        return np.sqrt(np.diag(self.cov))
+
+
+def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> MountCheck:
+    """Return what the edges of F images, taken at poses (F, 3) of the odometry, say about the mount of `camera`.
+
+    stated_sigma_rad: (2,) how certain the stated tilt and roll are taken to be.
+    """
+    stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
+    used = spread(len(frames), _MOST_IMAGES) if frames else []
+    lines = Lines.together([lines_of(frames[image], camera, index) for index, image in enumerate(used)])
+    plumb = fitted(lines, stated, voted(lines, stated))
+    cov = covariance_by_views(lines, views_of(poses[used]), plumb.mount, plumb.vertical, plumb.plumb_sigma)
+    off = plumb.mount - stated
+    sure = off @ np.linalg.solve(cov, off) > _SURE
+    unlikely = off @ np.linalg.solve(cov + np.diag(stated_sigma_rad**2), off) > _UNLIKELY
+    return MountCheck(stated, plumb.mount, cov, bool(sure and unlikely))
