@@ -14,6 +14,7 @@ from localiser.proposals.resection import from_three_bearings, from_two_bearings
 from localiser.proposals.views import View
 
 GATE_SIGMAS = 1.5
+MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
 AT_ONCE = 8  # pairs of edges looked up together
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
 WORST_RANGE = 0.25  # relative error of a range that still tells something
@@ -87,10 +88,16 @@ def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
 
 
 def from_bearings(views: list[View], places: Places, count: int, rng: np.random.Generator) -> Array:
-    """Return robot poses (K ≤ count, 3) at which three edges, of one image or several, are three landmarks."""
+    """Return robot poses (K, 3), up to two for each of `count` draws, at which three edges are three landmarks.
+
+    The edges may be of one image or of several. None where the map is so large that three right edges would hardly
+    ever be drawn with their three landmarks.
+    """
+    if len(places) ** 3 > MOST_TRIPLES * count:
+        return np.zeros((0, 3))
     bearing = np.concatenate([view.bearing - view.camera_in_robot[2] for view in views])
     origin = np.concatenate([np.broadcast_to(view.camera_in_robot[:2], (len(view), 2)) for view in views])
-    if len(bearing) < 3 or len(places) < 3 or count == 0:
+    if len(bearing) < 3 or len(places) < 3:
         return np.zeros((0, 3))
     edges = _distinct(len(bearing), 3, count, rng)
     landmarks = _neighbours(places, len(edges), rng)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.geometry import Array
@@ -27,18 +28,16 @@ def from_three_bearings(points: Array, origins: Array, bearings: Array) -> Array
     # Landmarks near the map's origin or far from it alike: scale the first two unknowns to the others.
     scale = np.maximum(np.abs(points).max(axis=(1, 2)), 1.0)
     rows[..., :2] /= scale[:, None, None]
-    free = _null_vector(rows)
-    gram = rows @ rows.transpose(0, 2, 1)
-    solvable = np.abs(np.linalg.det(gram)) > 1e-12
-    gram[~solvable] = np.eye(3)
-    fixed = (rows.transpose(0, 2, 1) @ np.linalg.solve(gram, offset[..., None]))[..., 0]
+    free, volume = _null_vector(rows)
+    solvable = volume > 1e-6  # three rays that leave one line of solutions, and no more
+    fixed = _shortest(rows, offset, solvable)
     fixed[:, :2] /= scale[:, None]
     free[:, :2] /= scale[:, None]
     return np.stack([_pose_on_line(fixed, free, step, solvable, points, origins, bearings) for step in (1.0, -1.0)])
 
 
 def _pose_on_line(
-    fixed: Array, free: Array, sign: float, solvable: Array, points: Array, origins: Array, bearings: Array
+    fixed: Array, free: Array, sign: float, solvable: NDArray[np.bool_], points: Array, origins: Array, bearings: Array
 ) -> Array:
     """Return the poses (K, 3) where the line fixed + λ free (K, 4) meets cos² h + sin² h = 1, nan if behind a ray."""
     square = (free[:, :2] ** 2).sum(axis=1)
@@ -54,11 +53,33 @@ def _pose_on_line(
     return np.where(valid[:, None], poses, np.nan)
 
 
-def _null_vector(rows: Array) -> Array:
-    """Return the vector (K, 4) orthogonal to three rows (K, 3, 4), by its cofactors, of length 1 (0 if they depend)."""
-    columns = np.arange(4)
-    vector = np.stack([(-1.0) ** skip * np.linalg.det(rows[..., columns != skip]) for skip in columns], axis=-1)
-    return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-300))
+def _null_vector(rows: Array) -> tuple[Array, Array]:
+    """Return the vector (K, 4) of length 1 across three rows (K, 3, 4), and the volume (K,) that the rows span.
+
+    Its entries are the rows' 3×3 minors; their root of squares is the volume (Cauchy, Binet).
+    """
+
+    def minor(i: int, j: int, k: int) -> Array:
+        a, b, c = rows[:, 0], rows[:, 1], rows[:, 2]
+        return np.asarray(
+            a[:, i] * (b[:, j] * c[:, k] - b[:, k] * c[:, j])
+            - a[:, j] * (b[:, i] * c[:, k] - b[:, k] * c[:, i])
+            + a[:, k] * (b[:, i] * c[:, j] - b[:, j] * c[:, i])
+        )
+
+    vector = np.stack([minor(1, 2, 3), -minor(0, 2, 3), minor(0, 1, 3), -minor(0, 1, 2)], axis=-1)
+    volume = np.linalg.norm(vector, axis=-1)
+    return vector / np.maximum(volume, 1e-300)[:, None], volume
+
+
+def _shortest(rows: Array, offset: Array, solvable: NDArray[np.bool_]) -> Array:
+    """Return the shortest vector (K, 4) with rows · vector = offset (K, 3): zero where all rays have one origin."""
+    result = np.zeros((len(rows), 4))
+    needed = np.flatnonzero(solvable & offset.any(axis=1))
+    own = rows[needed]
+    across = own.transpose(0, 2, 1)
+    result[needed] = (across @ np.linalg.solve(own @ across, offset[needed][..., None]))[..., 0]
+    return result
 
 
 def from_two_bearings(first: Array, second: Array, bearings: Array, ranges: Array) -> Array:
