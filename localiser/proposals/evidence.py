@@ -109,8 +109,8 @@ def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[
         sectors.shape,
         sectors.start,
         sectors.item,
-        evidence.edge,
-        evidence.fit,
+        evidence.edge.astype(np.int16),  # small tables stay in the processor's cache
+        evidence.fit.astype(np.float32),
         len(evidence.view),
         np.array([evidence.tangent_low, evidence.tangent_step, evidence.e_low, evidence.e_step]),
     )
@@ -124,8 +124,8 @@ def score_loop(
     shape: tuple[int, int, int],
     start: Indices,
     item: Indices,
-    edge: Indices,
-    fit: Array,
+    edge: NDArray[np.int16],
+    fit: NDArray[np.float32],
     edges: int,
     grid: Array,
 ) -> Array:
@@ -140,6 +140,7 @@ def score_loop(
     rows, columns = fit.shape
     explained = np.zeros(edges)
     low, high, per_column = grid[0], grid[0] + (columns - 0.01) * grid[1], 1.0 / grid[1]
+    per_row = 1.0 / grid[3]
     nearest, farthest = sight[2] ** 2, sight[3] ** 2
     for n in range(len(poses)):
         x, z, heading = poses[n, 0], poses[n, 1], poses[n, 2]
@@ -163,20 +164,22 @@ def score_loop(
             if squared < nearest or squared > farthest:
                 continue
             # The top must be above the image's lower border, the foot below its upper one.
-            depth = max(ahead * c - landmarks[k, 3] * s, 1e-6)
-            if landmarks[k, 3] * c + ahead * s < grid[2] * depth:
+            top, bottom = landmarks[k, 3], landmarks[k, 2]
+            if top * c + ahead * s < grid[2] * max(ahead * c - top * s, 1e-6):
                 continue
-            e = (landmarks[k, 2] * c + ahead * s) / max(ahead * c - landmarks[k, 2] * s, 1e-6)
-            row = max(int(np.floor((e - grid[2]) / grid[3])) + 1, 0)
+            depth = max(ahead * c - bottom * s, 1e-6)
+            inverse = 1.0 / (ahead * depth)  # one division for both quotients
+            row = max(int(np.floor(((bottom * c + ahead * s) * ahead * inverse - grid[2]) * per_row)) + 1, 0)
             if row >= rows - 1:
                 continue
             in_view += 1
-            column = int((right / ahead - low) * per_column)
+            column = int((right * depth * inverse - low) * per_column)
             if edge[row, column] >= 0:
                 explained[edge[row, column]] += fit[row, column]
+        each = 0.5 / max(in_view, 1)
         product, total = 1.0, 0.0  # one logarithm for many factors, as long as their product is a number
         for k in range(edges):
-            product *= 0.5 + 0.5 * explained[k] / max(in_view, 1)
+            product *= 0.5 + each * explained[k]
             if product > 1e100:
                 total += np.log(product)
                 product = 1.0

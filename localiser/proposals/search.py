@@ -29,7 +29,7 @@ SAME_M, SAME_RAD = 0.2, np.radians(6.0)  # hypotheses in one such cell are one
 class ProposalParameters:
     """How hard to look for poses in one frame."""
 
-    hypotheses: Annotated[int, Field(ge=1, description="poses tried by their quick score in one frame")] = 30_000
+    hypotheses: Annotated[int, Field(ge=1, description="poses tried by their quick score in one frame")] = 25_000
     refined: Annotated[int, Field(ge=1, description="of these, the best that are refined and weighed")] = 100
     kept: Annotated[int, Field(ge=1, description="Gaussians that the density is made of")] = 40
     widened: Annotated[float, Field(ge=1, description="factor on each Gaussian's sigmas, against thin tails")] = 1.5
