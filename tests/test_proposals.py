@@ -7,6 +7,7 @@ import pytest
 from proposal_room import CAMERA, drawn_frames, room
 
 from localiser import geometry
+from localiser.edges import Edges
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
@@ -147,3 +148,14 @@ def test_a_map_of_one_landmark_is_left_to_even_draws():
     score = likelihood(frames[0], lonely)
     found = propose([view_of(CAMERA, frames[0])], Places.of(lonely, CAMERA), score, np.random.default_rng(0))
     assert len(found) == 0
+
+
+def test_a_present_image_without_edges_leaves_the_word_to_an_earlier_one():
+    pose, frames = drawn_frames(ROOM, 60, seed=5)
+    index = next(k for k, edges in enumerate(frames) if len(edges) >= 12)
+    motion = np.array([0.0, -0.2, 0.1])
+    views = [view_of(CAMERA, Edges.none()), view_of(CAMERA, frames[index], motion=motion)]
+    then = likelihood(frames[index], ROOM)
+    back = geometry.between(motion, np.zeros(3))
+    found = propose(views, PLACES, lambda poses: then(geometry.compose(poses, back)), np.random.default_rng(0), QUICK)
+    assert beside(found.mean, geometry.compose(pose[index], motion)).any()

@@ -123,7 +123,7 @@ def score_loop(
     floor: Array,
     shape: tuple[int, int, int],
     start: Indices,
-    item: Indices,
+    item: NDArray[np.int32],
     edge: NDArray[np.int16],
     fit: NDArray[np.float32],
     edges: int,

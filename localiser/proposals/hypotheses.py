@@ -13,7 +13,7 @@ from localiser.proposals.places import BOTTOM_STEP_M, Indices, Places
 from localiser.proposals.resection import from_three_bearings, from_two_bearings
 from localiser.proposals.views import View
 
-GATE_SIGMAS = 1.5
+GATE_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more than it loses
 MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
 AT_ONCE = 8  # pairs of edges looked up together
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
@@ -29,10 +29,8 @@ def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) 
     i, j = _wide_pairs(view, np.flatnonzero(~view.cut & np.isfinite(view.foot)))
     if len(i) == 0 or count == 0:
         return np.zeros((0, 3))
-    # Long edges first, mostly: a key of an exponential over its weight sorts as drawing without putting back.
-    key = rng.exponential(size=len(i)) / np.sqrt(view.length_px[i] * view.length_px[j])
-    order = np.argsort(key)
     ranges, sigmas = _foot_ranges(view, places)
+    order = np.argsort(rng.exponential(size=len(i)) / _merit(view, sigmas, i, j))
     found, total = [], 0
     for chunk in np.array_split(order, -(-len(order) // AT_ONCE)):
         found.append(_from_pairs(view, places, np.stack([i, j], axis=-1)[chunk], ranges, sigmas))
@@ -41,6 +39,17 @@ def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) 
             break
     cameras = np.concatenate(found)
     return view.robot_poses(cameras[:count])
+
+
+def _merit(view: View, sigmas: Array, i: Indices, j: Indices) -> Array:
+    """Return how soon each pair of edges (P,) is to be tried: long edges, which are rarely clutter, with sure ranges.
+
+    An exponential draw over this, sorted, is a draw without putting back with chances in proportion to it.
+    """
+    told = np.isfinite(sigmas)
+    sigma = np.where(told, sigmas, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
+    sigma = np.where(told.any(axis=1), sigma, sigma.max(initial=1.0))
+    return np.asarray(np.sqrt(view.length_px[i] * view.length_px[j]) / (sigma[i] + sigma[j]))
 
 
 def _from_pairs(view: View, places: Places, edges: Indices, ranges: Array, sigmas: Array) -> Array:

@@ -74,7 +74,7 @@ def _best_hypotheses(
 ) -> Array:
     """Return the poses (K, 3) that the quick score likes best, none beside another."""
     count = parameters.hypotheses
-    poses = hypotheses.from_feet(views[0], places, count, rng)
+    poses = hypotheses.from_feet(max(views, key=len), places, count, rng)
     if len(poses) < count // 2:
         more = hypotheses.from_bearings(views, places, count - len(poses), rng)
         poses = np.concatenate([poses, more])

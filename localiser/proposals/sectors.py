@@ -27,7 +27,7 @@ class Sectors:
     corner: Array
     shape: tuple[int, int, int]
     start: Indices
-    item: Indices
+    item: NDArray[np.int32]
 
     @classmethod
     def of(cls, points: Array, low: Array, high: Array, half_view_rad: float, range_max_m: float) -> Sectors:
@@ -47,6 +47,6 @@ class Sectors:
             seen = (off <= reach[:, None]) | (distance <= half_diagonal)[:, None]
             seen &= (distance <= range_max_m + half_diagonal)[:, None]
             counts.append(seen.sum(axis=-1).ravel())
-            items.append(np.nonzero(seen)[2])
+            items.append(np.nonzero(seen)[2].astype(np.int32))  # millions of entries on a large floor
         start = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
         return cls(low, (int(size[0]), int(size[1]), HEADINGS), start, np.concatenate(items))
