@@ -12,7 +12,7 @@ from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
-from localiser.proposals import Places, ProposalParameters, propose, view_of
+from localiser.proposals import Places, ProposalParameters, propose, view_of, warm_up
 from localiser.proposals.refine import refined
 from localiser.simulate import EdgeNoise, simulated_edges
 
@@ -159,3 +159,21 @@ def test_a_present_image_without_edges_leaves_the_word_to_an_earlier_one():
     back = geometry.between(motion, np.zeros(3))
     found = propose(views, PLACES, lambda poses: then(geometry.compose(poses, back)), np.random.default_rng(0), QUICK)
     assert beside(found.mean, geometry.compose(pose[index], motion)).any()
+
+
+def test_a_floor_range_says_the_same_as_the_end_that_it_was_measured_from():
+    """Edges of something that reports the range of their feet and no ends."""
+    _, frames = drawn_frames(ROOM, 60, seed=5)
+    edges = next(edges for edges in frames if len(edges) >= 12)
+    view = view_of(CAMERA, edges)
+    foot_px = np.take_along_axis(edges.ends_px, edges.ends_px[..., 1].argmax(axis=1)[:, None, None], axis=1)[:, 0]
+    range_m = np.linalg.norm(CAMERA.floor_points(foot_px), axis=-1)
+    bare = Edges.from_columns(edges.bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, foot_range_m=range_m)
+    seen = np.isfinite(view_of(CAMERA, bare).foot)
+    assert seen.sum() >= 8
+    # The end itself errs across the edge, not along the bearing, by half a pixel.
+    np.testing.assert_allclose(view_of(CAMERA, bare).foot[seen], view.foot[seen], atol=2e-3)
+
+
+def test_warming_up_needs_no_edges():
+    warm_up(view_of(CAMERA, Edges.none()), PLACES)

@@ -1,5 +1,6 @@
 """Where may the robot be? Poses proposed from one image's edges, as a density to draw particles from."""
 
+from localiser.proposals.evidence import warm_up
 from localiser.proposals.mixture import Proposals, Region
 from localiser.proposals.places import Places
 from localiser.proposals.resection import from_three_bearings, from_two_bearings
@@ -16,4 +17,5 @@ __all__ = [
     "from_two_bearings",
     "propose",
     "view_of",
+    "warm_up",
 ]

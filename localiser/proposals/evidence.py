@@ -98,6 +98,11 @@ def score_poses(evidences: list[Evidence], places: Places, robot_poses: Array) -
     return total
 
 
+def warm_up(view: View, places: Places) -> None:
+    """Compile the score, or load it from the cache, so that the first frame need not wait for it."""
+    score_poses([evidence_of(view, 0.01, 0.01)], places, np.zeros((1, 3)))
+
+
 def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
     """Return what `score_loop` takes."""
     mount, sectors = evidence.view.camera.mount, places.sectors

@@ -72,7 +72,8 @@ def view_of(
         variance = variance + motion_cov[2, 2] + (motion_cov[0, 0] + motion_cov[1, 1]) / 2 / 3.0**2
     known = np.flatnonzero(np.isfinite(bearing) & np.isfinite(variance))
     order = known[np.argsort(bearing[known], kind="stable")]
-    foot = camera.upright_from_pixels(edges.ends_px[order])[..., 1].min(axis=1, initial=np.inf)
+    foot = camera.upright_from_pixels(edges.ends_px[order])[..., 1].min(axis=1)
+    foot = np.where(np.isnan(foot), _height_at(camera, bearing[order], edges.foot_range_m[order]), foot)
     motion = np.zeros(3) if motion is None else np.asarray(motion, dtype=np.float64)
     return View(
         camera=camera,
@@ -102,3 +103,10 @@ def _tilt_sigma(edges: Edges) -> float:
     """Return the sigma (rad) of the camera's tilt, by which all ends move up or down."""
     names = edges.common.names
     return float(np.sqrt(edges.common.cov[names.index("tilt"), names.index("tilt")])) if "tilt" in names else 0.0
+
+
+def _height_at(camera: Camera, bearing: Array, floor_range_m: Array) -> Array:
+    """Return the upright image heights (E,) of floor points at bearings (E,) and ranges (E,), nan where unknown."""
+    s, c, height_m = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad), camera.mount.height_m
+    ahead = floor_range_m * np.cos(bearing)
+    return np.asarray((ahead * s - height_m * c) / (ahead * c + height_m * s))
