@@ -47,7 +47,7 @@ def test_one_frame_proposes_the_true_pose(kind, clutter, least):
 def test_draws_are_many_where_the_posterior_is_and_their_weights_say_the_truth():
     """With ten edges and no clutter, the posterior lies at the true pose, and 2 % of the draws are effective.
 
-    Of even draws over this room and all headings, one in a hundred thousand would be.
+    Of even draws over this room and all headings, one in a hundred million would be.
     """
     effective = []
     for pose, edges in zip(*drawn_frames(ROOM, 60, seed=5), strict=True):
