@@ -10,7 +10,7 @@ from edge_images import camera_of, wall_image
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.columns import gradient_field, gradient_kernel, linked, peaks_of
 from localiser.edges.lines import columns
-from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
+from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 
 PARAMETERS = EdgeParameters(detector="columns")
 
@@ -61,7 +61,7 @@ def test_noise_alone_has_no_edges():
 def test_noise_is_measured_in_the_image():
     camera = camera_of(tilt_deg=0.0)
     image = wall_image(camera, [-5.0, 5.0], [90.0, 150.0, 90.0], noise_sigma=6.0)
-    white = 6.0 * np.linalg.norm(gradient_kernel(1.0)) / np.sqrt(ROWS_PER_BLOCK)
+    white = 6.0 * np.linalg.norm(gradient_kernel(1.0)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
     np.testing.assert_allclose(gradient_field(image, camera).noise_grey, white, rtol=0.1)
 
 
@@ -117,7 +117,8 @@ def test_a_foot_is_found_to_a_fraction_of_a_block():
     image = wall_image(camera, [-8.0, 10.0], [60.0, 150.0, 60.0], wall_ahead_m=2.5, floor_grey=105.0, noise_sigma=1.0)
     edges = find_edges(image, camera, PARAMETERS)
     foot = np.stack([2.5 * np.tan(edges.bearing), np.full(2, -camera.mount.height_m), np.full(2, -2.5)], axis=-1)
-    np.testing.assert_allclose(edges.ends_px[:, 0], camera.project_level(foot), atol=0.25 * ROWS_PER_BLOCK)
+    block_px = ROWS_PER_BLOCK * ROWS_AT_ONCE
+    np.testing.assert_allclose(edges.ends_px[:, 0], camera.project_level(foot), atol=0.25 * block_px)
 
 
 def test_faint_edges_are_left_out_by_their_step():

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
+from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
 
@@ -77,13 +77,13 @@ def gradient_field(image: Image, camera: Camera) -> GradientField:
     kernel = gradient_kernel(SCALE_PX)
     fine = _filtered(blocks.astype(np.float32), (kernel / ROWS_PER_BLOCK).reshape(1, -1), cv2.BORDER_REPLICATE)
     fine[unseen] = 0.0
-    least = _LEAST_NOISE_GREY * float(np.linalg.norm(kernel)) / np.sqrt(ROWS_PER_BLOCK)
-    noise = max(_robust_sigma(fine[~unseen]), least)
+    least = _LEAST_NOISE_GREY * float(np.linalg.norm(kernel)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
+    noise = max(_robust_sigma(fine, camera), least)
     fine /= np.float32(noise)
     smooth = _filtered(fine, ALONG.reshape(-1, 1), cv2.BORDER_CONSTANT)
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
-    smooth_sigma = max(_robust_sigma(smooth[~unseen]), float(np.linalg.norm(ALONG)))
+    smooth_sigma = max(_robust_sigma(smooth, camera), float(np.linalg.norm(ALONG)))
     return GradientField(fine, smooth, coarse, _clutter(fine), unseen, noise, smooth_sigma)
 
 
@@ -92,9 +92,16 @@ def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border:
     return np.asarray(cv2.filter2D(values, cv2.CV_32F, kernel, borderType=border), dtype=np.float32)
 
 
-def _robust_sigma(values: NDArray[np.float32]) -> float:
-    """Return 1.48 times the median size of values about 0, from a sample: neighbours say the same."""
-    return 1.4826 * float(np.median(np.abs(values[::7]))) if len(values) else 0.0
+def _robust_sigma(values: NDArray[np.float32], camera: Camera) -> float:
+    """Return 1.48 times the median size, about 0, of the values (B, W) that are seen."""
+    sample = np.abs(values.ravel()[_sample(camera)])
+    return 1.4826 * float(np.median(sample)) if len(sample) else 0.0
+
+
+@lru_cache(maxsize=8)
+def _sample(camera: Camera) -> NDArray[np.int64]:
+    """Return flat indices of some of the blocks that are seen: neighbours say the same."""
+    return np.flatnonzero(~unseen_blocks(camera))[::7]
 
 
 def _clutter(fine: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -157,4 +164,4 @@ def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
     top = np.where(below[above] == everyone, above, everyone)
     while not np.array_equal(top, top[top]):
         top = top[top]
-    return np.unique(top, return_inverse=True)[1].astype(np.int64)
+    return np.asarray(np.cumsum(top == everyone)[top] - 1)

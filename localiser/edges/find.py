@@ -14,7 +14,7 @@ from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import polarity_of_profiles, profiles
 from localiser.edges.segments import Detector, hough, lsd
 from localiser.edges.types import Edges
-from localiser.edges.undistort import Image
+from localiser.edges.undistort import Image, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.errors import InputError
 
@@ -37,7 +37,7 @@ def find_edges(image: Image, camera: Camera, parameters: EdgeParameters) -> Edge
     edge = same_edge(kept, camera, mount, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
     edges = edges.take(edges.length_px >= parameters.min_length_px)
-    rejected = camera.undistorted().image_from_pixels(segments.ends_px[~vertical])
+    rejected = ideal_camera(camera).image_from_pixels(segments.ends_px[~vertical])
     return replace(edges, rejected_px=camera.pixels_from_image(rejected))
 
 

@@ -53,7 +53,7 @@ class Groups:
         """Return the lowest (G,) of the values (K,) of each group, of the masked ones only; inf for none."""
         lowest = np.full(self.count, np.inf)
         used = slice(None) if mask is None else mask
-        np.minimum.at(lowest, self.of[used], values[used])
+        np.minimum.at(lowest, self.of[used], values[used].astype(np.float64))  # many times slower for integers
         return lowest
 
     def highest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:

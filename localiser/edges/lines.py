@@ -26,7 +26,7 @@ from localiser.edges.groups import Groups, LineFit
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.rectify import ROWS_PER_BLOCK, ColumnView, column_view
 from localiser.edges.segments import Segments
-from localiser.edges.undistort import Image
+from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
 
 _LEAST_BLOCKS = 3
@@ -41,6 +41,7 @@ _MARGIN_BLOCKS = 2
 _SAME_EDGE_SHARE = 0.25
 """Where the gradient falls below this share of its mean, the edge has ended or is hidden."""
 
+_AROUND = np.arange(-1, 3)[:, None]
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
 _FIRST, _SECOND = np.array([0.5, 0.0, -0.5]), np.array([-1.0, 2.0, -1.0])
 _WIDER = cv2.getGaussianKernel(15, np.sqrt(3.0) * SCALE_PX).ravel()
@@ -134,11 +135,10 @@ def _sampled(values: NDArray[np.float32], cells: _Cells, column: Array) -> tuple
     width = values.shape[1]
     whole = column.astype(np.int64).clip(1, width - 3)
     share = (column - whole).clip(0, 1)
-    start = cells.row * width + whole
-    before, here, there, after = (values.ravel()[start + by] * cells.polarity for by in (-1, 0, 1, 2))
-    height = (1 - share) * here + share * there
-    steepness = ((1 - share) * (there - before) + share * (after - here)) / 2
-    curvature = (1 - share) * (2 * here - before - there) + share * (2 * there - here - after)
+    before, here, there, after = values.ravel()[cells.row * width + whole + _AROUND] * cells.polarity
+    height = here + share * (there - here)
+    steepness = (there - before + share * (after - here - there + before)) / 2
+    curvature = 2 * here - before - there + share * (3 * (there - here) + before - after)
     return height, steepness, curvature
 
 
@@ -158,11 +158,11 @@ def _refined(lines: _Lines, cells: _Cells, field: GradientField) -> _Fitted:
     """
     groups, line = cells.groups, cells.groups.of
     fit, robust = lines.fit, cells.in_chain.astype(np.float64)
-    for _ in range(3):
+    curvature = _steady(_sampled(field.smooth, cells, fit.at(line, cells.row))[2], _CURVATURE_SIGMA, cells)
+    weight = (curvature / _STEEPNESS_SIGMA) ** 2
+    for _ in range(2):
         column = fit.at(line, cells.row)
         height, steepness, _ = _sampled(field.fine, cells, column)
-        curvature = _steady(_sampled(field.smooth, cells, column)[2], _CURVATURE_SIGMA, cells)
-        weight = (curvature / _STEEPNESS_SIGMA) ** 2
         target = column + (steepness / curvature).clip(-2, 2)
         fit = groups.line(cells.row, target, weight * robust)
         residual = target - fit.at(line, cells.row)
@@ -273,7 +273,7 @@ def _segments(fitted: _Fitted, top: Array, bottom: Array, view: ColumnView, came
     points = np.stack([bottom - 0.5, top - 0.5, fit.x + reach, fit.x - reach], axis=1)
     column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
     upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
-    ideal_px = camera.undistorted().pixels_from_upright(upright)
+    ideal_px = ideal_camera(camera).pixels_from_upright(upright)
     to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
     return Segments(
         ends_px=ideal_px[:, :2],

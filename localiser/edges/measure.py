@@ -11,7 +11,7 @@ from localiser.edges.groups import Groups
 from localiser.edges.profile import profiles
 from localiser.edges.segments import Segments
 from localiser.edges.types import CommonError, Edges
-from localiser.edges.undistort import Image
+from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
 
 _BORDER_PX = 3.0
@@ -34,7 +34,7 @@ def edges_of_segments(
     bearing, bearing_sigma = _bearings(segments, groups, camera)
     lean, lean_sigma, upright_ends, middle_e = _lean_and_ends(segments, groups, camera)
     image_ends = camera.image_from_upright(upright_ends)
-    ends_px, ideal_px = camera.pixels_from_image(image_ends), camera.undistorted().pixels_from_image(image_ends)
+    ends_px, ideal_px = camera.pixels_from_image(image_ends), ideal_camera(camera).pixels_from_image(image_ends)
     pieces_px = groups.sum(np.linalg.norm(segments.ends_px[:, 1] - segments.ends_px[:, 0], axis=-1))
     polarity = np.zeros(groups.count, dtype=np.int8)
     polarity[edge] = segments.polarity
@@ -59,7 +59,7 @@ def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array
 
     Segments of one edge that disagree by more than their sigmas make it as uncertain as they are apart.
     """
-    ideal = camera.undistorted()
+    ideal = ideal_camera(camera)
     each = ideal.bearing_of_segments(segments.support_px)
     weight = ideal.bearing_sigma_of_segments(segments.support_px, segments.across_sigma_px) ** -2
     total = groups.sum(weight)
@@ -71,7 +71,7 @@ def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array
 
 def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array, Array, Array, Array]:
     """Return lean (E,), its sigma (E,), upright ends (E, 2, 2), bottom first, and mean height e (E,) of free lines."""
-    ideal = camera.undistorted()
+    ideal = ideal_camera(camera)
     support = ideal.upright_from_pixels(segments.support_px)
     members = np.bincount(groups.of, minlength=groups.count)[groups.of]
     # What moves a segment as a whole turns an edge only where segments are joined.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
+from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
 
 _TUKEY = 4.0
@@ -52,7 +53,7 @@ def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
     The nadir point moves by δθ / s² along e and by δρ c / s along a; seen from (a, e) it turns by a / q² δθ and
     c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when the tilt is 0.
     """
-    ideal = camera.undistorted()
+    ideal = ideal_camera(camera)
     length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
     angle = ideal.nadir_miss_px(segments.support_px) / (length_px / 2)
     a, e = np.moveaxis(ideal.upright_from_pixels(segments.support_px.mean(axis=1)), -1, 0)
@@ -82,6 +83,6 @@ def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float,
 
 def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
     """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `mount_error`."""
-    ideal_px = camera.undistorted().pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
     pointing = nadir_miss(Segments.of_ends(ideal_px, 1.0), camera)
     return mount_error(replace(pointing, sigma=edges.lean_sigma), prior_sigma_rad, plumb_sigma_rad)

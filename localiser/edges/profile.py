@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.undistort import Image
+from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
 
 PROFILE_OFFSETS_PX = np.array([-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0])
@@ -26,7 +26,7 @@ def profiles(ends_px: Array, image: Image, camera: Camera) -> Array:
     up = (top - bottom) / np.maximum(np.linalg.norm(top - bottom, axis=-1, keepdims=True), 1e-9)
     rightwards = up[..., ::-1] * [-1.0, 1.0]
     points = bottom + (top - bottom) * along + rightwards * PROFILE_OFFSETS_PX[:, None]
-    taken = camera.pixels_from_image(camera.undistorted().image_from_pixels(points)).astype(np.float32)
+    taken = camera.pixels_from_image(ideal_camera(camera).image_from_pixels(points)).astype(np.float32)
     inside = np.all(
         (taken >= 0) & (taken <= np.array([camera.width - 1, camera.height - 1], dtype=np.float32)), axis=-1
     )

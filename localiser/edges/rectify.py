@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.undistort import Image, image_border, is_shown
+from localiser.edges.undistort import Image, image_border, remap_tables
 from localiser.geometry import Array
 
-ROWS_PER_BLOCK = 8
+ROWS_AT_ONCE = 2
+"""Rows of the image that become one of the rectified one, averaged beforehand: half as much to look up."""
+ROWS_PER_BLOCK = 4
 """The height of the rectified image is a multiple of this: rows that are averaged to one."""
 _WIDEST = 2.5
 """Limit of the rectified width over the image's; only a view of the nadir point itself would want more."""
@@ -27,8 +29,8 @@ _LEAST_DEPTH = 0.05
 class ColumnView:
     """A remap of the taken image in which the column is tan(bearing) and the row the height e in the upright image.
 
-    A vertical edge a = tan b (c + e s) is a column, whatever the tilt. Rows are as dense as in the image, columns as
-    dense as at the image's centre for a tilt of 0.
+    A vertical edge a = tan b (c + e s) is a column, whatever the tilt. Rows are half as dense as in the image, columns
+    as dense as at the image's centre for a tilt of 0.
 
     first_tangent, first_height: of the top-left pixel. columns_per_tangent, rows_per_height: pixels per unit.
     map_1, map_2: tables of `cv2.remap`. unseen: (H, W) where the taken image has nothing to show.
@@ -45,7 +47,9 @@ class ColumnView:
 
     def of(self, image: Image) -> Image:
         """Return the rectified image (H, W) of a taken one."""
-        rectified = cv2.remap(image, self.map_1, self.map_2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        height = image.shape[0] // ROWS_AT_ONCE
+        paired = cv2.resize(image[: height * ROWS_AT_ONCE], (image.shape[1], height), interpolation=cv2.INTER_AREA)
+        rectified = cv2.remap(paired, self.map_1, self.map_2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(rectified, dtype=np.uint8)
 
     def upright(self, column: Array, row: Array) -> Array:
@@ -65,7 +69,8 @@ class ColumnView:
     def pixels_per_column(self, column: Array, row: Array) -> Array:
         """Return how many pixels of the taken image, across a vertical edge, one column is wide."""
         lean = np.arctan(np.sin(self.tilt_rad) * self.tangent(column))
-        return np.asarray(self.depth(row) * np.cos(lean) * self.rows_per_height / self.columns_per_tangent)
+        per_tangent = self.depth(row) * np.cos(lean) * self.rows_per_height * ROWS_AT_ONCE
+        return np.asarray(per_tangent / self.columns_per_tangent)
 
 
 @lru_cache(maxsize=8)
@@ -78,16 +83,18 @@ def column_view(camera: Camera) -> ColumnView:
     tangent = (border[:, 0] / depth).clip(-_STEEPEST_TANGENT, _STEEPEST_TANGENT)
     density = min(focal, _WIDEST * camera.width / float(np.ptp(tangent)))
     width = int(np.ceil(np.ptp(tangent) * density)) + 1
-    height = ROWS_PER_BLOCK * int(np.ceil(np.ptp(border[:, 1]) * focal / ROWS_PER_BLOCK))
+    height = ROWS_PER_BLOCK * int(np.ceil(np.ptp(border[:, 1]) * focal / ROWS_AT_ONCE / ROWS_PER_BLOCK))
     empty = np.zeros((0, 0))
+    first_height = float(border[:, 1].max()) - (ROWS_AT_ONCE - 1) / 2 / focal
     view = ColumnView(
-        tilt, float(tangent.min()), float(border[:, 1].max()), density, focal,
+        tilt, float(tangent.min()), first_height, density, focal / ROWS_AT_ONCE,
         empty.astype(np.int16), empty.astype(np.uint16), empty.astype(np.bool_),
     )  # fmt: skip
-    column, row = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    image_points = camera.image_from_upright(view.upright(column, row))
-    taken = camera.pixels_from_image(image_points)
-    taken_u, taken_v = np.moveaxis(taken.astype(np.float32), -1, 0).copy()
-    map_1, map_2 = cv2.convertMaps(taken_u, taken_v, cv2.CV_16SC2)
-    unseen = ~is_shown(image_points, taken, camera) | (view.depth(row) < _LEAST_DEPTH)
-    return replace(view, map_1=np.asarray(map_1), map_2=np.asarray(map_2), unseen=unseen)
+    map_1, map_2, unseen = remap_tables(
+        lambda pixels: camera.image_from_upright(view.upright(pixels[..., 0], pixels[..., 1])),
+        (width, height),
+        camera,
+        rows_at_once=ROWS_AT_ONCE,
+    )
+    beyond_nadir = view.depth(np.arange(float(height))) < _LEAST_DEPTH
+    return replace(view, map_1=map_1, map_2=map_2, unseen=unseen | beyond_nadir[:, None])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges.parameters import EdgeParameters
-from localiser.edges.undistort import Image, ideal_view
+from localiser.edges.undistort import Image, ideal_camera, ideal_view
 from localiser.geometry import Array
 
 LSD_SIGMA_PX = 0.35
@@ -105,7 +105,7 @@ def on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Arr
     view = ideal_view(camera)
     if view is None:
         taken = lines_of(image).reshape(-1, 2, 2)
-        ends = camera.undistorted().pixels_from_image(camera.image_from_pixels(taken))
+        ends = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(taken))
     else:
         found = lines_of(view.of(image)).reshape(-1, 2, 2)
         found = found[~_is_border(found, view.seen)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,6 +17,8 @@ Image = NDArray[np.uint8]
 
 NEGLIGIBLE_BEND_PX = 0.1
 """A line detector cannot tell a line that bends by less than this from a straight one."""
+_GRID_PX = 16
+"""Spacing of the grid on which lens models are computed; between, a cubic is off by less than a thousandth pixel."""
 _LARGEST_GROWTH = 2.0
 """Limit of the ideal image's size over the taken one's; a wide lens sees what no sensible flat image can hold."""
 
@@ -36,6 +39,12 @@ class IdealView:
     def of(self, image: Image) -> Image:
         """Return the ideal image of a taken one (H, W)."""
         return np.asarray(cv2.remap(image, self.map_1, self.map_2, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+@lru_cache(maxsize=8)
+def ideal_camera(camera: Camera) -> Camera:
+    """Return the cached ideal pinhole camera with the same matrix and mount."""
+    return camera.undistorted()
 
 
 def bend_px(camera: Camera) -> float:
@@ -63,26 +72,54 @@ def ideal_view(camera: Camera, margin_px: int = 3) -> IdealView | None:
         return None
     left, top, width, height = _ideal_extent(camera)
     ideal = replace(camera.undistorted(), width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
-    columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    image_points = ideal.image_from_pixels(np.stack([columns, rows], axis=-1))
-    taken = camera.pixels_from_image(image_points)
-    shown = is_shown(image_points, taken, camera).astype(np.uint8)
+    map_1, map_2, unseen = remap_tables(ideal.image_from_pixels, (width, height), camera)
     around = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
+    shown = (~unseen).astype(np.uint8)
     seen = np.asarray(cv2.erode(shown, around, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
-    taken_u, taken_v = np.moveaxis(taken.astype(np.float32), -1, 0).copy()
-    map_1, map_2 = cv2.convertMaps(taken_u, taken_v, cv2.CV_16SC2)
-    return IdealView(ideal, np.asarray(map_1), np.asarray(map_2), seen)
+    return IdealView(ideal, map_1, map_2, seen)
 
 
-def is_shown(image_points: Array, taken_px: Array, camera: Camera) -> NDArray[np.bool_]:
-    """Return (...) whether image coordinates (..., 2), which project to pixels (..., 2), are in the taken image.
+def remap_tables(
+    image_from_view: Callable[[Array], Array], size: tuple[int, int], camera: Camera, rows_at_once: int = 1
+) -> tuple[NDArray[np.int16], NDArray[np.uint16], NDArray[np.bool_]]:
+    """Return tables of `cv2.remap` for a view of `size` (width, height), and (H, W) where `camera` shows nothing.
+
+    image_from_view: image coordinates (..., 2) of pixels (..., 2) of the view, defined a little beyond its border.
+    rows_at_once: how many rows of the taken image have been averaged to one before.
+    """
+    width, height = size
+    of_rows, of_columns = _cubic_weights(height), _cubic_weights(width)
+    nodes = [_GRID_PX * (np.arange(weights.shape[1]) - 1.0) for weights in (of_columns, of_rows)]
+    image_points = image_from_view(np.stack(np.meshgrid(*nodes), axis=-1))
+    taken = camera.pixels_from_image(image_points)
+    radius = np.linalg.norm(image_points, axis=-1)
+    u, v, radius = (
+        (of_rows @ values @ of_columns.T).astype(np.float32) for values in (*np.moveaxis(taken, -1, 0), radius)
+    )
+    shown = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1) & (radius <= _furthest(camera))
+    map_1, map_2 = cv2.convertMaps(u, (v - (rows_at_once - 1) / 2) / rows_at_once, cv2.CV_16SC2)
+    return np.asarray(map_1, dtype=np.int16), np.asarray(map_2, dtype=np.uint16), ~shown
+
+
+def _cubic_weights(count: int) -> Array:
+    """Return the weights (count, K) of nodes 16 px apart, the first one at -16 px, in a cubic through them."""
+    whole, part = np.divmod(np.arange(count) / _GRID_PX, 1.0)
+    t = part[:, None] ** np.arange(4)
+    # Catmull and Rom's: exact up to the second power.
+    cubic = np.array([[0.0, -1.0, 2.0, -1.0], [2.0, 0.0, -5.0, 3.0], [0.0, 1.0, 4.0, -3.0], [0.0, 0.0, -1.0, 1.0]]) / 2
+    weights = np.zeros((count, int(whole[-1]) + 4))
+    index = whole.astype(np.int64)[:, None] + np.arange(4)
+    np.put_along_axis(weights, index, t @ cubic.T, axis=1)
+    return weights
+
+
+def _furthest(camera: Camera) -> float:
+    """Return the largest distance from the image's centre at which something can be seen, in image coordinates.
 
     Far outside the field of view a distortion polynomial turns back and would show the image's inside once more; the
     corners of the image bound what it was fitted for.
     """
-    inside = np.all((taken_px >= 0) & (taken_px <= [camera.width - 1, camera.height - 1]), axis=-1)
-    furthest = np.linalg.norm(camera.image_from_pixels(image_border(camera)), axis=-1).max()
-    return np.asarray(inside & (np.linalg.norm(image_points, axis=-1) <= furthest + 1 / camera.focal_px))
+    return float(np.linalg.norm(camera.image_from_pixels(image_border(camera)), axis=-1).max()) + 1 / camera.focal_px
 
 
 def image_border(camera: Camera) -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges.mount import MountError, NadirMiss, mount_error, nadir_miss
 from localiser.edges.segments import Segments
+from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
 
 _ABOVE_NADIR = 0.05
@@ -36,7 +37,7 @@ def vertical_segments(
 
 
 def _above_nadir(segments: Segments, camera: Camera) -> NDArray[np.bool_]:
-    e = camera.undistorted().upright_from_pixels(segments.ends_px)[..., 1]
+    e = ideal_camera(camera).upright_from_pixels(segments.ends_px)[..., 1]
     return np.asarray((np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad)).min(axis=1) > _ABOVE_NADIR)
 
 
@@ -72,7 +73,7 @@ def _agree(
     them: what stands in front of an edge hides it. Segments beside each other are two edges unless they are too close
     to be told apart, whatever else may have moved them.
     """
-    ideal = camera.undistorted()
+    ideal = ideal_camera(camera)
     bearing = ideal.bearing_of_segments(segments.support_px)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
@@ -91,7 +92,7 @@ def _agree(
 
 def _across_rad(segments: Segments, camera: Camera, across_px: Array) -> Array:
     """Return the bearing error (S,) that errors `across_px` (S,) of both support points make."""
-    return camera.undistorted().bearing_sigma_of_segments(segments.support_px, across_px)
+    return ideal_camera(camera).bearing_sigma_of_segments(segments.support_px, across_px)
 
 
 def _differences(values: Array) -> Array:
