@@ -20,6 +20,7 @@ from localiser.edges import EdgeParameters
 from localiser.edges.bearings import BearingSensor
 from localiser.errors import InputError
 from localiser.mapping import MappingParameters
+from localiser.increments import IncrementParameters
 from localiser.mcl import MclParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
@@ -36,6 +37,7 @@ class Config(BaseModel):
     seed: Annotated[int, Field(ge=0, lt=2**32, description="of the one random generator; same seed, same result")] = 0
     mcl: MclParameters = MclParameters()
     motion: MotionParameters = MotionParameters()
+    increments: IncrementParameters = IncrementParameters()
     observation: ObservationParameters = ObservationParameters()
     edges: EdgeParameters = EdgeParameters()
     sensor: BearingSensor = BearingSensor()

@@ -17,8 +17,9 @@ from pydantic import Field
 from localiser import geometry, particles
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
+from localiser.increments import Odometer
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MotionParameters, predict
+from localiser.motion import MotionParameters, linearised, predict
 from localiser.observation import Observation, ObservationParameters, independent_share
 from localiser.particles import Estimate, Particles
 
@@ -98,6 +99,7 @@ class Mcl:
     parameters: MclParameters = field(default_factory=MclParameters)
     motion: MotionParameters = field(default_factory=MotionParameters)
     correlation: ObservationParameters = field(default_factory=ObservationParameters)
+    odometer: Odometer | None = None  # wheels alone
 
 
 @dataclass(slots=True, eq=False)
@@ -105,12 +107,14 @@ class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
     particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
-    odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
+    seen: edges of the last image. odometry: poses since then, and the last one before.
+    waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
     at_ns: int = 0
     weighed: bool = False
+    seen: Edges | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
 
@@ -120,13 +124,19 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
     match event:
         case Start():
             state.particles = particles.from_gaussian(event.mean, event.cov, mcl.parameters.particles, rng)
-            state.at_ns, state.weighed = event.t_ns, False
+            state.at_ns, state.weighed, state.seen = event.t_ns, False, None
         case Odometry():
             state.odometry.append(event)
         case Sighting():
             state.waiting.append(event)
-    while state.waiting and state.odometry and state.odometry[-1].t_ns >= state.waiting[0].t_ns:
+    while state.waiting and _wheels_reach(mcl, state, state.waiting[0].t_ns):
         yield locate(mcl, state, state.waiting.popleft(), rng)
+
+
+def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:
+    if mcl.odometer is not None and not mcl.odometer.needs_wheels:
+        return True
+    return bool(state.odometry) and state.odometry[-1].t_ns >= t_ns
 
 
 def finish(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Iterator[Located]:
@@ -143,8 +153,12 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if state.particles is None or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
 
-    # Predict: move every particle by what the wheels say, each with its own error.
+    # Predict: move every particle by what wheels and edges say, each with its own error.
     increment, odometry_pose = increment_until(state, sighting.t_ns)
+    if mcl.odometer is not None:
+        _, wheel_cov = linearised(np.zeros(3), increment, mcl.motion)
+        seconds = (sighting.t_ns - state.at_ns) / 1e9
+        increment = mcl.odometer.increment(increment, wheel_cov, state.seen, sighting.edges, seconds)
     moved = predict(state.particles, increment, mcl.motion, rng)
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
@@ -161,7 +175,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if ess < mcl.parameters.resample_below * len(weighed):
         index = particles.systematic_resample(weighed.weight, len(weighed), rng)
         weighed = particles.take(weighed, index)
-    state.particles, state.at_ns, state.weighed = weighed, sighting.t_ns, True
+    state.particles, state.at_ns, state.weighed, state.seen = weighed, sighting.t_ns, True, sighting.edges
     return located
 
 

@@ -28,7 +28,12 @@ class MotionParameters:
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
-    """Return the variances (m², rad²) of the distance driven and of the turn made during `increment`."""
+    """Return the variances (m², rad²) of the distance driven and of the turn made during `increment`.
+
+    Both are 0 for an increment that knows its own covariance.
+    """
+    if increment.cov.any():
+        return 0.0, 0.0
     path, turned = increment.path_m, increment.turned_rad
     distance = parameters.alpha3 * path + parameters.alpha4 * turned
     turn = parameters.alpha1 * turned + parameters.alpha2 * path
@@ -54,7 +59,7 @@ def predict(
 
     Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
     correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own covariance
-    (vision) adds a draw from it. Bias columns stay as they are.
+    (vision) errs by a draw from that instead. Bias columns stay as they are.
     """
     count = len(particles)
     distance_var, turn_var = noise_variances(increment, parameters)

@@ -20,6 +20,7 @@ from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.geometry import Array
+from localiser.increments import Odometer
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
 from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter
@@ -83,7 +84,12 @@ class Replay:
 
     def _replay(self, progress: Callable[[], None], stop_if_asked: Callable[[], None]) -> None:
         filter_ = mcl.Mcl(
-            self.landmark_map, self.observation, self.config.mcl, self.config.motion, self.config.observation
+            self.landmark_map,
+            self.observation,
+            self.config.mcl,
+            self.config.motion,
+            self.config.observation,
+            odometer=Odometer(self.log.camera, self.config.increments),
         )
         state = mcl.FilterState()
         pending: dict[int, Pending] = {}
@@ -209,6 +215,13 @@ def prepare(
             "use --observation line",
             path=log.path,
             field="mount.tilt_deg",
+        )
+    if config.increments.source != "wheel" and not log.has_images:
+        raise InputError(
+            f"`--odometry {config.increments.source}` follows edges from image to image, found a log without images: "
+            "bearings alone tell neither how far the robot went nor which edge is which; use --odometry wheel",
+            path=log.path,
+            field="images",
         )
     rng = np.random.default_rng(config.seed)
     start = start_of(log, start_option, rng)

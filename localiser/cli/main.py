@@ -47,6 +47,14 @@ class Kind(StrEnum):
     slope = "slope"
 
 
+class Source(StrEnum):
+    """What says how the robot moved: its wheels, its camera alone, or both."""
+
+    wheel = "wheel"
+    vision = "vision"
+    both = "both"
+
+
 class View(StrEnum):
     """Where a run is shown while it goes on."""
 
@@ -78,6 +86,8 @@ def _root(
 
 `localiser replay logs/corridor --observation slope --seed 1 --set mcl.particles=500`
 
+`localiser replay logs/corridor --odometry vision`
+
 `localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
 )
 def replay(
@@ -97,6 +107,7 @@ def replay(
         ),
     ] = None,
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
+    odometry: Annotated[Source | None, typer.Option(help="What says how the robot moved.")] = None,
     log_format: Annotated[
         str | None, typer.Option("--format", metavar="FORMAT", help="folder or mrclam; by default found out.")
     ] = None,
@@ -115,6 +126,7 @@ def replay(
     settings = [*(overrides or [])]
     settings += [f"seed={seed}"] if seed is not None else []
     settings += [f"observation.kind={observation}"] if observation is not None else []
+    settings += [f"increments.source={odometry}"] if odometry is not None else []
     sensor = load_config(config, settings).sensor
     recorded = open_log(log, format=log_format, sensor=sensor)
     effective = load_config(config, settings, recorded.settings)
