@@ -28,7 +28,7 @@ from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
-from localiser.proposals import Places, propose, view_of
+from localiser.proposals import Places, propose, view_of, warm_up
 from localiser.simulate import EdgeNoise, simulated_edges, structure_of, truth_of, visible_mask, world_of
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
@@ -155,6 +155,7 @@ def main() -> None:
         for clutter in arguments.clutter:
             setting = setting_of(world, arguments.stretches, clutter, arguments.seed)
             places = Places.of(setting.landmark_map, setting.camera)
+            warm_up(view_of(setting.camera, setting.frames[0]), places)
             for kind in arguments.observation:
                 results = [found(setting, places, index, kind) for index in range(len(setting.frames))]
                 print(f"{world:8} {kind:7} {row_of(results)}", flush=True)
