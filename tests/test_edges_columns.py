@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -44,6 +46,37 @@ def test_the_whole_image_is_in_the_rectified_one():
     assert np.all((row >= 0) & (row <= view.unseen.shape[0] - 1))
 
 
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [
+        ("none", ()),
+        ("plumb_bob", (-0.3, 0.05, 0.001, -0.001, 0.0)),
+        ("plumb_bob", (0.3, 0.0, 0.0, 0.0, 0.0)),
+        ("rational_polynomial", (0.3, 0.1, 0.0005, -0.0005, 0.02, 0.45, 0.12, 0.01)),
+        ("equidistant", (-0.02, 0.005, 0.0, 0.0)),
+    ],
+)
+@pytest.mark.parametrize("size", [(176, 144), (641, 479)])
+def test_the_remap_is_the_lens_models_to_a_table_entry(model, distortion, size):
+    camera = replace(camera_of(*size, roll_deg=2.0), distortion_model=model, distortion=distortion)
+    view = column_view(camera)
+    row, column = np.nonzero(~view.unseen)
+    exact = camera.pixels_from_upright(view.upright(column.astype(np.float64), row.astype(np.float64)))
+    whole, share = view.map_1[row, column], view.map_2[row, column]
+    looked_up = whole + np.stack([share % 32, share // 32], axis=-1) / 32
+    # Between the centres of two rows, which are averaged before.
+    exact[:, 1] = (exact[:, 1] - (ROWS_AT_ONCE - 1) / 2) / ROWS_AT_ONCE
+    np.testing.assert_allclose(looked_up, exact, atol=1 / 64 + 0.01)
+
+
+@pytest.mark.parametrize("bearing_deg", [-29.0, 29.0])
+def test_an_edge_is_not_drawn_along_the_border_that_cuts_it_off(bearing_deg):
+    camera = camera_of(k1=-0.25)
+    edges = find_edges(wall_image(camera, [bearing_deg], [90.0, 130.0], noise_sigma=3.0), camera, PARAMETERS)
+    assert len(edges) == 1
+    assert abs(edges.bearing[0] - np.deg2rad(bearing_deg)) < 3 * edges.bearing_sigma[0]
+
+
 def test_noise_alone_has_no_edges():
     camera = camera_of()
     anything = EdgeParameters(detector="columns", min_step=0.0, min_length_px=20.0)
@@ -76,7 +109,7 @@ def test_chains_follow_a_column_and_keep_neighbours_apart():
         assert np.ptp(peaks.position[chain == index]) < 1.0
 
 
-@pytest.mark.parametrize("gap_px", [3.0, 4.0, 6.0])
+@pytest.mark.parametrize("gap_px", [3.0, 4.0, 5.0, 6.0])
 def test_the_edges_of_a_door_frame_stay_apart(gap_px):
     camera = camera_of()
     frame = np.rad2deg(np.arctan(np.tan(np.deg2rad(8.0)) + np.arange(4) * gap_px / camera.focal_px))
@@ -110,6 +143,32 @@ def test_sigma_is_honest_from_clean_to_hard():
             match = np.argmin(np.abs(edges.bearing - np.deg2rad(bearings)[:, None]), axis=1)
             normalised.extend((edges.bearing[match] - np.deg2rad(bearings)) / edges.bearing_sigma[match])
         assert 0.6 < np.std(normalised) < 1.4, (noise, blur)
+
+
+def test_a_shadow_beside_an_edge_moves_it_little_and_is_part_of_its_sigma():
+    camera = camera_of()
+    plain = wall_image(camera, [8.0], [160.0, 60.0]).astype(np.float64)
+    rays = camera.level_rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))
+    beside = np.arctan2(rays[..., 0], -rays[..., 2]) - np.deg2rad(8.0)
+    shadow = 40.0 * np.exp(beside * camera.focal_px / 3.0) * (beside < 0)
+    image = np.clip(np.rint(plain - shadow), 0, 255).astype(np.uint8)
+    clean, shaded = (find_edges(each.astype(np.uint8), camera, PARAMETERS) for each in (plain, image))
+    error = abs(shaded.bearing[0] - np.deg2rad(8.0))
+    assert error < np.deg2rad(0.02)
+    assert error < 3 * shaded.bearing_sigma[0]
+    assert shaded.bearing_sigma[0] > 2 * clean.bearing_sigma[0]
+
+
+@pytest.mark.parametrize(("right_of_foot_m", "found"), [(0.0, 1), (0.3, 0)])
+def test_a_seam_of_the_floor_is_taken_for_an_edge_only_when_it_passes_below_the_camera(right_of_foot_m, found):
+    camera = camera_of()
+    floor = camera.floor_points(np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1))
+    # The floor is on both sides of the seam x = right_of_foot - z / 4.
+    side = np.where(floor[..., 0] > right_of_foot_m - floor[..., 1] / 4, 150, 90)
+    image = np.where(np.isnan(floor[..., 0]), 120, side).astype(np.uint8)
+    edges = find_edges(image, camera, PARAMETERS)
+    assert len(edges) == found
+    np.testing.assert_allclose(edges.bearing, np.arctan(0.25), atol=np.deg2rad(0.02))
 
 
 def test_a_foot_is_found_to_a_fraction_of_a_block():

@@ -17,8 +17,8 @@ Image = NDArray[np.uint8]
 
 NEGLIGIBLE_BEND_PX = 0.1
 """A line detector cannot tell a line that bends by less than this from a straight one."""
-_GRID_PX = 16
-"""Spacing of the grid on which lens models are computed; between, a cubic is off by less than a thousandth pixel."""
+_GRID_PX = 8
+"""Spacing of the grid on which lens models are computed; between, a cubic is off by less than tables round off."""
 _LARGEST_GROWTH = 2.0
 """Limit of the ideal image's size over the taken one's; a wide lens sees what no sensible flat image can hold."""
 
@@ -102,7 +102,7 @@ def remap_tables(
 
 
 def _cubic_weights(count: int) -> Array:
-    """Return the weights (count, K) of nodes 16 px apart, the first one at -16 px, in a cubic through them."""
+    """Return the weights (count, K) of nodes 8 px apart, the first one at -8 px, in a cubic through them."""
     whole, part = np.divmod(np.arange(count) / _GRID_PX, 1.0)
     t = part[:, None] ** np.arange(4)
     # Catmull and Rom's: exact up to the second power.
