@@ -1,0 +1,61 @@
+"""Increments in the filter and on the command line: wheels that slip, vision alone, logs without images."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from short_log import CORRIDOR, Localiser, cut_log
+from small_log import write_edge_log
+from test_increments import CAMERA, POINTS, edges_from
+
+from localiser import mcl
+from localiser.geometry import compose
+from localiser.increments import IncrementParameters, Odometer
+from localiser.landmarks import LandmarkMap
+from localiser.observation import EdgeObservation, ObservationParameters
+
+STEP, SLIP = np.array([0.0, -0.02, 0.0]), np.array([0.0, -0.05, np.radians(2.0)])
+
+
+def worst_error_m(source: str) -> float:
+    """Return how far off the filter is at worst after wheels slipped by 0.5 m and 20° in ten steps."""
+    odometer = Odometer(CAMERA, IncrementParameters(source=source))
+    observation = EdgeObservation(CAMERA, ObservationParameters())
+    filter_ = mcl.Mcl(LandmarkMap.from_points(POINTS, name="points"), observation, odometer=odometer)
+    state, rng, noise = mcl.FilterState(), np.random.default_rng(1), np.random.default_rng(2)
+    list(mcl.step(filter_, state, mcl.Start(0, np.zeros(3), np.diag([0.05, 0.05, 0.02]) ** 2), rng))
+    true, wheels, errors = np.zeros(3), np.zeros(3), []
+    for index in range(17):
+        t_ns = index * 200_000_000
+        events = [mcl.Odometry(t_ns, wheels), mcl.Sighting(t_ns, edges_from(true, noise))]
+        for event in events:
+            errors += [np.hypot(*(out.estimate.pose - true)[:2]) for out in mcl.step(filter_, state, event, rng)]
+        true = compose(true, STEP)
+        wheels = compose(wheels, STEP + SLIP if 5 <= index < 15 else STEP)
+    return float(max(errors[7:]))
+
+
+def test_a_slip_that_loses_wheels_does_not_lose_both() -> None:
+    both, wheel = worst_error_m("both"), worst_error_m("wheel")
+    assert both < 0.05 < wheel
+
+
+@pytest.mark.parametrize("source", ["vision", "both"])
+def test_replay_by_vision(tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str) -> None:
+    log = cut_log(CORRIDOR, tmp_path / "log", 6)
+    run = Localiser(capsys).replay(log, tmp_path / "out", "--odometry", source)
+    figures = json.loads((run / "metrics.json").read_text())
+    assert figures["complete"]
+    assert f"source: {source}" in (run / "config.yaml").read_text()
+
+
+def test_a_log_without_images_cannot_be_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_edge_log(tmp_path / "log")
+    result = Localiser(capsys)(
+        "replay", log, "--start", "1,2,170", "--odometry", "vision", "--out", tmp_path / "out", "--no-rrd"
+    )
+    assert result.exit_code == 2
+    assert "follows edges from image to image" in result.err and "Traceback" not in result.err
