@@ -15,7 +15,7 @@ from localiser.cli.main import app
 from localiser.edges import EdgeParameters, Edges
 from localiser.errors import LocaliserError
 from localiser.geometry import Trajectory
-from localiser.storage import load_map, open_log, save_tum, write_log
+from localiser.storage import load_map, load_tum, open_log, save_tum, write_log
 
 LOG = Path(__file__).resolve().parent.parent / "logs" / "corridor"
 
@@ -87,6 +87,20 @@ def test_poses_from_a_file_give_the_same_map_as_the_truth(tmp_path: Path) -> Non
     first, second, third = (load_map(tmp_path / name) for name in ("a.yaml", "b.yaml", "c.yaml"))
     assert second.points == pytest.approx(first.points, abs=1e-6)
     assert abs(len(third) - len(first)) <= 2  # this log's odometry is the truth, but less trusted while following
+
+
+def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
+    drive = world("corridor")
+    log = edge_log(tmp_path / "log", drive.edges(seed=0)[:60], truth=False)
+    out, track = tmp_path / "map.yaml", tmp_path / "path.tum"
+    built = run("map", "build", log, "--poses", "slam", "-o", out, "--trajectory", track)
+    assert built.exit_code == 0
+    assert "Wheels say" in built.output
+    assert len(load_tum(track)) == 60
+    # This log's odometry is the truth: what comes out must not be far from it.
+    error = load_tum(track).poses - drive.truth.poses[:60]
+    assert np.abs(error[:, :2]).max() < 0.1
+    assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
 
 
 def test_an_existing_map_is_not_overwritten_unasked(tmp_path: Path) -> None:

@@ -7,19 +7,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser import mapping, motion, storage
 from localiser.app.map_edges import edges_of_log
 from localiser.config import Config
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
-from localiser.geometry import Array, Increment, Trajectory, between
+from localiser.geometry import Array, Increment, Trajectory, between, compose
 from localiser.landmarks import LandmarkMap
 from localiser.storage import Log
 
 TRUTH, ODOMETRY, SLAM = "truth", "odometry", "slam"
 _KNOWN_TURN_RAD = 1e-3
 """How far poses that are said to be true may be off between two images: synchronisation, interpolation."""
+_LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
+"""Error of the wheels between two images even at a stand: right, backward (m), turn (rad)."""
 _FEWEST_FRAMES = 2
 _STANDING_M = 0.05
 
@@ -28,8 +31,8 @@ _STANDING_M = 0.05
 class MapBuilt:
     """A map, and how it came about.
 
-    trajectory: robot poses at the frames used. edges: of those frames. of: landmark of each sighting, in the order of
-    the frames, -1 for none; indices are those of `built`, not of the map.
+    trajectory: robot poses at the frames used. edges: of those frames. built: all landmarks that were tried, of which
+    the map holds those worth keeping. slam: what else was found out where poses were not known.
     """
 
     landmark_map: LandmarkMap
@@ -37,6 +40,7 @@ class MapBuilt:
     edges: list[Edges]
     sightings: mapping.Sightings
     built: mapping.Built
+    slam: mapping.Slam | None = None
 
 
 def build_map(log: Log, poses: str, config: Config, progress: Callable[[], None]) -> MapBuilt:
@@ -59,6 +63,8 @@ def build_map(log: Log, poses: str, config: Config, progress: Callable[[], None]
     trajectory = track.sampled(t_ns[inside])
     _require_motion(log, trajectory)
     used = [edges[index] for index in inside]
+    if known is None:
+        return _from_log_alone(log, trajectory, used, config)
     return _from_known_poses(log, trajectory, used, config, exact=poses != ODOMETRY, source=poses)
 
 
@@ -80,8 +86,6 @@ def known_poses(log: Log, poses: str) -> Trajectory:
 
 def _odometry_in_map(log: Log) -> Trajectory:
     """Return the odometry moved so that it begins at the log's stated start, where it has one."""
-    from localiser.geometry import compose
-
     if log.start is None:
         return log.odometry
     first = log.odometry.at(log.start.t_ns)
@@ -117,6 +121,48 @@ def _from_known_poses(
     if not len(landmark_map):
         raise nothing_built(log, built, parameters)
     return MapBuilt(landmark_map, trajectory, edges, sightings, built)
+
+
+def _from_log_alone(log: Log, odometry: Trajectory, edges: list[Edges], config: Config) -> MapBuilt:
+    """Build from edges and odometry; the first pose is the log's stated start, or the odometry's own."""
+    parameters = config.mapping
+    sightings = mapping.Sightings.from_edges(edges, log.camera)
+    _require_edges(log, sightings)
+    first = _odometry_in_map(log).at(int(odometry.t_ns[0]))
+    found = mapping.build_from_log(
+        sightings, wheels_of(log.odometry, odometry.t_ns, config), first, log.camera, parameters
+    )
+    cameras = found.camera.pose_in_map(found.poses)
+    landmark_map = mapping.landmark_map_of(
+        sightings, found.built, cameras, found.sigma, found.camera, parameters, log.name, f"{log.name}, poses: {SLAM}"
+    )
+    if not len(landmark_map):
+        raise nothing_built(log, found.built, parameters)
+    trajectory = Trajectory(odometry.t_ns, found.poses)
+    return MapBuilt(landmark_map, trajectory, edges, sightings, found.built, found)
+
+
+def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], config: Config) -> mapping.Wheels:
+    """Return what the wheels say of the motion between the times (T,), with its errors by the motion model."""
+    poses = odometry.sampled(t_ns).poses
+    moves = between(poses[:-1], poses[1:])
+    steps = between(odometry.poses[:-1], odometry.poses[1:])
+    path_m = _way(odometry, np.hypot(steps[:, 0], steps[:, 1]), t_ns)
+    turned = _way(odometry, np.abs(steps[:, 2]), t_ns)
+    model = config.motion
+    distance = np.sqrt(model.alpha3 * path_m + model.alpha4 * turned)
+    turn = np.sqrt(model.alpha1 * turned + model.alpha2 * path_m)
+    # A turn of unknown place on the way moves the robot sideways by half of what it would at the start.
+    sigma = np.stack([path_m * turn / 2, distance, turn], axis=-1)
+    backwards = moves[:, 1] > 0
+    return mapping.Wheels(moves, np.where(backwards, -path_m, path_m), np.hypot(sigma, _LEAST_SIGMA))
+
+
+def _way(odometry: Trajectory, step: Array, t_ns: NDArray[np.int64]) -> Array:
+    """Return how much of `step` (T' - 1,), made between poses of the odometry, lies between the times (T,)."""
+    whole = np.concatenate([[0.0], np.cumsum(step)])
+    seconds = (odometry.t_ns - odometry.t_ns[0]) / 1e9
+    return np.asarray(np.diff(np.interp((t_ns - odometry.t_ns[0]) / 1e9, seconds, whole)))
 
 
 def turn_sigmas(trajectory: Trajectory, config: Config) -> Array:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from rich.table import Table
 
+    from localiser.app.map_build import MapBuilt
+
 _CHI2_95 = 5.991  # squared Mahalanobis distance that holds 95 % of a Gaussian in the plane
 _POLARITY = {1: ("#1f6fb4", "light on the right"), -1: ("#c2571a", "light on the left"), 0: ("#555555", "unknown")}
 
@@ -108,3 +110,17 @@ def summary_table(landmark_map: LandmarkMap) -> Table:
         figures = [form.format(value) for value in np.quantile(known, (0.1, 0.5, 0.9))] if len(known) else ["–"] * 3
         table.add_row(name, *figures, str(len(known)))
     return table
+
+
+def findings(built: MapBuilt) -> list[str]:
+    """Return what a build without known poses found out about the robot, and how well it fits the truth if known."""
+    assert built.slam is not None
+    scale, rotation, veer, yaw = built.slam.constants
+    lines = [
+        f"Wheels say {100 * scale:+.1f} % of the distance and {100 * rotation:+.1f} % of the turns, "
+        f"and {np.rad2deg(veer):+.2f}° of turn a metre that is none; "
+        f"the camera's yaw is {np.rad2deg(yaw):+.2f}° from what is stated.",
+    ]
+    moved = np.hypot(*(built.slam.poses - built.slam.before)[:, :2].T)
+    lines.append(f"Closing loops moved the robot's path by up to {moved.max():.2f} m.")
+    return lines

@@ -22,6 +22,8 @@ MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="Landmark map (YAML
 
 `localiser map build logs/corridor --poses truth -o maps/mine.yaml`
 
+`localiser map build logs/corridor --poses slam -o maps/mine.yaml --trajectory mine.tum`
+
 `localiser map build logs/corridor --poses mine.tum -o maps/mine.yaml --set mapping.parallax_min_deg=8`"""
 )
 def build(
@@ -30,10 +32,14 @@ def build(
     poses: Annotated[
         str,
         typer.Option(
-            metavar="truth|FILE|odometry",
-            help="Where the robot was: the log's truth, a trajectory (TUM, or CSV t_ns,x,z,heading), or its odometry.",
+            metavar="truth|FILE|odometry|slam",
+            help="Where the robot was: the log's truth, a trajectory (TUM, or CSV t_ns,x,z,heading), or its odometry; "
+            "`slam` finds it out along with the map.",
         ),
     ] = "truth",
+    trajectory: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write where the robot was at each image (TUM).")
+    ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     log_format: Annotated[
@@ -45,23 +51,30 @@ def build(
     """Build a map of the vertical edges that a LOG shows, with what is known of each."""
     from localiser.app import map_build
     from localiser.config import load_config
-    from localiser.storage import open_log
+    from localiser.storage import open_log, save_tum
 
-    map_build.require_writable(out, overwrite=force)
+    for file in (out, trajectory):
+        if file is not None:
+            map_build.require_writable(file, overwrite=force)
     settings = [*(overrides or [])]
     recorded = open_log(log, format=log_format, sensor=load_config(config, settings).sensor)
     effective = load_config(config, settings, recorded.settings)
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         built = map_build.build_map(recorded, poses, effective, advance)
     map_build.save(built, out, overwrite=force)
+    if trajectory is not None:
+        save_tum(built.trajectory, trajectory)
     if not quiet:
         _show_built(built, out)
 
 
 def _show_built(built: MapBuilt, out: Path) -> None:
-    from localiser.app.map_show import summary_table
+    from localiser.app.map_show import findings, summary_table
 
     show(summary_table(built.landmark_map))
+    if built.slam is not None:
+        for line in findings(built):
+            typer.echo(line)
     typer.echo(f"{len(built.landmark_map)} landmarks in {out}; `localiser map show {out}` draws them.")
 
 

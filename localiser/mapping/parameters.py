@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from localiser.mapping.smooth import SmoothParameters
 from localiser.mapping.tracks import TrackParameters
 
 
@@ -29,3 +30,4 @@ class MappingParameters:
         float, Field(ge=0, description="how far apart two sightings of one edge may stand, beside noise (m)")
     ] = 0.003
     tracks: TrackParameters = field(default_factory=TrackParameters)
+    smooth: SmoothParameters = field(default_factory=SmoothParameters)

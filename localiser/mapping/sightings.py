@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.edges.measure import foot_of_edges
 from localiser.geometry import Array
 
 Index = NDArray[np.int64]
@@ -63,6 +64,8 @@ class Sightings:
         profile = _profiles(frames)
         ends_px = column("ends_px", (2, 2))
         slope_up, cut = _ends(ends_px, camera)
+        # Edges that were not measured in an image may know their ends, and not what follows from them.
+        foot_m, foot_sigma_m = foot_of_edges(ends_px[:, 0], camera)
         return cls(
             first=first,
             frame=np.repeat(np.arange(len(frames)), count),
@@ -73,8 +76,8 @@ class Sightings:
             length_px=column("length_px"),
             slope_up=slope_up,
             cut=cut,
-            foot_m=column("foot_range_m"),
-            foot_sigma_m=column("foot_range_sigma_m"),
+            foot_m=foot_m,
+            foot_sigma_m=foot_sigma_m,
             profile=profile,
         )
 

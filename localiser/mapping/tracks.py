@@ -23,7 +23,7 @@ from localiser.mapping.sightings import Index, Sightings
 class TrackParameters:
     """How edges are followed."""
 
-    nearest_m: Annotated[float, Field(gt=0, description="distance that few edges fall below (m)")] = 0.7
+    nearest_m: Annotated[float, Field(gt=0, description="distance that few edges fall below (m)")] = 1.0
     found: Annotated[float, Field(gt=0, lt=1, description="chance that an edge is found again in the next image")] = 0.8
     new_share: Annotated[float, Field(gt=0, le=1, description="share of edges that the image before did not show")] = (
         0.3
@@ -89,7 +89,7 @@ _EMPTY = (((0,), int), ((0, 2), float), ((0, 2), float), ((0, 2, 2), float), ((0
 def _start(id: Index, last: Index, camera: Array, heading: Array, sigma: Array, parameters: TrackParameters) -> _Tracks:
     """Return new tracks of unknown distance: between nearest and infinity within two sigmas."""
     count = len(id)
-    inverse = 0.5 / parameters.nearest_m
+    inverse = 1 / (3 * parameters.nearest_m)
     cov = np.zeros((count, 2, 2))
     cov[:, 0, 0], cov[:, 1, 1] = sigma**2, inverse**2
     state = np.stack([heading, np.full(count, inverse)], axis=-1)

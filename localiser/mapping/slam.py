@@ -1,0 +1,177 @@
+"""A map from a log alone: where the robot was and where the landmarks stand, both unknown.
+
+1. Follow edges, with poses from the wheels; smooth; follow again with the better poses and narrower gates, until gates
+   are as narrow as true poses allow. What wheels misjudge from frame to frame is gone then, what adds up is not.
+2. Close loops: join landmarks that are one by the joint covariance, smooth, until no more are.
+3. Associate every edge anew, as with known poses, and smooth, until nothing changes.
+
+Feet on the floor tell the scale after each solve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.geometry import Array, forward, wrap_angle
+from localiser.mapping.feet import Scale, scale_by_feet
+from localiser.mapping.known import build_from_poses
+from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered
+from localiser.mapping.loops import same_landmarks
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.sightings import Index, Sightings
+from localiser.mapping.smooth import Bearings, Prior, Problem, Smoothed, Wheels, dead_reckoned, smooth
+from localiser.mapping.tracks import follow
+
+_NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
+_TRUE_TURN_RAD = 7e-4  # how far turns of smoothed poses may be off between two frames
+_LOOP_ROUNDS = 12
+_REPEATED = 2.0  # errors of an edge repeat from frame to frame: four sightings say what one independent one would
+_ASSOCIATION_ROUNDS = 3
+_POSE_BEARING_RAD = 5e-4  # what remains of pose errors in bearings, while associating anew
+_FIRST_BEARING_RAD = 3e-3  # the same with poses from the wheels
+_NEAR_M, _FAR_M, _GUESS_M = 0.3, 25.0, 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slam:
+    """Robot poses (T, 3) with the first one as given, landmarks, and what was found out about the robot.
+
+    constants: (4,) as in `smooth.CONSTANTS`. camera: with the mount's yaw as found. built: landmarks with covariances
+    that include the poses'. before: (T, 3) poses before loops were closed.
+    """
+
+    poses: Array
+    before: Array
+    constants: Array
+    camera: Camera
+    built: Built
+    sigma: Array
+
+
+def build_from_log(
+    sightings: Sightings, wheels: Wheels, first_pose: Array, camera: Camera, parameters: MappingParameters
+) -> Slam:
+    """Return poses and landmarks of T frames from their edges and the wheels' motion between them."""
+    sigma = _REPEATED * measured_sigma(sightings, camera.focal_px, parameters)
+    solver = _Solver(sightings, wheels, camera, parameters, sigma)
+    state = _Estimate(dead_reckoned(wheels), np.zeros(4), Prior.of(parameters.smooth), camera)
+    turn = np.concatenate([[_TRUE_TURN_RAD], wheels.sigma[:, 2]])
+    noise = _FIRST_BEARING_RAD
+    for narrowing in _NARROWING:
+        track = solver.follow(state, np.maximum(narrowing * turn, _TRUE_TURN_RAD))
+        state, built, smoothed = solver.solve(state, numbered(long_enough(track)), noise)
+        noise = _POSE_BEARING_RAD
+    before = state.poses
+    for _ in range(_LOOP_ROUNDS):
+        joined = same_landmarks(smoothed.points, smoothed.landmark_cov(), built, solver.seen(built))
+        if (joined == np.arange(len(built))).all():
+            break
+        of = numbered(np.where(built.of >= 0, joined[built.of], -1))
+        state, built, smoothed = solver.solve(state, of, noise)
+    for _ in range(_ASSOCIATION_ROUNDS):
+        previous = built.of
+        track = solver.follow(state, np.full(sightings.frames, _TRUE_TURN_RAD))
+        anew = build_from_poses(sightings, track, state.cameras, np.hypot(solver.sigma, _POSE_BEARING_RAD), parameters)
+        state, built, smoothed = solver.solve(state, anew.of, noise)
+        if (built.of == previous).all():
+            break
+    return _in_map(solver, state, built, smoothed, before, first_pose)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """What is believed so far: poses (T, 3) from the first one at the origin, constants, their prior, the camera."""
+
+    poses: Array
+    constants: Array
+    prior: Prior
+    camera: Camera
+
+    @property
+    def cameras(self) -> Array:
+        return self.camera.pose_in_map(self.poses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solver:
+    """What is measured; see `build_from_log`."""
+
+    sightings: Sightings
+    wheels: Wheels
+    camera: Camera
+    parameters: MappingParameters
+    sigma: Array
+
+    def follow(self, state: _Estimate, turn_sigma: Array) -> Index:
+        """Return the tracks (S,) of the edges by the poses as they are believed to be."""
+        return follow(self.sightings, state.cameras, turn_sigma, self.parameters.tracks)
+
+    def solve(self, state: _Estimate, of: Index, noise_rad: float) -> tuple[_Estimate, Built, Smoothed]:
+        """Return the smoothed estimate when `of` (S,) says which landmark each sighting is of."""
+        s = self.sightings
+        built = fitted(s, of, state.cameras, np.hypot(self.sigma, noise_rad))
+        bearings = Bearings(s.frame[built.used], built.of[built.used], s.bearing[built.used], self.sigma[built.used])
+        problem = Problem(self.wheels, bearings, self.camera, state.prior)
+        smoothed = smooth(problem, state.poses, self._start(built, state), state.constants)
+        yaw = self.camera.mount.yaw_rad + float(smoothed.constants[3])
+        moved = _Estimate(smoothed.poses, smoothed.constants, state.prior, self.camera.with_mount(yaw_rad=yaw))
+        return replace(moved, prior=self._prior(moved, built, smoothed)), built, smoothed
+
+    def _start(self, built: Built, state: _Estimate) -> Array:
+        """Return places (L, 2) to start from; along its first bearing for a landmark that rays do not place."""
+        s, landmark = self.sightings, built.of[built.used]
+        depth = np.bincount(landmark, built.fit.depth_m, len(built)) / np.bincount(landmark, minlength=len(built))
+        placed = (built.parallax > np.deg2rad(2.0)) & (depth > _NEAR_M) & (depth < _FAR_M)
+        first = np.zeros(len(built), dtype=np.int64)
+        first[landmark[::-1]] = built.used[::-1]
+        pose = state.cameras[s.frame[first]]
+        guess = np.where(np.isfinite(s.foot_m[first]), np.clip(s.foot_m[first], 0.5, 8.0), _GUESS_M)
+        ray = pose[:, :2] + guess[:, None] * forward(pose[:, 2] - s.bearing[first])
+        return np.where(placed[:, None], built.fit.points, ray)
+
+    def _prior(self, state: _Estimate, built: Built, smoothed: Smoothed) -> Prior:
+        """Return the prior of the constants with what feet say of the scale."""
+        stated = Prior.of(self.parameters.smooth)
+        present = np.log1p(state.constants[0])
+        # Distances that grow by a factor make the wheels' scale fall by it; the wheels are taken to be about right.
+        known = Scale(float(present), self.parameters.smooth.scale_sigma)
+        # A foot tells the scale only where the distance is known beside.
+        placed = built.parallax >= np.deg2rad(self.parameters.parallax_min_deg)
+        of = np.where((built.of >= 0) & placed[built.of], built.of, -1)
+        scale = scale_by_feet(self.sightings, of, smoothed.points, state.cameras, known)
+        if not np.isfinite(scale.sigma):
+            return stated
+        mean, sigma = stated.mean.copy(), stated.sigma.copy()
+        mean[0], sigma[0] = np.expm1(present - scale.log), scale.sigma
+        return Prior(mean, sigma)
+
+    def seen(self, built: Built) -> NDArray[np.bool_]:
+        """Return (T, L) which frames show which landmarks."""
+        seen = np.zeros((self.sightings.frames, len(built)), dtype=bool)
+        seen[self.sightings.frame[built.used], built.of[built.used]] = True
+        return seen
+
+
+def _in_map(
+    solver: _Solver, state: _Estimate, built: Built, smoothed: Smoothed, before: Array, first_pose: Array
+) -> Slam:
+    """Return the result moved so that the first pose is as given (3,)."""
+    from localiser.geometry import compose, map_from_robot
+
+    cos, sin = np.cos(first_pose[2]), np.sin(first_pose[2])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    joint = smoothed.landmark_cov()
+    index = 2 * np.arange(len(built))[:, None] + np.arange(2)
+    cov = turn @ joint[index[:, :, None], index[:, None, :]] @ turn.T
+    points = map_from_robot(first_pose, smoothed.points)
+    poses = compose(first_pose, state.poses)
+    moved = fitted(solver.sightings, built.of, state.camera.pose_in_map(poses), solver.sigma)
+    fit = replace(moved.fit, points=points, information=np.linalg.inv(cov), weight=smoothed.weight)
+    fit = replace(fit, residual=wrap_angle(smoothed.residual), chi2=(smoothed.residual / solver.sigma[built.used]) ** 2)
+    return Slam(
+        poses, compose(first_pose, before), state.constants, state.camera, replace(moved, fit=fit), solver.sigma
+    )

@@ -1,0 +1,213 @@
+"""Poses and landmarks from a log alone: the smoother, the scale, loops, and whole drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mapping_worlds import World, world
+
+from localiser import mapping
+from localiser.app.map_build import wheels_of
+from localiser.camera import Camera, Mount
+from localiser.config import Config
+from localiser.edges import Edges
+from localiser.geometry import Array, between, compose, robot_from_map
+from localiser.mapping import MappingParameters, Sightings
+from localiser.mapping import smooth as smoother
+from localiser.mapping.feet import Scale, scale_by_feet
+from localiser.mapping.landmarks import fitted
+from localiser.mapping.loops import same_landmarks
+from localiser.mapping.smooth import Bearings, Prior, Problem, SmoothParameters, Wheels, smooth
+
+CAMERA = Camera(
+    640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9, yaw_rad=0.03, right_m=0.02, back_m=-0.1)
+)
+CONSTANTS = np.array([0.04, -0.02, 0.01, 0.005])
+
+
+def circle(noise: float, seed: int = 0, frames: int = 80) -> tuple[Problem, Array, Array]:
+    """Return a drive round a ring of landmarks with wrong wheels and a wrong mount, true poses, and true landmarks."""
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0, 2 * np.pi, frames)
+    poses = np.stack([2 - 2 * np.cos(angle), -2 * np.sin(angle), -angle], axis=-1)
+    poses = compose(np.zeros(3), between(poses[:1], poses))
+    around = rng.uniform(0, 2 * np.pi, 30)
+    points = np.array([2.0, 0.0]) + rng.uniform(3, 5, 30)[:, None] * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    motion = between(poses[:-1], poses[1:])
+    path = np.hypot(motion[:, 0], motion[:, 1])
+    measured = motion * [1 + CONSTANTS[0], 1 + CONSTANTS[0], 1 + CONSTANTS[1]]
+    measured[:, 2] += path * CONSTANTS[2]
+    sigma = np.tile([2e-3, 5e-3, 4e-3], (frames - 1, 1))
+    wheels = Wheels(measured + noise * sigma * rng.standard_normal(sigma.shape), path, sigma)
+    turned = CAMERA.with_mount(yaw_rad=CAMERA.mount.yaw_rad + CONSTANTS[3])
+    frame, landmark = (index.ravel() for index in np.indices((frames, 30)))
+    level = robot_from_map(turned.pose_in_map(poses)[frame], points[landmark])
+    bearing = np.arctan2(level[:, 0], -level[:, 1])
+    seen = np.abs(bearing) < 0.5
+    error = noise * 1e-3 * rng.standard_normal(seen.sum())
+    bearings = Bearings(frame[seen], landmark[seen], bearing[seen] + error, np.full(seen.sum(), 1e-3))
+    prior = Prior.of(SmoothParameters())
+    known = replace(prior, mean=np.array([CONSTANTS[0], 0, 0, 0]), sigma=np.array([1e-4, *prior.sigma[1:]]))
+    return Problem(wheels, bearings, CAMERA, known), poses, points
+
+
+def test_derivatives_agree_with_differences() -> None:
+    problem, poses, points = circle(0.0, frames=12)
+    rng = np.random.default_rng(1)
+    state = smoother._State(
+        poses + 0.02 * rng.standard_normal(poses.shape),
+        points + 0.1 * rng.standard_normal(points.shape),
+        CONSTANTS,
+        points,
+    )
+    _, _, jacobian = smoother._linearise(problem, state)
+    dense, step = jacobian.toarray(), 1e-6
+    for column in range(dense.shape[1]):
+        change = np.zeros(dense.shape[1])
+        change[column] = step
+        ahead, behind = (smoother._linearise(problem, state.moved(sign * change))[0] for sign in (1, -1))
+        assert (behind - ahead) / (2 * step) == pytest.approx(dense[:, column], abs=1e-3, rel=1e-4)
+
+
+def test_exact_measurements_give_the_exact_state() -> None:
+    problem, poses, points = circle(0.0)
+    start = smoother.dead_reckoned(problem.wheels)
+    found = smooth(problem, start, points + 0.05, np.zeros(4), iterations=60)
+    assert found.poses[:, :2] == pytest.approx(poses[:, :2], abs=2e-3)
+    # On a circle, turns that are too large and a veer are one and the same.
+    assert found.constants[[0, 3]] == pytest.approx(CONSTANTS[[0, 3]], abs=1e-3)
+    assert np.linalg.norm(start[-1, :2] - poses[-1, :2]) > 0.1
+
+
+def test_errors_of_landmarks_are_what_their_joint_covariance_says() -> None:
+    nees = []
+    for seed in range(6):
+        problem, poses, points = circle(1.0, seed)
+        found = smooth(problem, poses, points, CONSTANTS)
+        seen = np.unique(problem.bearings.landmark)
+        index = np.sort(np.concatenate([2 * seen, 2 * seen + 1]))
+        error = (found.points - points).ravel()[index]
+        cov = found.landmark_cov()[np.ix_(index, index)]
+        nees.append(error @ np.linalg.solve(cov, error) / len(index))
+    assert 0.7 < np.mean(nees) < 1.4
+
+
+def test_joint_covariance_is_the_block_of_the_inverse() -> None:
+    problem, poses, points = circle(1.0, frames=20)
+    found = smooth(problem, poses, points, CONSTANTS)
+    count = 2 * len(points)
+    whole = np.linalg.inv(found.hessian.toarray())[-count:, -count:]
+    np.testing.assert_allclose(found.landmark_cov(), whole, rtol=1e-5, atol=1e-10)
+
+
+def test_wrong_bearings_do_not_bend_the_path() -> None:
+    problem, poses, points = circle(1.0)
+    bearing = problem.bearings.bearing.copy()
+    bearing[::15] += 0.1
+    wrong = replace(problem, bearings=replace(problem.bearings, bearing=bearing))
+    found = smooth(wrong, poses, points, CONSTANTS)
+    assert np.hypot(*(found.poses - poses)[:, :2].T).max() < 0.05
+
+
+# -- scale ------------------------------------------------------------------------------------------------------------
+
+
+def edges_with_feet(true_scale: float, lifted_m: Array, seed: int = 0) -> tuple[Sightings, Array, Array]:
+    """Return landmarks, some of which end above the floor, and cameras, both believed nearer by `true_scale`."""
+    rng = np.random.default_rng(seed)
+    count, height = len(lifted_m), CAMERA.mount.height_m
+    points = np.stack([rng.uniform(-1.5, 1.5, count), rng.uniform(-5, -2, count)], axis=-1)
+    frames = []
+    poses = np.stack([np.zeros(6), np.linspace(0, -0.5, 6), np.zeros(6)], axis=-1)
+    for pose in CAMERA.pose_in_map(poses):
+        level = robot_from_map(pose, points)
+        range_m = np.hypot(level[:, 0], level[:, 1])
+        apparent = range_m * height / (height - lifted_m) * np.exp(0.005 * rng.standard_normal(count))
+        bearing = np.arctan2(level[:, 0], -level[:, 1])
+        foot = np.stack([apparent * np.sin(bearing), np.full(count, -height), -apparent * np.cos(bearing)], axis=-1)
+        top = foot + np.array([0.0, 0.5, 0.0])
+        ends = np.stack([CAMERA.project_level(foot), CAMERA.project_level(top)], axis=1)
+        unknown = np.full(count, 0.01)
+        frames.append(Edges.from_columns(bearing, unknown, bearing, unknown, ends_px=ends))
+    return (
+        Sightings.from_edges(frames, CAMERA),
+        points / true_scale,
+        CAMERA.pose_in_map(poses)
+        / [
+            true_scale,
+            true_scale,
+            1,
+        ],
+    )
+
+
+@pytest.mark.parametrize("true_scale", [0.96, 1.0, 1.05])
+def test_feet_on_the_floor_tell_the_scale_though_many_are_not(true_scale: float) -> None:
+    lifted = np.concatenate([np.zeros(18), np.linspace(0.05, 0.25, 12)])
+    sightings, points, cameras = edges_with_feet(true_scale, lifted)
+    of = np.tile(np.arange(30), 6)
+    scale = scale_by_feet(sightings, of, points, cameras, Scale(0.0, 0.05))
+    assert scale.log == pytest.approx(np.log(true_scale), abs=0.01)
+    assert scale.sigma < 0.01
+
+
+def test_feet_that_agree_on_nothing_tell_no_scale() -> None:
+    sightings, points, cameras = edges_with_feet(1.0, np.linspace(0.05, 0.35, 30))
+    scale = scale_by_feet(sightings, np.tile(np.arange(30), 6), points, cameras, Scale(0.0, 0.05))
+    assert scale.sigma == np.inf
+
+
+# -- loops ------------------------------------------------------------------------------------------------------------
+
+
+def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> None:
+    places = np.array([[0.0, -3.0], [1.0, -3.5], [-1.2, -4.0], [2.0, -4.2]])
+    frames, drift = 10, np.array([0.12, -0.08])
+    cameras = np.stack([np.linspace(-0.5, 0.5, frames), np.zeros(frames), np.zeros(frames)], axis=-1)
+    seen = []
+    for _ in (np.zeros(2), drift):
+        for camera in cameras:
+            level = robot_from_map(camera, places)
+            bearing = np.arctan2(level[:, 0], -level[:, 1])
+            seen.append(Edges.from_columns(bearing, np.full(4, 1e-3), bearing, np.full(4, 1e-3)))
+    sightings = Sightings.from_edges(seen, CAMERA)
+    of = np.concatenate([np.tile(np.arange(4), frames), np.tile(np.arange(4, 8), frames)])
+    believed = np.concatenate([cameras, cameras + np.array([*drift, 0.0])])
+    built = fitted(sightings, of, believed, np.full(len(of), 1e-3))
+    # The second visit is off as a whole by about 0.15 m; each place within a visit is good to 5 mm.
+    joint = 0.005**2 * np.eye(16)
+    common = np.kron(np.ones((4, 4)), 0.15**2 * np.eye(2))
+    joint[8:, 8:] += common
+    shown = np.zeros((2 * frames, 8), dtype=bool)
+    shown[sightings.frame, of] = True
+    joined = same_landmarks(built.fit.points, joint, built, shown)
+    assert joined.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+    certain = same_landmarks(built.fit.points, 0.005**2 * np.eye(16), built, shown)
+    assert certain.tolist() == list(range(8))
+
+
+# -- whole drives -----------------------------------------------------------------------------------------------------
+
+
+def aligned_error(found: Array, truth: Array) -> Array:
+    """Return the distances (T,) of poses after the best rotation and translation."""
+    one, other = found[:, :2] - found[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
+    left, _, right = np.linalg.svd(one.T @ other)
+    turn = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+    return np.linalg.norm(one @ turn - other, axis=1)
+
+
+def drive_alone(drive: World, edges: list[Edges]) -> mapping.Slam:
+    """Build from edges and odometry."""
+    sightings = Sightings.from_edges(edges, drive.camera)
+    wheels = wheels_of(drive.odometry, drive.odometry.t_ns, Config())
+    return mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, MappingParameters())
+
+
+def test_office_alone() -> None:
+    drive = world("office")
+    found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))
+    error = aligned_error(found.poses, drive.truth.poses)
+    assert np.sqrt((error**2).mean()) < 0.1
