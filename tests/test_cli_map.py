@@ -103,6 +103,30 @@ def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
 
 
+def test_the_recording_shows_landmarks_that_grow_certain(tmp_path: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60])
+    recording = tmp_path / "map.rrd"
+    assert run("map", "build", log, "-o", tmp_path / "map.yaml", "--rrd", recording, "-q").exit_code == 0
+    rows: dict[str, list[list[object]]] = {}
+    for chunk in RrdReader(recording).stream():
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            if name.endswith((":positions", ":strips")):
+                rows.setdefault(chunk.entity_path.removeprefix("/"), []).extend(column.to_pylist())
+    places, ellipses = rows["world/building/landmarks"], rows["world/building/ellipses"]
+    assert len(places) == len(ellipses) == 60
+    count = [len(row) for row in places]
+    assert count == sorted(count)
+    assert count[-1] > 10 > count[0]
+    # The first ellipse to be drawn is smaller in the end.
+    first = next(row[0] for row in ellipses if row)
+    last = min(np.ptp(np.array(line), axis=0).max() for line in ellipses[-1])
+    assert last < np.ptp(np.array(first), axis=0).max()
+    assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
+
+
 def test_an_existing_map_is_not_overwritten_unasked(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
     out = tmp_path / "map.yaml"

@@ -40,6 +40,9 @@ def build(
     trajectory: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write where the robot was at each image (TUM).")
     ] = None,
+    rrd: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Record for Rerun how the map grew: images, landmarks, path.")
+    ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     log_format: Annotated[
@@ -53,7 +56,7 @@ def build(
     from localiser.config import load_config
     from localiser.storage import open_log, save_tum
 
-    for file in (out, trajectory):
+    for file in (out, trajectory, rrd):
         if file is not None:
             map_build.require_writable(file, overwrite=force)
     settings = [*(overrides or [])]
@@ -64,6 +67,10 @@ def build(
     map_build.save(built, out, overwrite=force)
     if trajectory is not None:
         save_tum(built.trajectory, trajectory)
+    if rrd is not None:
+        from localiser.app.map_record import record
+
+        record(built, recorded, rrd)
     if not quiet:
         _show_built(built, out)
 

@@ -16,7 +16,7 @@ from localiser.geometry import Array
 from localiser.mapping.sightings import Index, Sightings, direction_of
 
 _FARTHEST_M = 6.0  # beyond, two pixels are a tenth of the distance
-_FEWEST_FEET = 5
+_FEWEST_FEET, _FEWEST_SIGHTINGS = 5, 3
 _FOOT_SIGMA = 0.012  # of the logarithm of a landmark's ratio: floors are not plane, feet not sharp
 _STANDING = (0.1, 0.3, 0.5, 0.7, 0.9)  # share of feet on the floor: each as likely as the others
 _FEWEST_STANDING = 0.3  # share of feet that must agree on where the floor is
@@ -67,7 +67,9 @@ def _ratios(sightings: Sightings, of: Index, points: Array, cameras: Array) -> A
     order = np.argsort(landmark, kind="stable")
     ratios = []
     for index in np.split(order, np.flatnonzero(np.diff(landmark[order])) + 1):
-        middle = float(np.median(apparent[index])) if len(index) >= 3 else np.nan
+        if len(index) < _FEWEST_SIGHTINGS:
+            continue
+        middle = float(np.median(apparent[index]))
         if np.median(np.abs(apparent[index] - middle)) < 2 * _FOOT_SIGMA:
             ratios.append(middle)
     return np.array(ratios)
