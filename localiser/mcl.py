@@ -18,6 +18,7 @@ from localiser import geometry, particles
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.increments import Odometer
+from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters, linearised, predict
 from localiser.observation import Observation, ObservationParameters, independent_share
@@ -71,7 +72,7 @@ class Located:
     odometry: Array
 
 
-MOST_STAGES = 20  # so that a frame takes a bounded time whatever it shows
+MOST_STAGES = 12  # so that a frame takes a bounded time whatever it shows
 
 # -- the filter -------------------------------------------------------------------------------------------------------
 
@@ -81,13 +82,13 @@ class MclParameters:
     """The particle filter itself."""
 
     particles: Annotated[int, Field(ge=1, le=10_000_000, description="number of particles")] = 2000
+    stage_below: Annotated[
+        float,
+        Field(ge=0, le=1, description="weigh in stages when the effective sample size would fall below this share"),
+    ] = 0.3
     resample_below: Annotated[
         float, Field(gt=0, le=1, description="resample when the effective sample size falls below this share")
     ] = 0.5
-    stage_below: Annotated[
-        float,
-        Field(ge=0, lt=1, description="weigh in stages that each leave this share of effective samples; 0: never"),
-    ] = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +108,7 @@ class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
     particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
+    inliers: what share of the edges belongs to landmarks hereabouts.
     seen: edges of the last image. odometry: poses since then, and the last one before.
     waiting: sightings that odometry has not reached yet.
     """
@@ -114,6 +116,7 @@ class FilterState:
     particles: Particles | None = None
     at_ns: int = 0
     weighed: bool = False
+    inliers: InlierShare = field(default_factory=InlierShare.unknown)
     seen: Edges | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
@@ -163,7 +166,9 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
-    weighed = weigh(mcl, moved, sighting.edges, share, rng)
+    weighed, state.inliers = weigh(
+        mcl, moved, sighting.edges, state.inliers.after(share), share, not state.weighed, rng
+    )
 
     # Estimate before resampling, which only adds noise.
     ess = particles.effective_sample_size(weighed.weight)
@@ -179,26 +184,52 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     return located
 
 
-def weigh(mcl: Mcl, moved: Particles, edges: Edges, share: float, rng: np.random.Generator) -> Particles:
-    """Return the particles with `share` of the edges' log-likelihood added to their weights, in stages if need be.
+def weigh(
+    mcl: Mcl, moved: Particles, edges: Edges, inliers: InlierShare, share: float, first: bool, rng: np.random.Generator
+) -> tuple[Particles, InlierShare]:
+    """Return the particles with `share` of the edges' log-likelihood in their weights, and what that tells of clutter.
 
-    Where edges are much sharper than the cloud, one step would leave all weight on the few particles that happen to
-    lie nearest. Then only as much of the evidence is taken as leaves `stage_below` of them effective; these are
-    resampled and spread by a small kernel, and the rest of the evidence is weighed on the new, denser cloud
-    [Musso, Oudjane, Le Gland 2001].
+    Edges much sharper than the cloud leave all weight on the few particles that happen to lie nearest; and when the
+    filter starts (`first`), perhaps none lies near enough to fit at all. Then the edges are weighed in stages.
     """
-    fewest = mcl.parameters.stage_below * len(moved)
-    for stage in range(MOST_STAGES):
-        log_likelihood = mcl.observation.log_likelihood(moved, edges, mcl.landmark_map)
-        last = stage == MOST_STAGES - 1
-        taken = share if last else particles.largest_step(moved.log_weight, log_likelihood, share, fewest)
-        weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
-        share -= taken
-        if share <= 0:
-            break
-        index = particles.systematic_resample(weighed.weight, len(weighed), rng)
-        moved = particles.spread(particles.take(weighed, index), rng)
-    return weighed
+    by_share = mcl.observation.by_share(moved, edges, mcl.landmark_map)
+    weighed = replace(moved, log_weight=moved.log_weight + share * inliers.log_mean(by_share))
+    if first or particles.effective_sample_size(weighed.weight) < mcl.parameters.stage_below * len(moved):
+        spread_rad, sigma_rad = mcl.observation.scales(moved, edges, mcl.landmark_map)
+        # Kernels of the particles that are narrower than sigma leave no gaps between them.
+        if particles.kernel_width(moved) * spread_rad > sigma_rad:
+            blurs = [b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad]
+            weighed, by_share = weigh_in_stages(mcl, moved, edges, inliers, share, blurs, rng)
+    return weighed, inliers.given(by_share, weighed.weight, share)
+
+
+def weigh_in_stages(
+    mcl: Mcl,
+    moved: Particles,
+    edges: Edges,
+    inliers: InlierShare,
+    share: float,
+    blurs: list[float],
+    rng: np.random.Generator,
+) -> tuple[Particles, Array]:
+    """Return the weighed particles, and log p(edges | particle, inlier share) (K, N) of them.
+
+    The edges are first taken as blurred by as much as the cloud is wide, then sharpened by half in every stage. After
+    each the particles are resampled and spread by a small kernel, so that they gather where the edges fit; the next
+    stage weighs what it adds to that. Halving keeps about a third of them effective in three dimensions.
+    """
+    before_rad = None
+    for blur_rad in [*blurs, 0.0]:
+        by_share = mcl.observation.by_share(moved, edges, mcl.landmark_map, blur_rad)
+        log_likelihood = inliers.log_mean(by_share)
+        if before_rad is not None:
+            known = mcl.observation.by_share(moved, edges, mcl.landmark_map, before_rad)
+            log_likelihood = log_likelihood - inliers.log_mean(known)
+        weighed = replace(moved, log_weight=moved.log_weight + share * log_likelihood)
+        if blur_rad > 0:
+            index = particles.systematic_resample(weighed.weight, len(weighed), rng)
+            moved, before_rad = particles.spread(particles.take(weighed, index), rng), blur_rad
+    return weighed, by_share
 
 
 def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:

@@ -10,8 +10,8 @@ observation). σ_el² adds what the edge's measurement, the mount's common error
 c_el is the squared share of the edge that lies between the landmark's ends: the rim of a picture, high on a wall, is
 no door jamb. It is 1 where the map does not know heights.
 
-How many edges are clutter differs from frame to frame (bookshelves, an empty corridor), so w is not a parameter: all
-values are as likely, and the likelihood of the frame is the mean over them, ∫ Π_e p(q_e | pose, w) dw.
+How many edges are clutter differs from place to place, so w is not a parameter: the likelihood is computed for every
+share of `inliers`, which learns their distribution and integrates them out.
 
 Consecutive images see the same texture from almost the same place, so their errors repeat: taking them as independent
 makes the filter too sure. `independent_share` is the part of a frame that counts as new.
@@ -30,15 +30,13 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
+from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight
-from localiser.particles import Particles
+from localiser.particles import Particles, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
-
-# Gauss-Legendre nodes over (0, 1) for the share of edges that belong to landmarks, and the logarithms of their weights.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-INLIER_SHARES, LOG_WEIGHTS = (_NODES + 1.0) / 2.0, np.log(_WEIGHTS / 2.0)
+_FEW = 64  # particles that tell how wide the cloud is
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +67,17 @@ class Observation(Protocol):
         """Return log p(edges | particle) (N,), up to a constant that all particles share."""
         ...
 
+    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
+        """Return log p(edges | particle, w_k) (K, N) for every inlier share w_k, up to a constant that all share.
+
+        blur_rad: sigma that is added to every edge's own.
+        """
+        ...
+
+    def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
+        """Return how far (rad) the particles' predictions of an edge spread, and sigma (rad) of measuring it."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
@@ -91,22 +100,46 @@ class EdgeObservation:
     parameters: ObservationParameters
 
     def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
-        """Return log p(edges | particle) (N,), relative to all edges being clutter.
+        """Return log p(edges | particle) (N,), relative to all edges being clutter; the inlier share is unknown."""
+        return InlierShare.unknown().log_mean(self.by_share(particles, edges, landmark_map))
 
-        Only pairs of edge and landmark within the gate are computed, so the cost grows with the pairs that matter,
-        not with N · L · E.
+    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
+        """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter.
+
+        blur_rad: sigma of the compared angle that is added to every edge's own. Only pairs of edge and landmark within
+        the gate are computed, so the cost grows with the pairs that matter, not with N · L · E.
         """
         count = len(particles)
         if len(edges) == 0:
-            return np.zeros(count)
+            return np.zeros((len(INLIER_SHARES), count))
         seen = sight(self.camera, self.camera.pose_in_map(particles.poses), landmark_map, self.parameters.sight)
-        pair, edge, density = self._densities(edges, landmark_map, seen)
+        pair, edge, density = self._densities(edges, landmark_map, seen, blur_rad)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
         # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
         ratio = total.reshape(count, len(edges)) * (self._span() / visible)[:, None]
-        by_share = np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
-        return np.asarray(np.logaddexp.reduce(by_share + LOG_WEIGHTS[:, None], axis=0))
+        return np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+
+    def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
+        """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.
+
+        Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
+        """
+        few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
+        seen = sight(self.camera, self.camera.pose_in_map(few.poses), landmark_map, self.parameters.sight)
+        predicted, per_bearing = self._predicted(seen.tangent)
+        times = np.bincount(seen.landmark, minlength=len(landmark_map))
+        often = times >= _FEW / 2
+        variance = self._measured(edges)[1]
+        if not often.any() or not np.isfinite(variance).any():
+            return 0.0, np.inf
+        mean, square = (
+            np.bincount(seen.landmark, power, minlength=len(times))[often] / times[often]
+            for power in (predicted, predicted**2)
+        )
+        position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
+        sigma = np.sqrt(np.nanmedian(variance) + np.median(position_sigma) ** 2)
+        return float(np.sqrt(np.median(np.maximum(square - mean**2, 0.0)))), float(sigma)
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
@@ -127,12 +160,13 @@ class EdgeObservation:
         return Matches(landmark, residual, visible)
 
     def _densities(
-        self, edges: Edges, landmark_map: LandmarkMap, seen: Sight
+        self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, blur_rad: float = 0.0
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return c_el N(q_e; q_l, σ_el²) of every pair within the gate: indices into `seen` and `edges`, density."""
         predicted, per_bearing = self._predicted(seen.tangent)
         position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
         measured, measured_var = self._measured(edges)
+        measured_var = measured_var + blur_rad**2
         # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
         known = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var))
         order = known[np.argsort(measured[known])]

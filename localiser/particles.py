@@ -103,33 +103,23 @@ def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> 
     return np.asarray(np.minimum(index, last))
 
 
-def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest: float) -> float:
-    """Return the largest part of `share`, 0 … 1, of a log-likelihood (N,) that leaves `fewest` effective samples.
+def kernel_width(particles: Particles) -> float:
+    """Return the width h of each particle's kernel, as a share of the cloud's: N^(-1/(D+4)).
 
-    Returns `share` itself where all of it does, 0 where no part does.
+    About what is best for a normal density [Silverman 1986; Musso, Oudjane, Le Gland 2001].
     """
-
-    def enough(step: float) -> bool:
-        return effective_sample_size(normalised(log_weight + step * log_likelihood)) >= fewest
-
-    if enough(share):
-        return share
-    low, high = 0.0, share
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if enough(middle) else (low, middle)
-    return low
+    dimensions, count = particles.columns.shape
+    return float(count ** (-1.0 / (dimensions + 4)))
 
 
 def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     """Return equally weighted particles, each moved by a draw from a small kernel of the cloud's own shape.
 
-    The kernel's covariance is h² times the cloud's with h = N^(-1/(D+4)), about what is best for a normal density
-    [Musso, Oudjane, Le Gland 2001]. The cloud is first drawn together by √(1 - h²), so that its mean and covariance
-    stay as they are [Liu, West 2001].
+    The kernel's covariance is h² times the cloud's, h from `kernel_width`. The cloud is first drawn together by
+    √(1 - h²), so that its mean and covariance stay as they are [Liu, West 2001].
     """
     dimensions, count = particles.columns.shape
-    width = count ** (-1.0 / (dimensions + 4))
+    width = kernel_width(particles)
     cloud = estimate(particles)
     variance, axes = np.linalg.eigh(cloud.cov)
     draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal((dimensions, count)))

@@ -15,6 +15,7 @@ from localiser import geometry, particles
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
+from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.mcl import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, step
 from localiser.motion import MotionParameters, linearised
@@ -40,6 +41,12 @@ class Weighs:
 
     def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
         return self.per_metre * particles["x"]
+
+    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
+        return np.tile(self.log_likelihood(particles, edges, landmark_map), (len(INLIER_SHARES), 1))
+
+    def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
+        return 0.0, np.inf
 
 
 def filter_of(count: int = 300, motion: MotionParameters = NO_NOISE, **changes: object) -> Mcl:
@@ -284,15 +291,19 @@ def test_means_and_spreads_agree_with_the_grid_filter() -> None:
     grid = GridFilter.gaussian(axis, axis - 0.5, headings(180), START_POSE, prior)
     observation = EdgeObservation(CAMERA, INDEPENDENT)
     noise = linearised(np.zeros(3), increment, motion)[1]
-    means, sigmas = [], []
+    means, sigmas, inliers = [], [], InlierShare.unknown()
     for index, frame in enumerate(frames):
         if index:
             grid = grid.predict(increment, noise)
 
-        def log_likelihood(cells: Array, edges: Edges = frame.edges) -> Array:
-            return observation.log_likelihood(Particles(POSE, cells.T, np.zeros(len(cells))), edges, MAP)
+        inliers = inliers.after(1.0)
 
-        grid = grid.update(log_likelihood)
+        def by_share(cells: Array, edges: Edges = frame.edges) -> Array:
+            return observation.by_share(Particles(POSE, cells.T, np.zeros(len(cells))), edges, MAP)
+
+        grid = grid.update(lambda cells: inliers.log_mean(by_share(cells)))  # noqa: B023
+        held = grid.p.ravel() > 1e-12
+        inliers = inliers.given(by_share(grid.poses[held]), grid.p.ravel()[held] / grid.p.ravel()[held].sum(), 1.0)
         means.append(grid.mean)
         sigmas.append(np.sqrt(np.diag(grid.cov)))
 

@@ -1,0 +1,56 @@
+"""What share of the edges belongs to landmarks of the map: learnt while driving, never set.
+
+The share differs from place to place and from frame to frame: an empty corridor shows hardly anything but landmarks,
+full bookshelves hardly anything but clutter. So every frame has a share w of its own, drawn from a distribution that
+the frames before have shown: p(edges | pose) = Σ_k p(w_k) p(edges | pose, w_k), with p(w_k) learnt as the proportions
+of a mixture, whose prior is Dirichlet's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from localiser.geometry import Array
+
+# Jeffreys' prior of a share is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
+_NODES = 6
+INLIER_SHARES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
+_PRIOR = np.full(_NODES, 1.0 / _NODES)  # counts for as much as one frame
+
+MEMORY_FRAMES = 30.0  # independent frames after which another part of the building is in view, with clutter of its own
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InlierShare:
+    """The distribution of a frame's inlier share. count (K,): how many frames had each of `INLIER_SHARES`."""
+
+    count: Array
+
+    @classmethod
+    def unknown(cls) -> InlierShare:
+        """Return Jeffreys' prior."""
+        return cls(_PRIOR)
+
+    @property
+    def probability(self) -> Array:
+        """The probability (K,) of each of `INLIER_SHARES` in the next frame."""
+        return np.asarray(self.count / self.count.sum())
+
+    def after(self, independent_frames: float) -> InlierShare:
+        """Return the distribution after moving on: what was counted long ago is forgotten."""
+        return replace(self, count=_PRIOR + np.exp(-independent_frames / MEMORY_FRAMES) * (self.count - _PRIOR))
+
+    def log_mean(self, by_share: Array) -> Array:
+        """Return log p(edges | pose) (N,), the shares integrated out of `by_share` (K, N)."""
+        return np.asarray(np.logaddexp.reduce(by_share + np.log(self.probability)[:, None], axis=0))
+
+    def given(self, by_share: Array, weight: Array, independent_frames: float) -> InlierShare:
+        """Return the distribution after a frame with log p(edges | pose, w_k) (K, N) and particles of weight (N,).
+
+        The weights are those after the same edges. A frame that is only partly new counts for that part.
+        """
+        joint = by_share + np.log(self.probability)[:, None]
+        responsibility = np.exp(joint - np.logaddexp.reduce(joint, axis=0)) @ weight
+        return replace(self, count=self.count + independent_frames * responsibility)
