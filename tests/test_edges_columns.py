@@ -11,8 +11,8 @@ from edge_images import camera_of, wall_image
 
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.columns import gradient_field, gradient_kernel, linked, peaks_of
-from localiser.edges.lines import columns
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
+from localiser.edges.search import columns
 
 PARAMETERS = EdgeParameters(detector="columns")
 
@@ -127,6 +127,19 @@ def test_a_faint_step_in_strong_noise_and_motion_blur_is_found():
     edges = find_edges(image, camera, PARAMETERS)
     np.testing.assert_allclose(np.sort(np.rad2deg(edges.bearing)), bearings, atol=0.1)
     assert len(find_edges(image, camera, EdgeParameters(detector="lsd"))) < len(bearings)
+
+
+@pytest.mark.parametrize("motion_px", [9, 15, 25])
+def test_an_edge_smeared_by_motion_is_one_edge_with_an_honest_sigma(motion_px):
+    camera = camera_of(k1=-0.2)
+    bearings = np.array([-19.0, -6.0, 7.0, 18.0])
+    image = wall_image(camera, bearings, [90.0, 140.0, 80.0, 150.0, 100.0]).astype(np.float64)
+    noise = np.random.default_rng(2).normal(0, 4, image.shape)
+    image = np.clip(np.rint(cv2.blur(image, (motion_px, 1)) + noise), 0, 255).astype(np.uint8)
+    edges = find_edges(image, camera, PARAMETERS)
+    error = np.sort(edges.bearing) - np.deg2rad(bearings)
+    assert np.all(np.abs(error) < np.deg2rad(0.08))
+    assert np.all(np.abs(error) < 3.5 * edges.bearing_sigma[np.argsort(edges.bearing)])
 
 
 def test_sigma_is_honest_from_clean_to_hard():

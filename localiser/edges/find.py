@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.edges.lines import columns
 from localiser.edges.measure import edges_of_segments
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import polarity_of_profiles, profiles
+from localiser.edges.search import columns
 from localiser.edges.segments import Detector, hough, lsd
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image, ideal_camera

@@ -11,25 +11,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.camera import Camera
 from localiser.edges.columns import (
     ALONG,
     SCALE_PX,
     GradientField,
     Peaks,
-    gradient_field,
     gradient_kernel,
-    linked,
-    peaks_of,
 )
 from localiser.edges.groups import Groups, LineFit
-from localiser.edges.parameters import EdgeParameters
-from localiser.edges.rectify import ROWS_PER_BLOCK, ColumnView, column_view
-from localiser.edges.segments import Segments
-from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
 
-_LEAST_BLOCKS = 3
+LEAST_BLOCKS = 3
 _PRIOR_BLOCKS = 4.0
 """As how many blocks of residuals the predicted noise counts, when a line's own scatter is judged."""
 _TUKEY = 4.0
@@ -38,8 +30,6 @@ _SAMPLING_SIGMA_PX = {1: 0.03, 2: 0.01}
 """Error by pixels and by the remap, at `SCALE_PX` and at twice that: tables hold 1/32 px, and an edge that is sharper
 than a pixel has none of its own scale to be interpolated."""
 _MARGIN_BLOCKS = 2
-_SAME_EDGE_SHARE = 0.25
-"""Where the gradient falls below this share of its mean, the edge has ended or is hidden."""
 
 _AROUND = np.arange(-1, 3)[:, None]
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
@@ -52,19 +42,8 @@ _COARSE_CURVATURE_SIGMA = float(np.linalg.norm(np.convolve(np.convolve(_KERNEL, 
 """Noise of the gradient's first and second difference along a row, in units of the gradient's own."""
 
 
-def columns(image: Image, camera: Camera, parameters: EdgeParameters) -> Segments:
-    """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
-    field = gradient_field(image, camera)
-    peaks = peaks_of(field)
-    rough = _rough_lines(peaks, linked(peaks, field.fine.shape))
-    cells = _cells_of(rough, field)
-    fitted = _refined(rough, cells, field)
-    kept, top, bottom = _significant(fitted, cells, field, parameters.min_step)
-    return _segments(fitted.take(kept), top[kept], bottom[kept], column_view(camera), camera)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Lines:
+class Lines:
     """Lines, G of them, with the first and last block (G,) of their chain and polarity (G,)."""
 
     fit: LineFit
@@ -72,12 +51,13 @@ class _Lines:
     last: NDArray[np.int64]
     polarity: NDArray[np.int8]
 
-    def take(self, index: NDArray[np.int64]) -> _Lines:
-        return _Lines(self.fit.take(index), self.first[index], self.last[index], self.polarity[index])
+    def take(self, index: NDArray[np.int64]) -> Lines:
+        """Return some of the lines."""
+        return Lines(self.fit.take(index), self.first[index], self.last[index], self.polarity[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Cells:
+class Cells:
     """All blocks that lines cross, K of them, from two above the chain's first to two below its last."""
 
     groups: Groups
@@ -87,7 +67,7 @@ class _Cells:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
+class Fitted:
     """Refined lines, G of them.
 
     height: (K,) gradient at each of their blocks. on_line: (K,) whether its peak lies on the line. step: (G,) by how
@@ -95,18 +75,19 @@ class _Fitted:
     columns by which something on one side may have moved the line.
     """
 
-    lines: _Lines
+    lines: Lines
     height: Array
     on_line: NDArray[np.bool_]
     step: Array
     shift: Array
 
-    def take(self, index: NDArray[np.int64]) -> _Fitted:
+    def take(self, index: NDArray[np.int64]) -> Fitted:
+        """Return some of the lines, with the cells of all."""
         of_lines = {name: getattr(self, name)[index] for name in ("step", "shift")}
         return replace(self, lines=self.lines.take(index), **of_lines)
 
 
-def _rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> _Lines:
+def rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> Lines:
     """Return robust lines through the peaks of each chain that is long enough."""
     groups = Groups(chain, int(chain.max(initial=-1)) + 1)
     weight = np.ones(len(chain))
@@ -116,21 +97,22 @@ def _rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> _Lines:
     first, last = groups.lowest(peaks.row).astype(np.int64), groups.highest(peaks.row).astype(np.int64)
     polarity = np.zeros(groups.count, dtype=np.int8)
     polarity[chain] = peaks.polarity
-    long = np.flatnonzero(last - first >= _LEAST_BLOCKS - 1)
-    return _Lines(fit, first, last, polarity).take(long)
+    long = np.flatnonzero(last - first >= LEAST_BLOCKS - 1)
+    return Lines(fit, first, last, polarity).take(long)
 
 
-def _cells_of(lines: _Lines, field: GradientField) -> _Cells:
+def cells_of(lines: Lines, field: GradientField) -> Cells:
+    """Return the blocks that lines cross."""
     top = np.maximum(lines.first - _MARGIN_BLOCKS, 0)
     bottom = np.minimum(lines.last + _MARGIN_BLOCKS, field.fine.shape[0] - 1)
     size = bottom - top + 1
     line = np.repeat(np.arange(len(size)), size)
     row = np.arange(len(line)) - (np.cumsum(size) - size - top)[line]
     in_chain = (row >= lines.first[line]) & (row <= lines.last[line])
-    return _Cells(Groups(line, len(size)), row, lines.polarity[line], in_chain)
+    return Cells(Groups(line, len(size)), row, lines.polarity[line], in_chain)
 
 
-def _sampled(values: NDArray[np.float32], cells: _Cells, column: Array) -> tuple[Array, Array, Array]:
+def sampled(values: NDArray[np.float32], cells: Cells, column: Array) -> tuple[Array, Array, Array]:
     """Return a field's height, steepness and negative curvature along its row (K,) at cells, positive at the peak."""
     width = values.shape[1]
     whole = column.astype(np.int64).clip(1, width - 3)
@@ -142,7 +124,7 @@ def _sampled(values: NDArray[np.float32], cells: _Cells, column: Array) -> tuple
     return height, steepness, curvature
 
 
-def _steady(curvature: Array, noise: float, cells: _Cells) -> Array:
+def _steady(curvature: Array, noise: float, cells: Cells) -> Array:
     """Return the curvature (K,) of each block, drawn towards its line's mean as far as it varies by noise only."""
     line = cells.groups.of
     mean = cells.groups.mean(curvature, cells.in_chain)
@@ -151,18 +133,18 @@ def _steady(curvature: Array, noise: float, cells: _Cells) -> Array:
     return np.maximum(mean[line] + real[line] * (curvature - mean[line]), 0.05 * noise)
 
 
-def _refined(lines: _Lines, cells: _Cells, field: GradientField) -> _Fitted:
+def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
     """Return the lines that the gradient's peaks lie on, by Gauss-Newton steps with Tukey's weights.
 
     At a peak the steepness is 0; near it, it tells how far off the peak is: steepness / curvature.
     """
     groups, line = cells.groups, cells.groups.of
     fit, robust = lines.fit, cells.in_chain.astype(np.float64)
-    curvature = _steady(_sampled(field.smooth, cells, fit.at(line, cells.row))[2], _CURVATURE_SIGMA, cells)
+    curvature = _steady(sampled(field.smooth, cells, fit.at(line, cells.row))[2], _CURVATURE_SIGMA, cells)
     weight = (curvature / _STEEPNESS_SIGMA) ** 2
     for _ in range(2):
         column = fit.at(line, cells.row)
-        height, steepness, _ = _sampled(field.fine, cells, column)
+        height, steepness, _ = sampled(field.fine, cells, column)
         target = column + (steepness / curvature).clip(-2, 2)
         fit = groups.line(cells.row, target, weight * robust)
         residual = target - fit.at(line, cells.row)
@@ -171,7 +153,7 @@ def _refined(lines: _Lines, cells: _Cells, field: GradientField) -> _Fitted:
     fit, shift = _of_both_scales(
         _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
     )
-    return _Fitted(
+    return Fitted(
         lines=replace(lines, fit=fit),
         height=height,
         on_line=np.abs(residual) < 2,
@@ -180,10 +162,10 @@ def _refined(lines: _Lines, cells: _Cells, field: GradientField) -> _Fitted:
     )
 
 
-def _coarse_fit(fit: LineFit, inlier: Array, cells: _Cells, field: GradientField) -> LineFit:
+def _coarse_fit(fit: LineFit, inlier: Array, cells: Cells, field: GradientField) -> LineFit:
     """Return the lines as they are seen at twice the scale."""
     groups, column = cells.groups, fit.at(cells.groups.of, cells.row)
-    _, steepness, curvature = _sampled(field.coarse, cells, column)
+    _, steepness, curvature = sampled(field.coarse, cells, column)
     curvature = _steady(curvature, _COARSE_CURVATURE_SIGMA, cells)
     target = column + (steepness / curvature).clip(-3, 3)
     weight = (curvature / _COARSE_STEEPNESS_SIGMA) ** 2
@@ -241,7 +223,7 @@ def _correlation(normalised: Array, line: NDArray[np.int64]) -> float:
     return float(np.clip(common / max(float((normalised**2).sum()), 1e-9), 0.0, 0.8))
 
 
-def _step_grey(height: Array, curvature: Array, cells: _Cells, field: GradientField) -> Array:
+def _step_grey(height: Array, curvature: Array, cells: Cells, field: GradientField) -> Array:
     """Return the grey levels (G,) by which the two sides of each line differ.
 
     A step D blurred by a Gaussian of scale w has a gradient of height D / (√2π w) and curvature height / w².
@@ -249,73 +231,3 @@ def _step_grey(height: Array, curvature: Array, cells: _Cells, field: GradientFi
     top = np.maximum(cells.groups.mean(height, cells.in_chain), 0)
     wide = np.sqrt(top / np.maximum(cells.groups.mean(curvature, cells.in_chain), 1e-9))
     return np.asarray(np.sqrt(2 * np.pi) * top * wide * field.noise_grey)
-
-
-def _significant(
-    fitted: _Fitted, cells: _Cells, field: GradientField, min_step: float
-) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return which lines are no accident of noise or texture, and where all lines (G,) begin and end, in blocks."""
-    groups, line = cells.groups, cells.groups.of
-    faintest = np.maximum(2.0, _SAME_EDGE_SHARE * groups.mean(fitted.height, cells.in_chain)[line])
-    on = cells.in_chain & fitted.on_line & (fitted.height > faintest)
-    column = np.rint(fitted.lines.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
-    blocks = groups.sum(on)
-    score = groups.sum(on * fitted.height / field.clutter[cells.row, column]) / np.sqrt(np.maximum(blocks, 1))
-    kept = (blocks >= _LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.step >= min_step)
-    top, bottom = _extent(fitted.height, on, cells)
-    return np.flatnonzero(kept), top, bottom
-
-
-def _segments(fitted: _Fitted, top: Array, bottom: Array, view: ColumnView, camera: Camera) -> Segments:
-    """Return lines of the rectified image, from block `top` to `bottom`, as segments."""
-    fit = fitted.lines.fit
-    reach = np.sqrt(fit.spread / fit.weight)
-    points = np.stack([bottom - 0.5, top - 0.5, fit.x + reach, fit.x - reach], axis=1)
-    column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
-    upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
-    ideal_px = ideal_camera(camera).pixels_from_upright(upright)
-    to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
-    return Segments(
-        ends_px=ideal_px[:, :2],
-        support_px=ideal_px[:, 2:],
-        sigma_px=to_px * np.sqrt(2 / fit.weight),
-        shift_sigma_px=to_px * fitted.shift,
-        polarity=fitted.lines.polarity,
-    )
-
-
-def _least_score(shape: tuple[int, ...]) -> float:
-    """Return the score, in sigmas, that noise alone exceeds less than once in an image: tests · exp(-z²/2) = 1.
-
-    Tested are all runs of blocks in all columns, leaning left, right or not.
-    """
-    return float(np.sqrt(2 * np.log(3 * shape[1] * shape[0] ** 2 / 2)))
-
-
-def _extent(height: Array, on: NDArray[np.bool_], cells: _Cells) -> tuple[Array, Array]:
-    """Return where (G,) lines begin and end, in blocks from the top of the rectified image.
-
-    The gradient of a block that the edge covers in part is as much lower; compared with the next one inwards it tells
-    which part. Both the last block that counts and the one beyond may be covered in part.
-    """
-    groups, index = cells.groups, np.arange(len(on))
-    first, last = groups.lowest(index, on), groups.highest(index, on)
-    seen = np.isfinite(first)
-    ends = (np.where(seen, end, 0).astype(np.int64) for end in (first, last))
-    first_cell, last_cell = ends
-
-    def covered(end: NDArray[np.int64], outwards: int) -> Array:
-        inner = np.maximum(_neighbour(height, groups.of, end, -outwards), 1e-6)
-        beyond = _neighbour(height, groups.of, end, outwards)
-        return np.asarray((height[end] / inner).clip(0, 1) + (beyond / inner).clip(0, 1))
-
-    if len(on) == 0:
-        return np.zeros(0), np.zeros(0)
-    return cells.row[first_cell] + 1 - covered(first_cell, -1), cells.row[last_cell] + covered(last_cell, 1)
-
-
-def _neighbour(values: Array, group: NDArray[np.int64], cell: NDArray[np.int64], by: int) -> Array:
-    """Return the value (G,) of the cell one above or below, 0 where that is none of the same line."""
-    at = cell + by
-    inside = at.clip(0, len(values) - 1)
-    return np.where((at == inside) & (group[inside] == group[cell]), values[inside], 0.0)

@@ -47,6 +47,20 @@ def ideal_camera(camera: Camera) -> Camera:
     return camera.undistorted()
 
 
+@lru_cache(maxsize=8)
+def half_camera(camera: Camera) -> Camera:
+    """Return the cached camera of images in which two rows and two columns have been averaged to one."""
+    return replace(
+        camera,
+        width=camera.width // 2,
+        height=camera.height // 2,
+        fx=camera.fx / 2,
+        fy=camera.fy / 2,
+        cx=(camera.cx - 0.5) / 2,
+        cy=(camera.cy - 0.5) / 2,
+    )
+
+
 def bend_px(camera: Camera) -> float:
     """Return by how many pixels the lens bends a straight line across the image at most.
 
