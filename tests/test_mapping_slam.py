@@ -14,12 +14,14 @@ from localiser.camera import Camera, Mount
 from localiser.config import Config
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose, robot_from_map
-from localiser.mapping import MappingParameters, Sightings
+from localiser.mapping import Built, MappingParameters, Sightings
 from localiser.mapping import smooth as smoother
+from localiser.mapping.constellations import seen_before
 from localiser.mapping.feet import Scale, scale_by_feet
 from localiser.mapping.landmarks import fitted
 from localiser.mapping.loops import same_landmarks
 from localiser.mapping.smooth import Bearings, Prior, Problem, SmoothParameters, Wheels, smooth
+from localiser.mapping.triangulate import triangulate
 
 CAMERA = Camera(
     640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9, yaw_rad=0.03, right_m=0.02, back_m=-0.1)
@@ -206,8 +208,52 @@ def drive_alone(drive: World, edges: list[Edges]) -> mapping.Slam:
     return mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, MappingParameters())
 
 
-def test_office_alone() -> None:
-    drive = world("office")
+def test_a_drive_with_wrong_wheels_is_put_right() -> None:
+    drive = world("corridor")
     found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))
     error = aligned_error(found.poses, drive.truth.poses)
-    assert np.sqrt((error**2).mean()) < 0.1
+    wheels = aligned_error(drive.odometry.poses, drive.truth.poses)
+    assert np.sqrt((error**2).mean()) < 0.05 < 0.2 < np.sqrt((wheels**2).mean())
+
+
+# -- large loops ------------------------------------------------------------------------------------------------------
+
+
+def visits(drift: Array, repeats: bool) -> tuple[Array, Built, np.ndarray]:
+    """Return landmarks of two visits to one place, the second moved by `drift` (3,), and when each is seen."""
+    rng = np.random.default_rng(4)
+    first = rng.uniform(-3, 3, (12, 2))
+    if repeats:  # doors at equal steps: the place looks like itself one step on
+        first = np.stack([np.repeat(np.arange(6) * 1.0, 2), np.tile([0.0, 2.0], 6)], axis=-1)
+    cos, sin = np.cos(drift[2]), np.sin(drift[2])
+    second = first @ np.array([[cos, sin], [-sin, cos]]) + drift[:2] + 0.01 * rng.standard_normal(first.shape)
+    if repeats:
+        second = second[4:8]
+    count = len(first) + len(second)
+    seen = np.zeros((120, count), dtype=bool)
+    seen[:20, : len(first)] = True
+    seen[100:, len(first) :] = True
+    empty = np.zeros((count, 0))
+    fit = triangulate(np.zeros(0, dtype=np.int64), count, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    nothing = np.zeros(0, dtype=np.int64)
+    built = Built(
+        of=nothing,
+        used=nothing,
+        fit=fit,
+        parallax=np.full(count, 0.5),
+        count=seen.sum(axis=0),
+        side=np.full((count, 2), np.nan),
+        polarity=np.zeros(count, dtype=np.int8),
+        profile=empty,
+    )
+    return np.concatenate([first, second]), built, seen
+
+
+def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
+    points, built, seen = visits(np.array([1.5, -0.8, 0.2]), repeats=False)
+    assert seen_before(points, built, seen).tolist() == [*range(12), *range(12)]
+
+
+def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
+    points, built, seen = visits(np.array([0.4, 0.0, 0.0]), repeats=True)
+    assert seen_before(points, built, seen).tolist() == list(range(len(points)))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array, forward, wrap_angle
+from localiser.mapping.constellations import seen_before
 from localiser.mapping.feet import Scale, scale_by_feet
 from localiser.mapping.known import build_from_poses
 from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered
@@ -28,6 +29,8 @@ from localiser.mapping.tracks import follow
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
 _TRUE_TURN_RAD = 7e-4  # how far turns of smoothed poses may be off between two frames
+_CONSTELLATION_ROUNDS = 4
+_LOOSE = (100.0, 20.0, 4.0, 1.0)  # bearings are taken to be so much worse while a large loop is pulled together
 _LOOP_ROUNDS = 12
 _REPEATED = 2.0  # errors of an edge repeat from frame to frame: four sightings say what one independent one would
 _ASSOCIATION_ROUNDS = 3
@@ -66,6 +69,14 @@ def build_from_log(
         state, built, smoothed = solver.solve(state, numbered(long_enough(track)), noise)
         noise = _POSE_BEARING_RAD
     before = state.poses
+    for _ in range(_CONSTELLATION_ROUNDS):
+        joined = seen_before(smoothed.points, built, solver.seen(built))
+        if (joined == np.arange(len(built))).all():
+            break
+        of = numbered(np.where(built.of >= 0, joined[built.of], -1))
+        # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
+        for loose in _LOOSE:
+            state, built, smoothed = solver.solve(state, of, noise, loose)
     for _ in range(_LOOP_ROUNDS):
         joined = same_landmarks(smoothed.points, smoothed.landmark_cov(), built, solver.seen(built))
         if (joined == np.arange(len(built))).all():
@@ -110,11 +121,15 @@ class _Solver:
         """Return the tracks (S,) of the edges by the poses as they are believed to be."""
         return follow(self.sightings, state.cameras, turn_sigma, self.parameters.tracks)
 
-    def solve(self, state: _Estimate, of: Index, noise_rad: float) -> tuple[_Estimate, Built, Smoothed]:
+    def solve(
+        self, state: _Estimate, of: Index, noise_rad: float, loose: float = 1.0
+    ) -> tuple[_Estimate, Built, Smoothed]:
         """Return the smoothed estimate when `of` (S,) says which landmark each sighting is of."""
         s = self.sightings
         built = fitted(s, of, state.cameras, np.hypot(self.sigma, noise_rad))
-        bearings = Bearings(s.frame[built.used], built.of[built.used], s.bearing[built.used], self.sigma[built.used])
+        bearings = Bearings(
+            s.frame[built.used], built.of[built.used], s.bearing[built.used], loose * self.sigma[built.used]
+        )
         problem = Problem(self.wheels, bearings, self.camera, state.prior)
         smoothed = smooth(problem, state.poses, self._start(built, state), state.constants)
         yaw = self.camera.mount.yaw_rad + float(smoothed.constants[3])

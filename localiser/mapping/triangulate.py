@@ -5,6 +5,7 @@ Minimises Σ ρ((φ_k - direction(point - camera_k)) / σ_k) with Cauchy's ρ by
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -148,6 +149,6 @@ def _solve(normal: Array, right: Array) -> Array:
 
 def _sum_by(group: Index, count: int, values: Array) -> Array:
     """Return the sums (L, …) of values (K, …) by group (K,)."""
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))
     summed = np.stack([np.bincount(group, flat[:, i], count) for i in range(flat.shape[1])], axis=-1)
     return np.asarray(summed.reshape(count, *values.shape[1:]), dtype=np.float64)
