@@ -77,17 +77,13 @@ def build_from_log(
         # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
         for loose in _LOOSE:
             state, built, smoothed = solver.solve(state, of, noise, loose)
-    for _ in range(_LOOP_ROUNDS):
-        joined = same_landmarks(smoothed.points, smoothed.landmark_cov(), built, solver.seen(built))
-        if (joined == np.arange(len(built))).all():
-            break
-        of = numbered(np.where(built.of >= 0, joined[built.of], -1))
-        state, built, smoothed = solver.solve(state, of, noise)
+    state, built, smoothed = solver.close_loops(state, built, smoothed, _LOOP_ROUNDS)
     for _ in range(_ASSOCIATION_ROUNDS):
         previous = built.of
         track = solver.follow(state, np.full(sightings.frames, _TRUE_TURN_RAD))
         anew = build_from_poses(sightings, track, state.cameras, np.hypot(solver.sigma, _POSE_BEARING_RAD), parameters)
         state, built, smoothed = solver.solve(state, anew.of, noise)
+        state, built, smoothed = solver.close_loops(state, built, smoothed, 1)
         if (built.of == previous).all():
             break
     return _in_map(solver, state, built, smoothed, before, first_pose)
@@ -135,6 +131,18 @@ class _Solver:
         yaw = self.camera.mount.yaw_rad + float(smoothed.constants[3])
         moved = _Estimate(smoothed.poses, smoothed.constants, state.prior, self.camera.with_mount(yaw_rad=yaw))
         return replace(moved, prior=self._prior(moved, built, smoothed)), built, smoothed
+
+    def close_loops(
+        self, state: _Estimate, built: Built, smoothed: Smoothed, rounds: int
+    ) -> tuple[_Estimate, Built, Smoothed]:
+        """Return the estimate after joining landmarks that are one, and solving again, until no more are."""
+        for _ in range(rounds):
+            joined = same_landmarks(smoothed.points, smoothed.landmark_cov(), built, self.seen(built))
+            if (joined == np.arange(len(built))).all():
+                break
+            of = numbered(np.where(built.of >= 0, joined[built.of], -1))
+            state, built, smoothed = self.solve(state, of, _POSE_BEARING_RAD)
+        return state, built, smoothed
 
     def _start(self, built: Built, state: _Estimate) -> Array:
         """Return places (L, 2) to start from; along its first bearing for a landmark that rays do not place."""

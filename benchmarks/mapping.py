@@ -1,0 +1,96 @@
+"""Accuracy of maps: simulated drives with known poses, and logs with nothing but odometry.
+
+python benchmarks/mapping.py known              # edges simulated on the drives through configs/worlds
+python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from localiser import mapping
+from localiser.app.map_build import build_map
+from localiser.config import load_config
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
+from localiser.mapping import MappingParameters, Sightings
+from localiser.storage import open_log
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+
+def known(seeds: range, clutter: float) -> None:
+    """Print how good maps of simulated edges are when poses are known."""
+    from mapping_worlds import world
+
+    print("| world | seed | landmarks | median m | 95 % m | found | spurious | honesty |")
+    for name in ("corridor", "office"):
+        drive = world(name)
+        for seed in seeds:
+            edges = drive.edges(seed, clutter)
+            made = from_known_poses(drive, edges)
+            apart = np.linalg.norm(made.points[:, None] - drive.landmark_map.points[None], axis=-1)
+            error, offset = apart.min(axis=1), made.points - drive.landmark_map.points[apart.argmin(axis=1)]
+            nees = np.einsum("li,lij,lj->l", offset, np.linalg.inv(made.cov), offset)
+            found = (apart[:, drive.seen_from_apart(edges, 6.0)].min(axis=0) < 0.06).mean()
+            honesty = np.sqrt(np.median(nees) / (2 * np.log(2)))
+            print(
+                f"| {name} | {seed} | {len(made)} | {np.median(error):.4f} | {np.quantile(error, 0.95):.4f} | "
+                f"{found:.3f} | {(error > 0.2).mean():.3f} | {honesty:.2f} |"
+            )
+
+
+def from_known_poses(drive: object, edges: list) -> LandmarkMap:
+    """Return the map that edges give at the drive's true poses."""
+    parameters = MappingParameters()
+    cameras = drive.camera.pose_in_map(drive.truth.poses)
+    sightings = Sightings.from_edges(edges, drive.camera)
+    track = mapping.follow(sightings, cameras, np.full(len(cameras), 1e-3), parameters.tracks)
+    sigma = mapping.measured_sigma(sightings, drive.camera.focal_px, parameters)
+    built = mapping.build_from_poses(sightings, track, cameras, sigma, parameters)
+    return mapping.landmark_map_of(sightings, built, cameras, sigma, drive.camera, parameters, "", "")
+
+
+def slam(logs: list[Path]) -> None:
+    """Print how far the trajectory of logs alone is from the truth, after the best rotation and translation."""
+    print("| log | wheels, RMSE m | alone, RMSE m | largest m | landmarks | seconds after edges |")
+    for path in logs:
+        log = open_log(path)
+        config = load_config(None, [], log.settings)
+        build_map(log, "odometry", config, lambda: None)  # so that edges are in the cache
+        begin = perf_counter()
+        built = build_map(log, "slam", config, lambda: None)
+        seconds = perf_counter() - begin
+        t_ns = built.trajectory.t_ns
+        truth = log.groundtruth.sampled(t_ns).poses
+        wheels, alone = aligned(log.odometry.sampled(t_ns).poses, truth), aligned(built.trajectory.poses, truth)
+        print(
+            f"| {log.name} | {np.sqrt((wheels**2).mean()):.3f} | {np.sqrt((alone**2).mean()):.3f} | "
+            f"{alone.max():.3f} | {len(built.landmark_map)} | {seconds:.1f} |"
+        )
+
+
+def aligned(found: Array, truth: Array) -> Array:
+    """Return the distances (T,) of poses (T, 3) after the best rotation and translation."""
+    one, other = found[:, :2] - found[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
+    left, _, right = np.linalg.svd(one.T @ other)
+    turn = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+    return np.linalg.norm(one @ turn - other, axis=1)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("known", "slam"))
+    parser.add_argument("logs", nargs="*", type=Path)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--clutter", type=float, default=3.0)
+    arguments = parser.parse_args()
+    if arguments.what == "known":
+        known(range(arguments.seeds), arguments.clutter)
+    else:
+        slam(arguments.logs)
