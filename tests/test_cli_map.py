@@ -220,3 +220,20 @@ def test_a_cache_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
     blocked.write_text("")
     found = map_edges.edges_of_log(first_images(2), EdgeParameters(), lambda: None, blocked / "inside")
     assert len(found[0]) > 0
+
+
+@pytest.mark.parametrize("poses", ["truth", "slam", "odometry"])
+@pytest.mark.parametrize("content", ["clutter", "nothing", "few frames"])
+def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses: str, content: str) -> None:
+    drive = world("corridor")
+    edges = drive.edges(seed=0, clutter=4.0)[:40]
+    if content == "clutter":
+        edges = [frame.take(frame.landmark_id < 0) for frame in edges]
+    elif content == "nothing":
+        edges = [Edges.none()] * 40
+    else:
+        edges = edges[:4]
+    log = edge_log(tmp_path / "log", edges)
+    message = refused("map", "build", log, "--poses", poses, "-o", tmp_path / "map.yaml")
+    assert "expected" in message
+    assert not (tmp_path / "map.yaml").exists()

@@ -23,6 +23,8 @@ _KNOWN_TURN_RAD = 1e-3
 """How far poses that are said to be true may be off between two images: synchronisation, interpolation."""
 _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 """Error of the wheels between two images even at a stand: right, backward (m), turn (rad)."""
+_LEAST_EXPLAINED = 0.1
+"""Share of a log's edges below which its landmarks may be chance: poses that are free bend to fit some clutter."""
 _FEWEST_FRAMES = 2
 _STANDING_M = 0.05
 
@@ -118,8 +120,7 @@ def _from_known_poses(
     landmark_map = mapping.landmark_map_of(
         sightings, built, cameras, sigma, log.camera, parameters, log.name, f"{log.name}, poses: {source}"
     )
-    if not len(landmark_map):
-        raise nothing_built(log, built, parameters)
+    _require_landmarks(log, landmark_map, sightings, built, parameters)
     return MapBuilt(landmark_map, trajectory, edges, sightings, built)
 
 
@@ -136,8 +137,7 @@ def _from_log_alone(log: Log, odometry: Trajectory, edges: list[Edges], config: 
     landmark_map = mapping.landmark_map_of(
         sightings, found.built, cameras, found.sigma, found.camera, parameters, log.name, f"{log.name}, poses: {SLAM}"
     )
-    if not len(landmark_map):
-        raise nothing_built(log, found.built, parameters)
+    _require_landmarks(log, landmark_map, sightings, found.built, parameters)
     trajectory = Trajectory(odometry.t_ns, found.poses)
     return MapBuilt(landmark_map, trajectory, edges, sightings, found.built, found)
 
@@ -176,6 +176,26 @@ def _require_edges(log: Log, sightings: mapping.Sightings) -> None:
     if len(sightings) == 0:
         raise InputError(
             f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
+        )
+
+
+def _require_landmarks(
+    log: Log,
+    landmark_map: LandmarkMap,
+    sightings: mapping.Sightings,
+    built: mapping.Built,
+    parameters: mapping.MappingParameters,
+) -> None:
+    """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
+    if not len(landmark_map):
+        raise nothing_built(log, built, parameters)
+    assert landmark_map.quality is not None
+    explained = float(landmark_map.quality.sightings.sum()) / len(sightings)
+    if explained < _LEAST_EXPLAINED:
+        raise InputError(
+            f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
+            "of the edges: what the images show is clutter, or the poses do not fit them",
+            path=log.path,
         )
 
 
