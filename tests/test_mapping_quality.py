@@ -1,0 +1,38 @@
+"""What is known of landmarks survives being saved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from localiser.landmarks import LandmarkMap, Quality
+from localiser.storage import load_map, save_map
+
+
+def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
+    plain = LandmarkMap.from_points(np.array([[0.0, 1.0], [2.0, 3.0]]), name="built")
+    quality = Quality(
+        np.array([12.0, np.nan]),
+        np.deg2rad([23.5, 7.25]),
+        np.array([0.97, np.nan]),
+        np.array([[10.0, 200.5, 90.0], [np.nan] * 3]),
+    )
+    save_map(replace(plain, quality=quality), tmp_path / "map.yaml")
+    found = load_map(tmp_path / "map.yaml").quality
+    assert found is not None
+    for name in ("sightings", "parallax_rad", "existence", "profile"):
+        np.testing.assert_allclose(getattr(found, name), getattr(quality, name), atol=1e-6)
+    save_map(plain, tmp_path / "plain.yaml")
+    assert load_map(tmp_path / "plain.yaml").quality is None
+
+
+def test_taking_landmarks_takes_their_quality_along() -> None:
+    quality = replace(Quality.unknown(3), existence=np.array([0.1, 0.2, 0.3]))
+    whole = replace(LandmarkMap.from_points(np.arange(6.0).reshape(3, 2), ids=("a", "b", "c")), quality=quality)
+    part = whole.take(np.array([2, 0]))
+    assert part.ids == ("c", "a")
+    assert part.points.tolist() == [[4.0, 5.0], [0.0, 1.0]]
+    assert part.quality is not None
+    assert part.quality.existence.tolist() == [0.3, 0.1]
