@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from localiser.mapping.smooth import SmoothParameters
+from localiser.mapping.factors import SmoothParameters
 from localiser.mapping.tracks import TrackParameters
 
 

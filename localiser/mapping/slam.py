@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.mapping.constellations import seen_before
+from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
 from localiser.mapping.feet import Scale, scale_by_feet
 from localiser.mapping.known import build_from_poses
 from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered
 from localiser.mapping.loops import same_landmarks
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings
-from localiser.mapping.smooth import Bearings, Prior, Problem, Smoothed, Wheels, dead_reckoned, smooth
+from localiser.mapping.smooth import Smoothed, dead_reckoned, smooth
 from localiser.mapping.tracks import follow
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for

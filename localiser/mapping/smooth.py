@@ -8,72 +8,15 @@ Levenberg-Marquardt over a sparse factorisation [Dellaert, Kaess 2006], robust b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from localiser.camera import Camera
-from localiser.geometry import Array, between, compose, robot_from_map, wrap_angle
-from localiser.mapping.sightings import Index
+from localiser.geometry import Array, compose
+from localiser.mapping.factors import CONSTANTS, Problem, State, Wheels, cost_of, linearise
 
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
-
-CONSTANTS = ("distance scale", "rotation scale", "veer", "mount yaw")
 _ITERATIONS = 25
 _CONVERGED = 1e-4  # relative fall of the cost below which nothing changes any more
-_CAUCHY = 2.0
-_PLACE_SIGMA_M = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class SmoothParameters:
-    """How far the constants may be from what is stated (one sigma each)."""
-
-    scale_sigma: Annotated[
-        float, Field(gt=0, le=1, description="constant error of the wheels' distance and rotation, as a share")
-    ] = 0.03
-    veer_sigma_deg_per_m: Annotated[
-        float, Field(gt=0, description="constant turn of the robot while the wheels say straight ahead (degrees/m)")
-    ] = 0.5
-    yaw_sigma_deg: Annotated[float, Field(gt=0, description="error of the camera's stated yaw (degrees)")] = 1.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """What is known of the constants beforehand: mean (4,) and sigma (4,)."""
-
-    mean: Array
-    sigma: Array
-
-    @classmethod
-    def of(cls, p: SmoothParameters) -> Prior:
-        """Return the prior that the parameters state."""
-        sigma = [p.scale_sigma, p.scale_sigma, np.deg2rad(p.veer_sigma_deg_per_m), np.deg2rad(p.yaw_sigma_deg)]
-        return cls(np.zeros(len(CONSTANTS)), np.array(sigma))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Wheels:
-    """Odometry between consecutive frames: motion (T - 1, 3) in the robot frame, and the path driven (T - 1,).
-
-    path_m: negative for driving backwards. sigma: (T - 1, 3) of each component.
-    """
-
-    motion: Array
-    path_m: Array
-    sigma: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bearings:
-    """Bearings (K,): frame, landmark, bearing and sigma (rad), all (K,)."""
-
-    frame: Index
-    landmark: Index
-    bearing: Array
-    sigma: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,23 +58,13 @@ class Smoothed:
         return np.asarray(cov)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Problem:
-    """What is measured, T frames."""
-
-    wheels: Wheels
-    bearings: Bearings
-    camera: Camera
-    prior: Prior
-
-
 def smooth(problem: Problem, poses: Array, points: Array, constants: Array, iterations: int = _ITERATIONS) -> Smoothed:
     """Return the poses (T, 3), landmarks (L, 2) and constants (4,) that fit best, from a start near them."""
     from scipy.sparse.linalg import splu
 
-    state = _State(poses, points, constants, points)
-    residual, weight, jacobian = _linearise(problem, state)
-    cost = _cost(problem, state)
+    state = State(poses, points, constants, points)
+    residual, weight, jacobian = linearise(problem, state)
+    cost = cost_of(problem, state)
     damping = 1e-4
     for _ in range(iterations):
         weighted = jacobian.T.multiply(weight).tocsc()
@@ -145,7 +78,7 @@ def smooth(problem: Problem, poses: Array, points: Array, constants: Array, iter
                 damped, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             ).solve(gradient)
             moved = state.moved(step)
-            new_cost = _cost(problem, moved)
+            new_cost = cost_of(problem, moved)
             if new_cost < cost or damping > 1e6:
                 break
             damping *= 10
@@ -153,7 +86,7 @@ def smooth(problem: Problem, poses: Array, points: Array, constants: Array, iter
         if fell <= 0:
             break
         state, cost, damping = moved, new_cost, max(damping / 10, 1e-9)
-        residual, weight, jacobian = _linearise(problem, state)
+        residual, weight, jacobian = linearise(problem, state)
         if fell < _CONVERGED * cost:
             break
     weighted = jacobian.T.multiply(weight).tocsc()
@@ -170,184 +103,6 @@ def smooth(problem: Problem, poses: Array, points: Array, constants: Array, iter
         cost,
         hessian,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    poses: Array
-    points: Array
-    constants: Array
-    start: Array
-
-    def moved(self, step: Array) -> _State:
-        """Return the state after a step: poses without the first, constants, landmarks."""
-        poses = self.poses.copy()
-        free = 3 * (len(poses) - 1)
-        poses[1:] += step[:free].reshape(-1, 3)
-        poses[:, 2] = wrap_angle(poses[:, 2])
-        constants = self.constants + step[free : free + len(CONSTANTS)]
-        points = self.points + step[free + len(CONSTANTS) :].reshape(-1, 2)
-        return _State(poses, points, constants, self.start)
-
-
-# -- residuals, each measured minus predicted, in sigmas ---------------------------------------------------------------
-
-
-def _wheel_residual(problem: Problem, state: _State) -> Array:
-    """Return what the wheels say minus what they should, given what is wrong with them.
-
-    The constants act on the motion, not on the measurement: else the best scale would be 0, where noise is too.
-    """
-    wheels, constants = problem.wheels, state.constants
-    moved = between(state.poses[:-1], state.poses[1:]) * _scales(constants)
-    residual = wheels.motion - moved
-    residual[:, 2] = wrap_angle(residual[:, 2] - wheels.path_m * constants[2])
-    return np.asarray(residual / wheels.sigma)
-
-
-def _scales(constants: Array) -> Array:
-    return np.array([1 + constants[0], 1 + constants[0], 1 + constants[1]])
-
-
-def _camera_points(problem: Problem, state: _State, frame: Index, landmark: Index) -> tuple[Array, Array]:
-    """Return landmarks (K, 2) in the robot frames, and in the level frames of a camera with its yaw corrected."""
-    in_robot = robot_from_map(state.poses[frame], state.points[landmark])
-    mount = problem.camera.robot_from_level + np.array([0.0, 0.0, state.constants[3]])
-    return in_robot, robot_from_map(mount, in_robot)
-
-
-def _bearing_residual(problem: Problem, state: _State) -> tuple[Array, Array]:
-    b = problem.bearings
-    in_robot, level = _camera_points(problem, state, b.frame, b.landmark)
-    return wrap_angle(b.bearing - np.arctan2(level[:, 0], -level[:, 1])) / b.sigma, in_robot
-
-
-def _cost(problem: Problem, state: _State) -> float:
-    def robust(r: Array) -> float:
-        return float((_CAUCHY**2 * np.log1p((r / _CAUCHY) ** 2)).sum())
-
-    plain = (_wheel_residual(problem, state) ** 2).sum() + (
-        ((state.constants - problem.prior.mean) / problem.prior.sigma) ** 2
-    ).sum()
-    plain += (((state.start - state.points) / _PLACE_SIGMA_M) ** 2).sum()
-    return float(plain) + robust(_bearing_residual(problem, state)[0])
-
-
-# -- linearisation ----------------------------------------------------------------------------------------------------
-
-
-def _linearise(problem: Problem, state: _State) -> tuple[Array, Array, csc_array]:
-    """Return residuals (R,), robust weights (R,), and the Jacobian (R, V) of the predictions, as sparse columns.
-
-    Variables: poses but the first, constants, landmarks. The gradient step solves (JᵀWJ) step = JᵀW r.
-    """
-    from scipy.sparse import coo_array
-
-    free = 3 * (len(state.poses) - 1)
-    parts = [_wheel_rows(problem, state), _prior_rows(problem, state), _bearing_rows(problem, state)]
-    parts.append(_place_rows(state))
-    rows, columns, values, residuals, weights, start = [], [], [], [], [], 0
-    for part in parts:
-        rows.append(part.row + start)
-        columns.append(part.column)
-        values.append(part.value)
-        residuals.append(part.residual)
-        weights.append(part.weight)
-        start += len(part.residual)
-    size = free + len(CONSTANTS) + 2 * len(state.points)
-    row, column, value = (np.concatenate(x) for x in (rows, columns, values))
-    kept = column >= 0  # the first pose is fixed
-    jacobian = coo_array((value[kept], (row[kept], column[kept])), shape=(start, size)).tocsc()
-    return np.concatenate(residuals), np.concatenate(weights), jacobian
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    row: Index
-    column: Index
-    value: Array
-    residual: Array
-    weight: Array
-
-
-def _assembled(blocks: list[tuple[Index, Array]], sigma: Array, residual: Array, robust: bool) -> _Rows:
-    """Return rows of the Jacobian from blocks (columns (K,) or (K, C), derivatives (K, C)), divided by sigma (K,)."""
-    count = len(residual)
-    row = np.concatenate([np.repeat(np.arange(count), columns.shape[1]) for columns, _ in blocks])
-    column = np.concatenate([columns.ravel() for columns, _ in blocks])
-    value = np.concatenate([(derivative / sigma[:, None]).ravel() for _, derivative in blocks])
-    weight = 1 / (1 + (residual / _CAUCHY) ** 2) if robust else np.ones(count)
-    return _Rows(row, column, value, residual, weight)
-
-
-def _pose_columns(frame: Index) -> Index:
-    """Return the columns (K, 3) of a pose; negative for the first, which is fixed."""
-    return np.where(frame[:, None] > 0, 3 * (frame[:, None] - 1) + np.arange(3), -1)
-
-
-def _wheel_rows(problem: Problem, state: _State) -> _Rows:
-    wheels, steps = problem.wheels, len(state.poses) - 1
-    heading = state.poses[:-1, 2]
-    cos, sin = np.cos(heading), np.sin(heading)
-    moved = between(state.poses[:-1], state.poses[1:])
-    zero, one = np.zeros(steps), np.ones(steps)
-    # between = (R(h)ᵀ (p' - p), h' - h); d/dh of robot_from_map is (-z, x) of the result.
-    start = np.array([[-cos, sin, -moved[:, 1]], [-sin, -cos, moved[:, 0]], [zero, zero, -one]]).transpose(2, 0, 1)
-    end = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, one]]).transpose(2, 0, 1)
-    by_constant = np.zeros((steps, 3, 3))
-    by_constant[:, 0, 0], by_constant[:, 1, 0] = moved[:, 0], moved[:, 1]
-    by_constant[:, 2, 1], by_constant[:, 2, 2] = moved[:, 2], wheels.path_m
-    scales = _scales(state.constants)[:, None]
-    frame = np.repeat(np.arange(steps), 3)
-    constant = np.tile(3 * steps + np.arange(3), (3 * steps, 1))
-    blocks = [
-        (_pose_columns(frame), (scales * start).reshape(-1, 3)),
-        (_pose_columns(frame + 1), (scales * end).reshape(-1, 3)),
-        (constant, by_constant.reshape(-1, 3)),
-    ]
-    return _assembled(blocks, wheels.sigma.ravel(), _wheel_residual(problem, state).ravel(), robust=False)
-
-
-def _prior_rows(problem: Problem, state: _State) -> _Rows:
-    columns = 3 * (len(state.poses) - 1) + np.arange(len(CONSTANTS))[:, None]
-    prior = problem.prior
-    residual = (prior.mean - state.constants) / prior.sigma
-    return _assembled([(columns, np.ones((len(residual), 1)))], prior.sigma, residual, robust=False)
-
-
-def _place_rows(state: _State) -> _Rows:
-    """Return what keeps a landmark of hardly any parallax from running off: its place is known to some ten metres."""
-    count = 2 * len(state.points)
-    columns = 3 * (len(state.poses) - 1) + len(CONSTANTS) + np.arange(count)[:, None]
-    away = (state.start - state.points).ravel() / _PLACE_SIGMA_M
-    return _assembled([(columns, np.ones((count, 1)))], np.full(count, _PLACE_SIGMA_M), away, robust=False)
-
-
-def _bearing_rows(problem: Problem, state: _State) -> _Rows:
-    b = problem.bearings
-    residual, in_robot = _bearing_residual(problem, state)
-    offset = in_robot - problem.camera.robot_from_level[:2]
-    squared = np.maximum((offset**2).sum(axis=1), 1e-9)
-    # Bearing from the robot's axis: atan2(x, -z), so d/d(x, z) = (-z, x) / r².
-    by_point = np.stack([-offset[:, 1], offset[:, 0]], axis=-1) / squared[:, None]
-    blocks = _point_blocks(state, b.frame, b.landmark, in_robot, by_point)
-    # A mount turned to the left sees everything farther to the right.
-    yaw = np.full((len(residual), 1), 3 * (len(state.poses) - 1) + 3)
-    return _assembled([*blocks, (yaw, np.ones((len(residual), 1)))], b.sigma, residual, robust=True)
-
-
-def _point_blocks(
-    state: _State, frame: Index, landmark: Index, in_robot: Array, by_point: Array
-) -> list[tuple[Index, Array]]:
-    """Return blocks by pose and by landmark of a value with derivative (K, 2) by the point in the robot frame."""
-    heading = state.poses[frame, 2]
-    cos, sin = np.cos(heading), np.sin(heading)
-    # in_robot = (cos dx - sin dz, sin dx + cos dz).
-    by_map = np.stack([by_point[:, 0] * cos + by_point[:, 1] * sin, -by_point[:, 0] * sin + by_point[:, 1] * cos], -1)
-    by_heading = -by_point[:, 0] * in_robot[:, 1] + by_point[:, 1] * in_robot[:, 0]
-    pose = np.concatenate([-by_map, by_heading[:, None]], axis=1)
-    first = 3 * (len(state.poses) - 1) + len(CONSTANTS)
-    return [(_pose_columns(frame), pose), (first + 2 * landmark[:, None] + np.arange(2), by_map)]
 
 
 def dead_reckoned(wheels: Wheels) -> Array:
