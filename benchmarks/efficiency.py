@@ -110,7 +110,7 @@ def run(setting: Setting, observation: str, particles: int, seed: int) -> Run:
     mcl = Mcl(
         setting.landmark_map,
         EdgeObservation(setting.camera, parameters),
-        MclParameters(particles=particles),
+        MclParameters(particles=particles, start_particles=particles),
         MOTION,
         parameters,
     )

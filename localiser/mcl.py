@@ -82,9 +82,12 @@ class MclParameters:
     """The particle filter itself."""
 
     particles: Annotated[int, Field(ge=1, le=10_000_000, description="number of particles")] = 2000
+    start_particles: Annotated[
+        int, Field(ge=1, le=10_000_000, description="number of particles until the first image has been weighed")
+    ] = 10_000
     stage_below: Annotated[
         float,
-        Field(ge=0, le=1, description="weigh in stages when the effective sample size would fall below this share"),
+        Field(ge=0, lt=1, description="weigh in stages that each leave this share of effective samples; 0: never"),
     ] = 0.3
     resample_below: Annotated[
         float, Field(gt=0, le=1, description="resample when the effective sample size falls below this share")
@@ -126,7 +129,7 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
     """Take one event and yield what was located: nothing, or one result for every image that odometry now covers."""
     match event:
         case Start():
-            state.particles = particles.from_gaussian(event.mean, event.cov, mcl.parameters.particles, rng)
+            state.particles = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
             state.at_ns, state.weighed, state.seen = event.t_ns, False, None
         case Odometry():
             state.odometry.append(event)
@@ -176,9 +179,9 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         sighting.t_ns, particles.estimate(weighed), weighed, ess, sighting.edges, increment, odometry_pose
     )
 
-    # Resample when few particles carry most of the weight.
-    if ess < mcl.parameters.resample_below * len(weighed):
-        index = particles.systematic_resample(weighed.weight, len(weighed), rng)
+    # Resample when few particles carry most of the weight, or when there are more than the way will need.
+    if ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != mcl.parameters.particles:
+        index = particles.systematic_resample(weighed.weight, mcl.parameters.particles, rng)
         weighed = particles.take(weighed, index)
     state.particles, state.at_ns, state.weighed, state.seen = weighed, sighting.t_ns, True, sighting.edges
     return located
@@ -189,47 +192,45 @@ def weigh(
 ) -> tuple[Particles, InlierShare]:
     """Return the particles with `share` of the edges' log-likelihood in their weights, and what that tells of clutter.
 
-    Edges much sharper than the cloud leave all weight on the few particles that happen to lie nearest; and when the
-    filter starts (`first`), perhaps none lies near enough to fit at all. Then the edges are weighed in stages.
+    Edges much sharper than the cloud would leave all weight on the few particles that happen to lie nearest. So only
+    as much of the evidence is taken at once as leaves `stage_below` of them effective; these are resampled and spread
+    by a small kernel, and the rest is weighed on the new, denser cloud [Musso, Oudjane, Le Gland 2001]. At the start
+    (`first`) perhaps no particle fits at all; then edges are blurred first and sharpened from stage to stage.
     """
-    by_share = mcl.observation.by_share(moved, edges, mcl.landmark_map)
-    weighed = replace(moved, log_weight=moved.log_weight + share * inliers.log_mean(by_share))
-    if first or particles.effective_sample_size(weighed.weight) < mcl.parameters.stage_below * len(moved):
-        spread_rad, sigma_rad = mcl.observation.scales(moved, edges, mcl.landmark_map)
-        # Kernels of the particles that are narrower than sigma leave no gaps between them.
-        if particles.kernel_width(moved) * spread_rad > sigma_rad:
-            blurs = [b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad]
-            weighed, by_share = weigh_in_stages(mcl, moved, edges, inliers, share, blurs, rng)
+    fewest = mcl.parameters.stage_below * len(moved)
+    coarser_rad: float | None = None
+    for blur_rad in blurs_of(mcl, moved, edges) if first else [0.0]:
+        left = share
+        for stage in range(MOST_STAGES):
+            by_share = mcl.observation.by_share(moved, edges, mcl.landmark_map, blur_rad)
+            log_likelihood = inliers.log_mean(by_share)
+            if coarser_rad is not None:  # which the particles have been weighed by already
+                known = mcl.observation.by_share(moved, edges, mcl.landmark_map, coarser_rad)
+                log_likelihood = log_likelihood - inliers.log_mean(known)
+            last = stage == MOST_STAGES - 1
+            taken = left if last else particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
+            weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
+            left -= taken
+            if left <= 0 and blur_rad == 0:
+                break
+            index = particles.systematic_resample(weighed.weight, len(weighed), rng)
+            moved = particles.spread(particles.take(weighed, index), rng)
+            if left <= 0:
+                break
+        coarser_rad = blur_rad
     return weighed, inliers.given(by_share, weighed.weight, share)
 
 
-def weigh_in_stages(
-    mcl: Mcl,
-    moved: Particles,
-    edges: Edges,
-    inliers: InlierShare,
-    share: float,
-    blurs: list[float],
-    rng: np.random.Generator,
-) -> tuple[Particles, Array]:
-    """Return the weighed particles, and log p(edges | particle, inlier share) (K, N) of them.
+def blurs_of(mcl: Mcl, moved: Particles, edges: Edges) -> list[float]:
+    """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
 
-    The edges are first taken as blurred by as much as the cloud is wide, then sharpened by half in every stage. After
-    each the particles are resampled and spread by a small kernel, so that they gather where the edges fit; the next
-    stage weighs what it adds to that. Halving keeps about a third of them effective in three dimensions.
+    Only 0 where at least one particle is expected within an edge's sigma of the truth in every dimension. Else from
+    twice the spread of the particles' predictions, halved until it is below the edges' sigma.
     """
-    before_rad = None
-    for blur_rad in [*blurs, 0.0]:
-        by_share = mcl.observation.by_share(moved, edges, mcl.landmark_map, blur_rad)
-        log_likelihood = inliers.log_mean(by_share)
-        if before_rad is not None:
-            known = mcl.observation.by_share(moved, edges, mcl.landmark_map, before_rad)
-            log_likelihood = log_likelihood - inliers.log_mean(known)
-        weighed = replace(moved, log_weight=moved.log_weight + share * log_likelihood)
-        if blur_rad > 0:
-            index = particles.systematic_resample(weighed.weight, len(weighed), rng)
-            moved, before_rad = particles.spread(particles.take(weighed, index), rng), blur_rad
-    return weighed, by_share
+    spread_rad, sigma_rad = mcl.observation.scales(moved, edges, mcl.landmark_map)
+    if len(moved) * sigma_rad ** len(moved.names) >= spread_rad ** len(moved.names):
+        return [0.0]
+    return [*(b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad), 0.0]
 
 
 def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:

@@ -103,6 +103,24 @@ def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> 
     return np.asarray(np.minimum(index, last))
 
 
+def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest: float) -> float:
+    """Return the largest part of `share`, 0 … 1, of a log-likelihood (N,) that leaves `fewest` effective samples.
+
+    Returns `share` itself where all of it does, 0 where no part does.
+    """
+
+    def enough(step: float) -> bool:
+        return effective_sample_size(normalised(log_weight + step * log_likelihood)) >= fewest
+
+    if enough(share):
+        return share
+    low, high = 0.0, share
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (middle, high) if enough(middle) else (low, middle)
+    return low
+
+
 def kernel_width(particles: Particles) -> float:
     """Return the width h of each particle's kernel, as a share of the cloud's: N^(-1/(D+4)).
 

@@ -53,7 +53,7 @@ def filter_of(count: int = 300, motion: MotionParameters = NO_NOISE, **changes: 
     fields = {
         "landmark_map": MAP,
         "observation": EdgeObservation(CAMERA, INDEPENDENT),
-        "parameters": MclParameters(particles=count),
+        "parameters": MclParameters(particles=count, start_particles=count),
         "motion": motion,
         "correlation": INDEPENDENT,
     }

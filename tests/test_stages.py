@@ -41,6 +41,20 @@ def cloud(seed: int, count: int = 2000, heading: float = 0.0) -> Particles:
     return particles.from_gaussian(np.array([0.0, 0.0, heading]), np.diag(SIGMA**2), count, rng)
 
 
+def test_all_is_taken_where_enough_samples_stay_effective() -> None:
+    assert particles.largest_step(np.zeros(100), np.linspace(0, 0.1, 100), 1.0, 50.0) == 1.0
+
+
+def test_a_step_leaves_just_as_many_effective_samples_as_asked() -> None:
+    moved = cloud(0)
+    peak = Peak(np.zeros(3), 1 / 20)
+    log_likelihood = peak.log_likelihood(moved, Edges.none(), LandmarkMap.from_points(np.zeros((1, 2))))
+    step = particles.largest_step(np.zeros(len(moved)), log_likelihood, 1.0, 200.0)
+    assert 0 < step < 1
+    ess = particles.effective_sample_size(particles.normalised(step * log_likelihood))
+    assert ess == pytest.approx(200.0, rel=1e-3)
+
+
 @pytest.mark.parametrize("heading", [0.0, np.pi - 0.01])
 def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
     before = cloud(1, 20_000, heading)
@@ -65,13 +79,21 @@ def test_stages_find_the_posterior_that_one_step_has_no_particles_for(sharpness:
     shrink = 1 / (1 + sharpness**2)
     errors, ratios = [], []
     for seed in range(30):
-        found = weighed(Peak(2 * SIGMA, sharpness), cloud(seed), seed=seed)
+        found = weighed(Peak(2 * SIGMA, sharpness), cloud(seed), first=True, seed=seed)
         estimate = particles.estimate(found)
         errors.append((estimate.mean - shrink * 2 * SIGMA) / (sharpness * SIGMA))
         ratios.append(np.diag(estimate.cov) / (shrink * (sharpness * SIGMA) ** 2))
     # In the prior's tail, 3.5 sigmas out, particles are few: within one of the posterior's sigmas, not twenty.
     assert np.sqrt(np.mean(np.square(errors))) < 0.8
     assert np.median(ratios, axis=0) == pytest.approx(np.ones(3), abs=0.15)
+
+
+def test_stages_alone_also_find_a_posterior_that_is_not_in_the_tail() -> None:
+    errors = []
+    for seed in range(30):
+        estimate = particles.estimate(weighed(Peak(SIGMA, 1 / 20), cloud(seed), seed=seed))
+        errors.append((estimate.mean - SIGMA) / (SIGMA / 20))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5
 
 
 def test_one_step_alone_collapses_on_the_same_posterior() -> None:

@@ -28,7 +28,7 @@ def nees(error: Array, cov: Array) -> Array:
 
 def nees_band(runs: int = 1, dimensions: int = 3, probability: float = 0.95) -> tuple[float, float]:
     """Return the band that the mean NEES of `runs` independent runs lies in with this probability: χ²(D·S) / S."""
-    from scipy.special import gammaincinv  # type: ignore[import-untyped]
+    from scipy.special import gammaincinv
 
     half_dof = dimensions * runs / 2
     tails = np.array([(1 - probability) / 2, (1 + probability) / 2])
