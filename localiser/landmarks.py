@@ -155,7 +155,7 @@ def sight(
         (ahead > 0)
         & (range_squared <= parameters.range_max_m**2)
         & (range_squared >= parameters.range_min_m**2)
-        & (np.abs(right) <= ahead * _widest_tangent(camera, parameters))
+        & (np.abs(right) <= ahead * widest_tangent(camera, parameters))
     )
     pose, column = np.nonzero(possible)
     right, ahead, landmark = right[pose, column], ahead[pose, column], near[column]
@@ -234,7 +234,7 @@ def image_heights(camera: Camera, ahead_m: Array, bottom_m: Array, top_m: Array)
     return height(bottom_m, -np.inf), height(top_m, np.inf)
 
 
-def _widest_tangent(camera: Camera, parameters: SightParameters) -> float:
+def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
     """Return a bound on |tan(bearing)| inside the image: at its narrow end, where c + e s is smallest."""
     a_left, a_right, e_low, e_high = camera.upright_bounds
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)

@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from localiser import geometry
+from localiser import geometry, likelihood
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.inliers import INLIER_SHARES, InlierShare
-from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight
-from localiser.particles import Particles, take
+from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight, widest_tangent
+from localiser.particles import POSE, Particles, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
@@ -106,9 +106,18 @@ class EdgeObservation:
     def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
         """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter.
 
-        blur_rad: sigma of the compared angle that is added to every edge's own. Only pairs of edge and landmark within
-        the gate are computed, so the cost grows with the pairs that matter, not with N · L · E.
+        blur_rad: sigma of the compared angle that is added to every edge's own. Compiled; `by_share_plain` is the same
+        with arrays.
         """
+        if len(edges) == 0:
+            return np.zeros((len(INLIER_SHARES), len(particles)))
+        camera_poses = self.camera.pose_in_map(particles.poses)
+        return likelihood.by_share(self._scene(edges, landmark_map, blur_rad), camera_poses, INLIER_SHARES)
+
+    def by_share_plain(
+        self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0
+    ) -> Array:
+        """Return what `by_share` does, by arrays over pairs of edge and landmark: slower, and easier to check."""
         count = len(particles)
         if len(edges) == 0:
             return np.zeros((len(INLIER_SHARES), count))
@@ -119,6 +128,57 @@ class EdgeObservation:
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
         ratio = total.reshape(count, len(edges)) * (self._span() / visible)[:, None]
         return np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+
+    def warm_up(self) -> None:
+        """Compile what weighs particles, or load it from the disk, so that no frame has to wait for it."""
+        angle = np.zeros(1)
+        edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
+        self.by_share(Particles(POSE, np.zeros((3, 1)), angle), edges, LandmarkMap.from_points(np.array([[0.0, -3.0]])))
+
+    def _scene(self, edges: Edges, landmark_map: LandmarkMap, blur_rad: float) -> likelihood.Scene:
+        """Return what all particles share, as the compiled loop takes it."""
+        measured, variance = self._measured(edges)
+        # Edges of which this observation knows nothing go to the end: no landmark comes near them.
+        known = np.isfinite(measured) & np.isfinite(variance)
+        measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
+        ends = np.sort(self.camera.upright_from_pixels(edges.ends_px)[..., 1], axis=1)
+        if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
+            ends = np.tile([-np.inf, np.inf], (len(edges), 1))
+        order = np.argsort(measured, kind="stable")
+        mount, parameters, focal = self.camera.mount, self.parameters.sight, self.camera.focal_px
+        margin = parameters.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
+        shortest = max(parameters.length_min_px, 1e-9) / focal
+        largest_var = float(variance[known].max(initial=0.0))
+        known_angles = measured[order][: known.sum()]
+        first, bin_low, bin_step = likelihood.bins_of(known_angles)
+        return likelihood.Scene(
+            landmarks=np.column_stack(
+                [
+                    landmark_map.points,
+                    landmark_map.bottom_m - mount.height_m,
+                    landmark_map.top_m - mount.height_m,
+                    self._landmark_sigma(landmark_map),
+                ]
+            ),
+            edges=np.column_stack([measured, variance, ends])[order],
+            first=first,
+            bin_low=bin_low,
+            bin_step=bin_step,
+            view=np.array(
+                [
+                    np.sin(mount.tilt_rad),
+                    np.cos(mount.tilt_rad),
+                    *(np.array(self.camera.upright_bounds) + margin),
+                    shortest,
+                    END_TOLERANCE_PX / focal,
+                ]
+            ),
+            range_m=(parameters.range_min_m, parameters.range_max_m),
+            widest=widest_tangent(self.camera, parameters),
+            gate=(GATE_SIGMAS, largest_var),
+            span=self._span(),
+            is_slope=self.parameters.kind == "slope",
+        )
 
     def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.
@@ -222,7 +282,7 @@ class EdgeObservation:
         """Return the angle (rad) that clutter is spread over."""
         a_left, a_right, _, _ = self.camera.upright_bounds
         predicted, _ = self._predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
-        return float(predicted[1] - predicted[0])
+        return float(abs(predicted[1] - predicted[0]))
 
 
 def independent_share(increment: Increment, parameters: ObservationParameters) -> float:

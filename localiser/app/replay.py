@@ -226,6 +226,7 @@ def prepare(
     rng = np.random.default_rng(config.seed)
     start = start_of(log, start_option, rng)
     observation = EdgeObservation(log.camera, config.observation)
+    observation.warm_up()
 
     def associate(pose: Array, edges: Edges) -> Any:
         return observation.associate(pose, edges, landmark_map)

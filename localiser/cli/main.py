@@ -14,7 +14,7 @@ from localiser import __version__
 from localiser.cli import edges, paper
 from localiser.cli.camera import camera_app
 from localiser.cli.maps import map_app
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show, working
 from localiser.errors import InputError, LocaliserError
 
 app = typer.Typer(
@@ -133,7 +133,8 @@ def replay(
     landmark_map = load_map(map_file) if map_file else recorded.landmark_map
     if landmark_map is None:
         raise InputError("the log has no map; expected --map MAP", path=log, field="map")
-    run = prepare(recorded, landmark_map, effective, Outputs(out, rrd, view.value), start)
+    with working("Getting ready; the first run compiles …", quiet):
+        run = prepare(recorded, landmark_map, effective, Outputs(out, rrd, view.value), start)
     if run.live is not None and not run.live.is_running:
         typer.secho("The viewer did not start; the run goes on without it.", fg="yellow", err=True)
     if run.live is not None and run.live.address:

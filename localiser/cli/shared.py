@@ -39,3 +39,15 @@ def progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
         task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)
+
+
+@contextmanager
+def working(what: str, quiet: bool) -> Iterator[None]:
+    """Show on standard error that something goes on which has no steps to count."""
+    from rich.console import Console
+
+    if quiet:
+        yield
+    else:
+        with Console(stderr=True).status(what):
+            yield
