@@ -40,12 +40,14 @@ def test_version_is_printed_by_the_module_itself() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, f"localiser {__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", [[], ["replay"], ["simulate"], ["evaluate"]])
+@pytest.mark.parametrize(
+    "command", [[], ["replay"], ["simulate"], ["evaluate"], ["config", "show"], ["config", "schema"]], ids=" ".join
+)
 def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
     result = localiser(*command, "--help")
     assert result.exit_code == 0
     assert "Example" in result.out
-    assert f"localiser {command[0] if command else 'replay'}" in result.out.split("Example")[1]
+    assert f"localiser {' '.join(command) or 'replay'}" in result.out.split("Example")[1]
 
 
 def test_shown_configuration_is_the_one_in_force_and_reads_back(localiser: Localiser, tmp_path: Path) -> None:
@@ -249,9 +251,15 @@ BAD = {
         edited("images.csv", with_cell(5, "t_ns", "12")), ["images.csv:6: t_ns", "after 613000000", "found 12"]
     ),
     "odometry going backwards": Bad(edited("odometry.csv", with_cell(9, "t_ns", "12")), ["odometry.csv:10: t_ns"]),
-    "missing image": Bad(without_image, ["{log}/images/000003.jpg: no such image"]),
-    "truncated image": Bad(with_cut_image, ["{log}/images/000003.jpg", "cut off", "after 3 of 12 frames"]),
-    "image of another size": Bad(with_small_image, ["{log}/images/000003.jpg", "640×480", "found 320×240"]),
+    "missing image": Bad(
+        without_image, ["{log}/images.csv:5: file: {log}/images/000003.jpg: no such image"]
+    ),
+    "truncated image": Bad(
+        with_cut_image, ["images.csv:5: file: {log}/images/000003.jpg", "cut off", "after 3 of 12 frames"]
+    ),
+    "image of another size": Bad(
+        with_small_image, ["images.csv:5: file: {log}/images/000003.jpg", "640×480", "found 320×240"]
+    ),
     "image that is none": Bad(with_text_for_image, ["{log}/images/000003.jpg", "JPEG or PNG"]),
     "image outside the folder": Bad(
         edited("images.csv", with_cell(4, "file", "../000003.jpg")), ["images.csv:5: file", "inside the log's folder"]
@@ -291,7 +299,9 @@ BAD = {
     "--start of words": Bad(with_arguments("--start", "the,front,door"), ["--start", "'the,front,door'"]),
     "--start of nan": Bad(with_arguments("--start", "nan,0,0"), ["--start", "'nan,0,0'"]),
     "unknown format": Bad(with_arguments("--format", "rosbug"), ["--format", "folder or mrclam", "'rosbug'"]),
-    "slope without tilt": Bad(untilted, ["mount.tilt_deg", "slope", "--observation line"]),
+    "slope without tilt": Bad(
+        untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "--observation line"]
+    ),
     "results in a file": Bad(with_file_as_results, ["{log}/taken", "cannot be written"]),
 }  # fmt: skip
 

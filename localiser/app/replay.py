@@ -23,7 +23,7 @@ from localiser.geometry import Array
 from localiser.increments import Odometer
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter
+from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter, camera_error
 from localiser.view import LiveView
 
 STAGES = ("load", "edges", "filter", "sinks")
@@ -209,12 +209,12 @@ def prepare(
     Raises InputError when camera and observation do not fit, OutputError when results cannot be written.
     """
     if config.observation.kind == "slope" and abs(np.sin(log.camera.mount.tilt_rad)) < np.sin(np.deg2rad(0.1)):
-        raise InputError(
+        raise camera_error(
+            log.path,
+            ("mount", "tilt_deg"),
             "the observation `slope` needs a tilted camera, found a tilt of "
             f"{np.rad2deg(log.camera.mount.tilt_rad):g}°: without tilt every vertical edge is vertical in the image; "
             "use --observation line",
-            path=log.path,
-            field="mount.tilt_deg",
         )
     if config.increments.source != "wheel" and not log.has_images:
         raise InputError(

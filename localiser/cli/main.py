@@ -195,7 +195,7 @@ def evaluate(
             )
 
 
-@config_app.command("show")
+@config_app.command("show", epilog="Example: `localiser config show --config mine.yaml --set mcl.particles=500`")
 def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
     """Print the configuration in force as YAML, with the meaning, unit and range of every value."""
     from localiser.config import load_config, to_yaml
@@ -203,7 +203,7 @@ def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
     typer.echo(to_yaml(load_config(config, overrides or [])), nl=False)
 
 
-@config_app.command("schema")
+@config_app.command("schema", epilog="Example: `localiser config schema > config.schema.json`")
 def config_schema() -> None:
     """Print the JSON schema of configuration files, for editors."""
     import json
@@ -221,7 +221,7 @@ def main() -> None:
     """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]  # which may stand anywhere
     try:
-        app(arguments)
+        app(arguments, prog_name="localiser")
     except LocaliserError as error:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()

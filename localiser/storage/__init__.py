@@ -1,6 +1,6 @@
 """Every file format: logs, cameras, maps, trajectories, results."""
 
-from localiser.storage.cameras import camera_file, load_camera, save_camera, update_mount
+from localiser.storage.cameras import camera_error, camera_file, load_camera, save_camera, update_mount
 from localiser.storage.folder import write_log
 from localiser.storage.images import Image, ImageEvent
 from localiser.storage.log import Event, Frame, Log, LogReader
@@ -21,6 +21,7 @@ __all__ = [
     "LogReader",
     "RunFolder",
     "TrackWriter",
+    "camera_error",
     "camera_file",
     "find_run",
     "json_text",

@@ -158,6 +158,14 @@ def camera_file(log: Path) -> Path:
         raise document.error(("camera",), f"{error}, found {name!r}") from None
 
 
+def camera_error(log: Path, key: tuple[str, ...], problem: str) -> InputError:
+    """Return the error that says what is wrong with the value at `key` of a log's camera file, and where it stands."""
+    try:
+        return load(camera_file(log)).error(key, problem)
+    except InputError:  # a log of another format has no such file
+        return InputError(problem, path=log, field=".".join(key))
+
+
 def update_mount(path: Path, changes: Mapping[str, float]) -> Path:
     """Change values of the mount in a camera file, by their keys; everything else stays, comments included.
 

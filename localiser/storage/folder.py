@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +16,7 @@ from pydantic import BaseModel, Field
 from localiser import mcl
 from localiser.camera import Camera
 from localiser.documents import Document, dump, load, validate
-from localiser.errors import OutputError
+from localiser.errors import InputError, OutputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, load_camera, save_camera
@@ -120,9 +122,20 @@ def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
             image = inside(folder, name)
         except ValueError as error:
             raise table.error(row, "file", f"{error}, found {name!r}") from None
-        check_head(image, size)
-        events.append(image_event(t_ns, name, image, size))
+        here = _named_by(path, table.lines[row])
+        here(check_head)(image, size)
+        event = image_event(t_ns, name, image, size)
+        events.append(replace(event, load=here(event.load), encoded=here(event.encoded)))
     return events
+
+
+@contextmanager
+def _named_by(table: Path, line: int) -> Iterator[None]:
+    """Say of an image that is not what it should be which line of the table names it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(str(error), path=table, line=line, field="file") from error
 
 
 def _start(file: StartFile, t_ns: int) -> mcl.Start:
