@@ -159,12 +159,14 @@ def _draw_ends(axes: Axes, poses: Array) -> None:
 
 
 def _top(limit: Array, error: Array | None) -> float:
-    # The band of a pause, or of the start, may be much higher than any error: cut it rather than flatten the curve.
-    known = limit[np.isfinite(limit)]
-    tops = [1.15 * float(np.quantile(known, 0.95))] if len(known) else []
-    if error is not None and np.isfinite(error).any():
-        tops.append(1.15 * float(np.nanmax(error)))
-    return max(tops, default=1.0) or 1.0
+    """Return the upper end of an axis that shows the whole error, and of its band (T,) what does not flatten it.
+
+    The band of a pause, or of the start, may be many times as high as what is otherwise to be seen.
+    """
+    band = limit[np.isfinite(limit)]
+    highest_error = 0.0 if error is None else float(np.nanmax(error, initial=0.0))
+    worth_seeing = max(highest_error, float(np.quantile(band, 0.95))) if len(band) else highest_error
+    return 1.08 * max(highest_error, min(float(band.max(initial=0.0)), 2 * worth_seeing)) or 1.0
 
 
 def _finish(axes: Axes, track: Track, title: str) -> None:
