@@ -86,9 +86,9 @@ def mount_figures(log: Log, frames: Sequence[Edges], odometry: Array, config: Co
         f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log.path}`."
     )
     return {
-        "tilt_found_deg": found[0],
-        "tilt_found_sigma_deg": sigma[0],
-        "roll_found_deg": found[1],
-        "roll_found_sigma_deg": sigma[1],
+        "tilt_found_deg": round(float(found[0]), 6),
+        "tilt_found_sigma_deg": round(float(sigma[0]), 6),
+        "roll_found_deg": round(float(found[1]), 6),
+        "roll_found_sigma_deg": round(float(sigma[1]), 6),
         "warnings": [warning] if check.disagrees else [],
     }
