@@ -357,6 +357,24 @@ def test_predicted_lines_are_the_part_of_each_landmark_inside_the_image(camera: 
         assert (np.diff(line[:, 1]) < 0).all()
 
 
+@pytest.mark.parametrize("camera", [CAMERA, CAMERA.undistorted()], ids=["lens", "pinhole"])
+def test_predicted_lines_stop_at_the_border_that_they_cross_sideways(camera: Camera) -> None:
+    bearing = np.deg2rad(np.linspace(-40.0, 40.0, 161))
+    landmarks = LandmarkMap.from_points(np.stack([np.sin(bearing), -np.cos(bearing)], axis=-1))
+    pose = np.zeros(3)
+    ends = Context("", camera, landmarks, associate).landmark_ends
+    index, lines = predicted_lines(camera, pose, ends, np.ones(len(landmarks), dtype=bool))
+    size = np.array([camera.width, camera.height])
+    assert ((lines >= -0.5) & (lines <= size - 0.5)).all()
+    border = np.minimum(lines + 0.5, size - 0.5 - lines)[..., 0].min(axis=1)
+    crossing = (border < 3.0) & (np.ptp(lines[..., 1], axis=1) > 20)
+    assert crossing.sum() >= 2, "some of these lines leave the image at its left or right border"
+    outside = np.setdiff1d(np.arange(len(landmarks)), index)
+    whole = camera.project(pose, np.linspace(ends[outside, 0], ends[outside, 1], 400))
+    inside = ((whole >= 5) & (whole <= size - 6)).all(axis=-1)
+    assert not inside.any(), "what is left out is nowhere in the image"
+
+
 def test_joins_lead_from_an_edges_middle_to_its_line_in_the_same_row() -> None:
     ends = np.array([[[10.0, 100.0], [14.0, 60.0]], [[50.0, 90.0], [50.0, 30.0]], [[70.0, 90.0], [70.0, 30.0]]])
     edges = Edges.from_columns(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), ends_px=ends)

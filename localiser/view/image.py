@@ -15,6 +15,8 @@ from localiser.view import palette
 from localiser.view.context import Image
 
 JPEG_QUALITY = 80
+_FINE_STEPS = 129
+"""Points at which a landmark's line is asked whether it is inside the image: a few pixels apart."""
 _MEDIA_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
 
 
@@ -71,12 +73,22 @@ def predicted_lines(
     lowest, highest = _heights_in_image(camera, ahead)
     low, high = np.maximum(bottom[:, 1], lowest), np.minimum(top[:, 1], highest)
     seen = (ahead > 0) & (high > low)
-    steps = np.linspace(0.0, 1.0, 12 if camera.is_distorted else 2)
-    points = np.repeat(bottom[seen, None, :], len(steps), axis=1)
-    points[:, :, 1] = low[seen, None] + steps * (high - low)[seen, None]
-    lines = camera.project(pose, points)
-    inside = ((lines[..., 0] >= 0) & (lines[..., 0] < camera.width)).any(axis=1)
-    return index[seen][inside], lines[inside]
+    low, high = low[seen], high[seen]
+    fine = _vertical_lines(camera, pose, bottom[seen], low, high, _FINE_STEPS)
+    within = np.all((fine >= -0.5) & (fine <= np.array([camera.width, camera.height]) - 0.5), axis=-1)
+    first, last = within.argmax(axis=1), _FINE_STEPS - 1 - within[:, ::-1].argmax(axis=1)
+    # What leaves the image sideways is cut at the last point inside.
+    shown, length = within.any(axis=1) & (last > first), (high - low) / (_FINE_STEPS - 1)
+    low, high = low + first * length, low + last * length
+    steps = 12 if camera.is_distorted else 2
+    return index[seen][shown], _vertical_lines(camera, pose, bottom[seen][shown], low[shown], high[shown], steps)
+
+
+def _vertical_lines(camera: Camera, pose: Array, feet: Array, low: Array, high: Array, steps: int) -> Array:
+    """Return pixels (V, S, 2) of points over feet (V, 3) in the map, from the height `low` (V,) to `high` (V,)."""
+    points = np.repeat(feet[:, None, :], steps, axis=1)
+    points[:, :, 1] = np.linspace(low, high, steps, axis=-1)
+    return camera.project(pose, points)
 
 
 def _heights_in_image(camera: Camera, ahead: Array) -> tuple[Array, Array]:
