@@ -23,6 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters, linearised, predict
 from localiser.observation import Observation, ObservationParameters, independent_share
 from localiser.particles import Estimate, Particles
+from localiser.resampling import systematic_resample
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
 
@@ -181,7 +182,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 
     # Resample when few particles carry most of the weight, or when there are more than the way will need.
     if ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != mcl.parameters.particles:
-        index = particles.systematic_resample(weighed.weight, mcl.parameters.particles, rng)
+        index = systematic_resample(weighed.weight, mcl.parameters.particles, rng)
         weighed = particles.take(weighed, index)
     state.particles, state.at_ns, state.weighed, state.seen = weighed, sighting.t_ns, True, sighting.edges
     return located
@@ -213,7 +214,7 @@ def weigh(
             left -= taken
             if left <= 0 and blur_rad == 0:
                 break
-            index = particles.systematic_resample(weighed.weight, len(weighed), rng)
+            index = systematic_resample(weighed.weight, len(weighed), rng)
             moved = particles.spread(particles.take(weighed, index), rng)
             if left <= 0:
                 break

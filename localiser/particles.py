@@ -1,4 +1,4 @@
-"""Weighted particles: named columns, effective sample size, resampling, estimate."""
+"""Weighted particles: named columns, effective sample size, stages and kernel, estimate."""
 
 from __future__ import annotations
 
@@ -84,23 +84,6 @@ def from_gaussian(mean: Array, cov: Array, count: int, rng: np.random.Generator)
 def effective_sample_size(weight: Array) -> float:
     """Return 1 / Σ w² of normalised weights (N,): N when all are equal, 1 when one has all."""
     return float(1.0 / np.square(weight).sum())
-
-
-def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return `count` indices with E[offspring of i] = count · w_i, from one uniform draw and an even comb.
-
-    weight: (N,) not negative, of any positive sum; zeros get no offspring. Raises ValueError when the sum is zero or
-    not finite. [Carpenter, Clifford, Fearnhead 1999]
-    """
-    cumulative = np.cumsum(weight)
-    total = cumulative[-1]
-    if not np.isfinite(total) or total <= 0:
-        raise ValueError(f"weights sum to {total}")
-    comb = (rng.random() + np.arange(count)) * (total / count)
-    index = np.searchsorted(cumulative, comb, side="right")
-    # Rounding may put the last tooth at the total itself: give it to the last particle that has any weight.
-    last = int(np.flatnonzero(weight)[-1])
-    return np.asarray(np.minimum(index, last))
 
 
 def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest: float) -> float:

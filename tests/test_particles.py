@@ -15,29 +15,11 @@ from localiser.particles import (
     estimate,
     from_gaussian,
     normalised,
-    systematic_resample,
     take,
 )
 
 settings.register_profile("localiser", derandomize=True, deadline=None, max_examples=100)
 settings.load_profile("localiser")
-
-ALMOST_ONE = np.nextafter(1.0, 0.0)
-weights = st.lists(st.floats(0, 1), min_size=1, max_size=60).map(np.array).filter(lambda w: w.sum() > 1e-3)
-
-
-class Draw:
-    """A generator whose uniform draw is known."""
-
-    def __init__(self, uniform):
-        self.uniform = uniform
-
-    def random(self):
-        return self.uniform
-
-
-def offspring(weight, count, uniform):
-    return np.bincount(systematic_resample(weight, count, Draw(uniform)), minlength=len(weight))
 
 
 def particles_of(columns, log_weight=None, names=POSE, circular=("heading",)):
@@ -75,87 +57,7 @@ def test_effective_sample_size_counts_particles_that_matter():
     assert effective_sample_size(np.array([0.5, 0.5, 0, 0])) == pytest.approx(2)
 
 
-# -- systematic resampling --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [1, 7, 500])
-@pytest.mark.parametrize("seed", range(5))
-def test_indices_are_those_of_filterpy_for_the_same_draw(count, seed, monkeypatch):
-    from filterpy.monte_carlo import resampling
-
-    weight = np.random.default_rng(seed).dirichlet(np.full(count, 0.3))
-    monkeypatch.setattr(resampling, "random", np.random.default_rng(seed + 100).random)
-    expected = resampling.systematic_resample(weight)
-    np.testing.assert_array_equal(systematic_resample(weight, count, np.random.default_rng(seed + 100)), expected)
-
-
-@given(weight=weights, count=st.integers(1, 200), uniform=st.floats(0, ALMOST_ONE))
-def test_offspring_is_floor_or_ceiling_of_the_share(weight, count, uniform):
-    share = count * weight / weight.sum()
-    found = offspring(weight, count, uniform)
-    assert found.sum() == count
-    assert (np.abs(found - share) < 1 + 1e-9).all()  # 1e-9: a share that is a whole number up to rounding
-    assert (found[weight == 0] == 0).all()
-
-
-@given(weight=weights, count=st.integers(1, 50))
-def test_mean_offspring_over_all_draws_is_the_share(weight, count):
-    draws = (np.arange(400) + 0.5) / 400
-    mean = np.mean([offspring(weight, count, uniform) for uniform in draws], axis=0)
-    # Offspring changes at two draws at most; a grid of 400 draws places each within half a step.
-    np.testing.assert_allclose(mean, count * weight / weight.sum(), atol=1 / 400 + 1e-9)
-
-
-def test_mean_offspring_over_seeds_is_the_share():
-    weight, count, seeds = np.array([0.5, 0.3, 0.15, 0.05, 0.0]), 13, 4000
-    found = np.array(
-        [np.bincount(systematic_resample(weight, count, np.random.default_rng(s)), minlength=5) for s in range(seeds)]
-    )
-    share = count * weight
-    # Floor plus one with probability of the fraction; 4 standard errors.
-    fraction = share % 1
-    assert (np.abs(found.mean(axis=0) - share) <= 4 * np.sqrt(fraction * (1 - fraction) / seeds) + 1e-12).all()
-
-
-@pytest.mark.parametrize("uniform", [0.0, 0.5, ALMOST_ONE])
-@pytest.mark.parametrize("where", [0, 2, 4])
-def test_all_weight_on_one_particle(where, uniform):
-    weight = np.zeros(5)
-    weight[where] = 0.7
-    np.testing.assert_array_equal(systematic_resample(weight, 9, Draw(uniform)), np.full(9, where))
-
-
-def test_cumulative_sum_below_one():
-    weight = np.append(np.full(10, 0.1), 0.0)
-    assert np.cumsum(weight)[-1] < 1
-    np.testing.assert_array_equal(systematic_resample(weight, 10, Draw(0.5)), np.arange(10))
-    assert systematic_resample(weight, 10, Draw(ALMOST_ONE)).max() == 9  # not the last, which has no weight
-
-
-@given(count=st.integers(1, 3000), scale=st.floats(1e-300, 1e300))
-def test_last_tooth_of_the_comb_stays_among_particles_with_weight(count, scale):
-    weight = np.array([1.0, 1.0, 1.0, 0.0]) * scale / 3
-    assert systematic_resample(weight, count, Draw(ALMOST_ONE)).max() <= 2
-
-
-@pytest.mark.parametrize("uniform", [0.0, 0.3, ALMOST_ONE])
-def test_one_particle_has_all_offspring(uniform):
-    np.testing.assert_array_equal(systematic_resample(np.array([0.2]), 4, Draw(uniform)), [0, 0, 0, 0])
-
-
-def test_weights_need_not_sum_to_one():
-    weight = np.random.default_rng(0).random(50)
-    expected = systematic_resample(weight / weight.sum(), 50, Draw(0.37))
-    np.testing.assert_array_equal(systematic_resample(weight * 12.5, 50, Draw(0.37)), expected)
-
-
-@pytest.mark.parametrize("weight", [[0.0, 0.0], [0.5, np.nan], [0.5, np.inf]])
-def test_weights_with_no_sum_are_refused(weight):
-    with pytest.raises(ValueError, match="sum"):
-        systematic_resample(np.array(weight), 2, np.random.default_rng(0))
-
-
-def test_resampled_particles_are_copies_of_equal_weight():
+def test_taken_particles_are_copies_of_equal_weight():
     particles = particles_of(
         np.arange(12.0).reshape(4, 3), [0.0, -1.0, -2.0], names=(*POSE, "scale"), circular=("heading",)
     )
