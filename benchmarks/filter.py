@@ -3,6 +3,7 @@
 Both weigh the same particles by the same edges in one process, so that their ratio holds for other machines. World:
 landmarks strewn over a square with 10 m² each, edges of those in view and as many clutter as it takes, a cloud of
 0.3 m and 10°.
+
 python benchmarks/filter.py
 python benchmarks/filter.py --particles 1000 10000 100000 --observation slope
 """
