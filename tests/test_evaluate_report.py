@@ -82,6 +82,19 @@ def test_error_curve_is_the_error(tmp_path: Path) -> None:
     assert position.get_ylim()[1] > error.max()
 
 
+@pytest.mark.parametrize(("widening", "whole"), [(1.5, True), (40.0, False)], ids=["a turn", "a long pause"])
+def test_band_is_shown_whole_unless_it_flattens_the_rest(widening: float, whole: bool) -> None:
+    given = run()
+    track, covs = given["track"], given["track"].covs.copy()
+    covs[10:13] *= widening**2  # fewer than the twentieth part of the images
+    wide = Track.from_poses(track.t_ns, track.poses, covs=covs, edges=track.edges)
+    _, position, heading, _ = draw_report(wide, given["figures"], truth=given["truth"]).axes
+    assert (position.get_ylim()[1] > 3 * wide.position_sigma_m.max()) == whole
+    assert (heading.get_ylim()[1] > np.degrees(3 * wide.heading_sigma_rad.max())) == whole
+    error_m = np.hypot(*(wide.poses - given["truth"].poses)[:, :2].T)
+    assert error_m.max() < position.get_ylim()[1] < 10 * error_m.max()
+
+
 def test_without_truth_map_and_edges_uncertainty_is_drawn(tmp_path: Path) -> None:
     track = run()["track"]
     bare = Track.from_poses(track.t_ns, track.poses, covs=track.covs)

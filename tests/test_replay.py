@@ -20,7 +20,7 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_log import write_edge_log
 
 from localiser import storage
-from localiser.view import paths
+from localiser.view import live, paths
 
 COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh", "ess"]
 TIMES = {"frame_ms_median", "frame_ms_p95", "stage_ms"}
@@ -265,6 +265,17 @@ def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Pat
     assert result.exit_code == 2
     assert f"after 0 of {FRAMES} frames" in result.err
     assert rows_of(tmp_path / "out" / "corridor" / "1") == []
+
+
+@pytest.mark.parametrize("kind", ["native", "web"])
+def test_run_without_a_display_says_so_and_goes_on(
+    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(live, "_viewer", lambda kind: ([sys.executable, "-c", "pass"], None))
+    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--quiet", "--view", kind)
+    assert (result.exit_code, result.out) == (0, "")
+    assert "could not start" in result.err
+    assert len(rows_of(tmp_path / "out" / "corridor" / "1")) == FRAMES
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")

@@ -135,8 +135,6 @@ def replay(
         raise InputError("the log has no map; expected --map MAP", path=log, field="map")
     with working("Getting ready; the first run compiles …", quiet):
         run = prepare(recorded, landmark_map, effective, Outputs(out, rrd, view.value), start)
-    if run.live is not None and not run.live.is_running:
-        typer.secho("The viewer did not start; the run goes on without it.", fg="yellow", err=True)
     if run.live is not None and run.live.address:
         typer.echo(f"Watch at {run.live.address}", err=True)
     with progress("Localising", len(recorded.frames), quiet) as advance:
@@ -145,7 +143,13 @@ def replay(
         _show_run(figures, run.folder.path, rrd)
         for warning in figures["warnings"]:
             typer.secho(warning, fg="yellow", err=True)
-    if run.live is not None and run.live.address:
+    if run.live is not None and not run.live.is_running:
+        typer.secho(
+            "The viewer was closed or could not start (is there a display?); the run went on without it.",
+            fg="yellow",
+            err=True,
+        )
+    elif run.live is not None and run.live.address:
         typer.echo("The page is served until Ctrl-C.", err=True)
         run.live.wait()
 
