@@ -13,7 +13,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.increments import Gaussian, IncrementParameters, Odometer, follow
 from localiser.increments.fuse import mixture
-from localiser.increments.views import camera_motion, predicted
+from localiser.increments.views import Sights, camera_motion, predicted
 
 CAMERA = Camera(
     640,
@@ -144,6 +144,33 @@ def test_what_edges_do_not_tell_stays_as_uncertain_as_before() -> None:
     blind = follow(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False), CAMERA, ANYTHING)
     known = follow(edges_from(np.zeros(3), rng), edges_from(motion, rng), CAMERA, ANYTHING)
     assert np.sqrt(blind.cov[1, 1]) > 5 * np.sqrt(known.cov[1, 1])
+
+
+def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
+    """Ends near the horizon look like feet far away, and edges as far as that would be sure of a wrong turn."""
+    wall = np.array([[x_m, -1.2] for x_m in (-0.5, -0.46, -0.42, -0.05, 0.0, 0.05, 0.3)])
+    seen_share = np.array([0.06, 0.03, 0.1, 0.08, 0.05, 0.02, 0.1])
+    motion, misses = np.array([0.0, 0.0, np.radians(6.0)]), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        before, after = (edges_from(pose, rng, wall) for pose in (np.zeros(3), motion))
+        for edges in (before, after):
+            edges.foot_range_m[:] /= seen_share
+            edges.foot_range_sigma_m[:] = INVERSE_SIGMA * edges.foot_range_m**2
+        found = follow(before, after, CAMERA, ANYTHING)
+        assert len(found.first) >= 6
+        error = found.mean - motion
+        misses.append(error @ np.linalg.solve(found.cov, error))
+    assert np.mean(misses) < 9.0
+
+
+def test_edges_that_the_border_cuts_off_have_no_foot() -> None:
+    edges = edges_from(np.zeros(3), np.random.default_rng(9))
+    rows = np.linspace(300.0, 475.0, len(edges))
+    edges.ends_px[:, 0] = np.stack([np.full(len(edges), 320.0), rows], axis=-1)
+    np.testing.assert_array_equal(np.isnan(Sights.of(edges, CAMERA).inverse_range), rows > 471.0)
+    edges.ends_px[:] = np.nan
+    assert np.isfinite(Sights.of(edges, CAMERA).inverse_range).all()
 
 
 def odometer(source: str) -> Odometer:

@@ -24,6 +24,9 @@ from localiser.increments.solve import Gaussian, Links, solve
 from localiser.increments.views import Sights, camera_motion
 
 _PEAKS = 4
+_HANGING_SHARE = 0.1
+"""Of views in which no lower end is a foot: a wall close by and what hangs on it. All such edges seem far, their ends
+near the horizon, and agree on a wrong motion, each as surely as a foot; taken one by one they would win."""
 _ROUNDS = 10
 _APART_RAD = np.deg2rad(3.0)
 """Edges closer together than this are likely of one thing: a door, a poster, a shelf."""
@@ -69,8 +72,7 @@ def follow(
     starts: motions (3,) to begin at; when none are given, all that the prior allows is searched.
     feet: whether the ranges of feet tell how far the robot moved; they always help to tell edges apart.
     """
-    height_m = camera.mount.height_m
-    sights = (Sights.of(before, height_m), Sights.of(after, height_m))
+    sights = (Sights.of(before, camera), Sights.of(after, camera))
     pairs = candidates(before, after)
     if len(pairs.first) == 0:
         return _nothing(prior)
@@ -78,6 +80,8 @@ def follow(
     found = [_nothing(prior), *(_refined(pairs, sights, camera, prior, motion, feet) for motion in starts)]
     found.sort(key=lambda followed: -followed.log_evidence)
     best = found[0]
+    hanging = _refined(pairs, sights, camera, prior, best.mean, feet, on_floor=False)
+    found.append(replace(hanging, log_occam=hanging.log_occam + np.log(_HANGING_SHARE)))
     group = groups(before.bearing[best.first])
     # Edges of one group are one piece of evidence, not many.
     share = (group.max(initial=0) + 1) / max(len(group), 1)
@@ -118,22 +122,28 @@ def _fragility(
 
 
 def _refined(
-    pairs: Pairs, sights: tuple[Sights, Sights], camera: Camera, prior: Gaussian, start: Array, feet: bool
+    pairs: Pairs,
+    sights: tuple[Sights, Sights],
+    camera: Camera,
+    prior: Gaussian,
+    start: Array,
+    feet: bool,
+    on_floor: bool = True,
 ) -> Followed:
     """Return the motion found by pairing edges and solving for the motion in turns, from `start` (3,)."""
     motion, cov = start, np.diag(_START_SIGMA**2)
     chosen = np.zeros(0, dtype=np.int64)
     for _ in range(_ROUNDS):
         moved, by_robot = camera_motion(motion, camera)
-        likely = likelihoods(pairs, sights, moved, by_robot @ cov @ by_robot.T, _span(camera))
+        likely = likelihoods(pairs, sights, moved, by_robot @ cov @ by_robot.T, _span(camera), on_floor)
         previous, chosen = chosen, one_to_one(pairs, likely.ratio)
         if len(chosen) == 0:
             return _nothing(prior)
-        ratio, on_floor = likely.ratio[chosen], likely.on_floor[chosen]
+        ratio = likely.ratio[chosen]
         links = Links(
             (sights[0].take(pairs.first[chosen]), sights[1].take(pairs.second[chosen])),
             likely.sharp[chosen] * ratio / (1.0 + ratio),
-            on_floor,
+            likely.on_floor[chosen],
             feet,
         )
         before, solution = motion, solve(links, camera, motion, prior)

@@ -25,6 +25,7 @@ from localiser.increments.views import Sights, predicted
 
 FOLLOWED_SHARE = 0.7  # of the edges of an image, seen in the one before
 FLOOR_SHARE = 0.5  # of the lower ends that are feet
+HUNG_SHARE = 0.5  # of the others, that hang at a height of their own; the rest is hidden by something in front
 TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD = 0.4, 0.3  # 1/m: rooms are some metres wide, and edges stand all over them
 NEIGHBOUR_SHARE = 0.15  # of pairs whose bearings are of two edges beside each other
 NEIGHBOUR_SIGMA_RAD = np.deg2rad(0.3)  # how far apart
@@ -78,17 +79,22 @@ class Likelihoods:
 
 
 def likelihoods(
-    pairs: Pairs, sights: tuple[Sights, Sights], moved: Array, moved_cov: Array, span_rad: float
+    pairs: Pairs, sights: tuple[Sights, Sights], moved: Array, moved_cov: Array, span_rad: float, on_floor: bool = True
 ) -> Likelihoods:
-    """Return how likely each pair is when the camera moved by `moved` (3,), known up to `moved_cov` (3, 3)."""
+    """Return how likely each pair is when the camera moved by `moved` (3,), known up to `moved_cov` (3, 3).
+
+    on_floor: whether lower ends may be feet at all.
+    """
     one = sights[0]
     foot, foot_var, agreement = _feet(pairs, sights, moved)
     has_foot = np.isfinite(foot)
     nearer = np.maximum(TYPICAL_INVERSE_RANGE, np.where(has_foot, foot, 0.0))
     floor = _density(pairs, sights, moved, moved_cov, np.where(has_foot, foot, 0.0), foot_var)
     free = _density(pairs, sights, moved, moved_cov, nearer, np.full(len(nearer), TYPICAL_SPREAD**2))
-    floor = floor * (FLOOR_SHARE * agreement * has_foot)[:, None]
-    free = free * np.where(has_foot, 1.0 - FLOOR_SHARE, 1.0)[:, None]
+    share = np.where(has_foot & on_floor, np.interp(foot, *_FLOOR_SHARES), 0.0)
+    floor = floor * (share * agreement)[:, None]
+    # What hangs keeps its height, so that its lower ends agree as well as feet do; what is hidden need not.
+    free = free * ((1.0 - share) * (HUNG_SHARE * agreement + 1.0 - HUNG_SHARE))[:, None]
     density = (floor + free) * [1.0 - NEIGHBOUR_SHARE, NEIGHBOUR_SHARE]
     total = np.maximum(density.sum(axis=1), 1e-300)
     odds = FOLLOWED_SHARE / (1.0 - FOLLOWED_SHARE) / max(len(one.bearing), 1)
@@ -97,6 +103,22 @@ def likelihoods(
         density[:, 0] / total,
         floor[:, 0] / np.maximum(floor[:, 0] + free[:, 0], 1e-300),
     )
+
+
+def _floor_shares() -> tuple[Array, Array]:
+    """Return a table of inverse ranges ρ (1/m), and how likely a lower end that would be a foot there is one.
+
+    With p(ρ) what is typical, a foot is there with p(ρ), and an end at any height up to the camera's, which looks
+    farther than it is, with ∫ p(r)/r dr from ρ on: near the horizon hardly anything stands on the floor.
+    """
+    inverse = np.geomspace(1e-3, TYPICAL_INVERSE_RANGE + 6.0 * TYPICAL_SPREAD, 200)
+    feet = np.exp(-0.5 * ((inverse - TYPICAL_INVERSE_RANGE) / TYPICAL_SPREAD) ** 2)
+    steps = 0.5 * (feet[1:] + feet[:-1]) * np.diff(np.log(inverse))  # dr/r = d log r
+    hanging = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    return inverse, FLOOR_SHARE * feet / (FLOOR_SHARE * feet + (1.0 - FLOOR_SHARE) * hanging)
+
+
+_FLOOR_SHARES = _floor_shares()
 
 
 def _feet(pairs: Pairs, sights: tuple[Sights, Sights], moved: Array) -> tuple[Array, Array, Array]:

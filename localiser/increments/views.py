@@ -20,10 +20,14 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.edges.measure import FOOT_SIGMA_PX
 from localiser.geometry import Array
 
 FOOT_HEIGHT_SIGMA_M = 0.03
 """How far above the floor the lower ends of a building's edges may be: thresholds, skirting boards."""
+_RUNS_OUT_PX = 4.0 * FOOT_SIGMA_PX
+"""An edge that is found to end this close to the border may be cut off by it: no foot, though it looks like one in each
+frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +54,10 @@ class Sights:
         return np.asarray(self.measured[:, 1])
 
     @classmethod
-    def of(cls, edges: Edges, height_m: float) -> Sights:
-        """Return what these edges say, seen by a camera at this height."""
-        inverse = 1.0 / edges.foot_range_m
+    def of(cls, edges: Edges, camera: Camera) -> Sights:
+        """Return what these edges say, seen by this camera."""
+        height_m = camera.mount.height_m
+        inverse = 1.0 / np.where(_runs_out(edges.ends_px[:, 0], camera), np.nan, edges.foot_range_m)
         inverse_sigma = inverse**2 * edges.foot_range_sigma_m
         # What turns the line of sight down by dδ adds (1/h + h ρ²) dδ to ρ, since tan δ = h ρ.
         per_depression = 1.0 / height_m + height_m * inverse**2
@@ -73,6 +78,12 @@ class Sights:
     def take(self, index: NDArray[np.int64]) -> Sights:
         """Return what is said of the edges at `index`."""
         return Sights(self.measured[index], self.sigma[index], self.common[index])
+
+
+def _runs_out(end_px: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Whether edges that end at pixels (E, 2), nan where unknown, may as well go on outside the image."""
+    last = np.array([camera.width, camera.height]) - 1
+    return np.asarray((np.minimum(end_px, last - end_px) < _RUNS_OUT_PX).any(axis=-1))
 
 
 def _root(cov: Array) -> Array:
