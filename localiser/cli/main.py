@@ -11,10 +11,21 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.cli import edges, paper
+from localiser.cli import convert, edges, paper
 from localiser.cli.camera import camera_app
 from localiser.cli.maps import map_app
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, Seed, progress, show, working
+from localiser.cli.shared import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Quiet,
+    Seed,
+    Topics,
+    progress,
+    show,
+    topics_by_role,
+    working,
+)
 from localiser.errors import InputError, LocaliserError
 
 app = typer.Typer(
@@ -88,10 +99,14 @@ def _root(
 
 `localiser replay logs/corridor --odometry vision`
 
+`localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`
+
 `localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
 )
 def replay(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder, or FOLDER:N of the UTIAS MRCLAM data set.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set.")
+    ],
     map_file: Annotated[
         Path | None, typer.Option("--map", metavar="MAP", help="Landmark map; by default the log's own.")
     ] = None,
@@ -109,8 +124,10 @@ def replay(
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
     odometry: Annotated[Source | None, typer.Option(help="What says how the robot moved.")] = None,
     log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="folder or mrclam; by default found out.")
+        str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
     ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/log/1, DIR/log/2, …")] = Path(
         "results"
     ),
@@ -128,7 +145,7 @@ def replay(
     settings += [f"observation.kind={observation}"] if observation is not None else []
     settings += [f"increments.source={odometry}"] if odometry is not None else []
     sensor = load_config(config, settings).sensor
-    recorded = open_log(log, format=log_format, sensor=sensor)
+    recorded = open_log(log, format=log_format, sensor=sensor, topics=topics_by_role(topics), camera=camera)
     effective = load_config(config, settings, recorded.settings)
     landmark_map = load_map(map_file) if map_file else recorded.landmark_map
     if landmark_map is None:
@@ -217,6 +234,7 @@ def config_schema() -> None:
     typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))
 
 
+app.command(epilog=convert.EPILOG)(convert.convert)
 app.command(epilog=edges.EPILOG)(edges.edges)
 app.command(epilog=paper.EPILOG)(paper.paper)
 

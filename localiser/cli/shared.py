@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from localiser.errors import InputError
+
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Configuration; see `localiser config show`.")
 ]
@@ -18,6 +20,18 @@ Overrides = Annotated[
     typer.Option("--set", metavar="NAME=VALUE", help="Set one value, such as mcl.particles=500. May be repeated."),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, metavar="N", help="Same seed, same result.")]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="KIND=NAME",
+        help="Topic of a ROS bag where several fit: image, camera_info, odometry or groundtruth. May be repeated.",
+    ),
+]
+BagCamera = Annotated[
+    Path | None,
+    typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
 
@@ -51,3 +65,14 @@ def working(what: str, quiet: bool) -> Iterator[None]:
     else:
         with Console(stderr=True).status(what):
             yield
+
+
+def topics_by_role(options: list[str] | None) -> dict[str, str]:
+    """Return the topics that `--topic` named, by what they are for. Raises InputError."""
+    topics: dict[str, str] = {}
+    for option in options or []:
+        role, separator, name = option.partition("=")
+        if not separator or not name:
+            raise InputError(f"expected KIND=NAME, such as odometry=/odom, found {option!r}", field="--topic")
+        topics[role] = name
+    return topics

@@ -1,5 +1,7 @@
 """Every file format: logs, cameras, maps, trajectories, results."""
 
+from localiser.storage.bags import KINDS, write_bag
+from localiser.storage.bags.label import motion_settings
 from localiser.storage.cameras import camera_error, camera_file, load_camera, save_camera, update_mount
 from localiser.storage.folder import write_log
 from localiser.storage.images import Image, ImageEvent
@@ -12,6 +14,7 @@ from localiser.storage.trajectories import load_poses, load_tum, save_poses, sav
 
 __all__ = [
     "FORMATS",
+    "KINDS",
     "LATEST",
     "Event",
     "Frame",
@@ -31,11 +34,13 @@ __all__ = [
     "load_poses",
     "load_track",
     "load_tum",
+    "motion_settings",
     "open_log",
     "save_camera",
     "save_map",
     "save_poses",
     "save_tum",
     "update_mount",
+    "write_bag",
     "write_log",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, load_camera, save_camera
 from localiser.storage.edge_tables import load_edges, save_edges
 from localiser.storage.files import inside, output_errors, write_bytes, write_text
-from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event
+from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of
 from localiser.storage.log import Frame, Log, require_overlap
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.tables import Column, integer, read_table, text
@@ -88,7 +88,7 @@ class FolderReader:
             odometry=odometry,
             frames=frames,
             landmark_map=load_map(_named(document, folder, "map", file.map)) if file.map else None,
-            start=_start(file.start, first_ns) if file.start else None,
+            start=start_from_file(file.start, first_ns) if file.start else None,
             groundtruth=truth,
             settings={f"motion.{name}": value for name, value in (file.motion or {}).items()},
         )
@@ -138,7 +138,8 @@ def _named_by(table: Path, line: int) -> Iterator[None]:
         raise InputError(str(error), path=table, line=line, field="file") from error
 
 
-def _start(file: StartFile, t_ns: int) -> mcl.Start:
+def start_from_file(file: StartFile, t_ns: int) -> mcl.Start:
+    """Return the start that a file states, at the time of the log's first event."""
     mean = np.array([file.x, file.z, math.radians(file.heading_deg)])
     sigma = np.array([file.sigma_m, file.sigma_m, math.radians(file.sigma_deg)])
     return mcl.Start(t_ns, mean, np.diag(sigma**2))
@@ -153,19 +154,21 @@ def write_log(
     name: str,
     camera: Camera,
     odometry: Trajectory,
-    images: Iterable[tuple[int, Image]] | None = None,
+    images: Iterable[tuple[int, Image | bytes]] | None = None,
     sightings: Iterable[mcl.Sighting] | None = None,
     landmark_map: LandmarkMap | None = None,
     groundtruth: Trajectory | None = None,
     start: mcl.Start | None = None,
+    motion: Mapping[str, Any] | None = None,
     image_suffix: Literal[".jpg", ".png"] = ".jpg",
     jpeg_quality: int = 90,
 ) -> None:
     """Write a log folder, either whole or not at all; images or sightings, in the order of time, are taken one by one.
 
-    images: (t_ns, (H, W) grey or (H, W, 3) BGR uint8). start: the covariance is written as one sigma for the position
-    and one for the heading. Raises OutputError when the folder holds something already or cannot be written, ValueError
-    unless there are images or sightings, not both.
+    images: (t_ns, (H, W) grey or (H, W, 3) BGR uint8); JPEG or PNG files are written as they are. start: the covariance
+    is written as one sigma for the position and one for the heading. motion: quality of this robot's odometry.
+    Raises OutputError when the folder holds something already or cannot be written, ValueError unless there are images
+    or sightings, not both.
     """
     if (images is None) == (sightings is None):
         raise ValueError("expected images or sightings")
@@ -193,7 +196,9 @@ def write_log(
             save_edges(sightings, camera, draft / "edges.csv")
         data: dict[str, Any] = {"format": FORMAT, "name": name, **names}
         if start is not None:
-            data["start"] = _start_data(start)
+            data["start"] = start_data(start)
+        if motion:
+            data["motion"] = dict(motion)
         write_text(draft / LOG_FILE, dump(data))
         with output_errors(folder):
             draft.replace(folder)
@@ -202,16 +207,21 @@ def write_log(
         raise
 
 
-def _write_images(images: Iterable[tuple[int, Image]], folder: Path, suffix: str, jpeg_quality: int) -> None:
+def _write_images(images: Iterable[tuple[int, Image | bytes]], folder: Path, suffix: str, jpeg_quality: int) -> None:
     lines = ["t_ns,file"]
     for index, (t_ns, image) in enumerate(images):
-        name = f"images/{index:06d}{suffix}"
-        write_bytes(folder / name, encode_image(image, suffix, jpeg_quality))
+        if isinstance(image, bytes):
+            data, ending = image, suffix_of(image)
+        else:
+            data, ending = encode_image(image, suffix, jpeg_quality), suffix
+        name = f"images/{index:06d}{ending}"
+        write_bytes(folder / name, data)
         lines.append(f"{t_ns},{name}")
     write_text(folder / "images.csv", "\n".join(lines) + "\n")
 
 
-def _start_data(start: mcl.Start) -> dict[str, float]:
+def start_data(start: mcl.Start) -> dict[str, float]:
+    """Return a start as plain data, as a file has it: one sigma for the position and one for the heading."""
     x, z, heading = (float(value) for value in start.mean)
     position_var = (start.cov[0, 0] + start.cov[1, 1]) / 2
     return {

@@ -54,26 +54,35 @@ def read_image(path: Path, size: tuple[int, int]) -> bytes:
     Raises InputError.
     """
     data = read_bytes(path, MAX_IMAGE_BYTES)
+    check_whole(data, size, path=path)
+    return data
+
+
+def check_whole(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> None:
+    """Raise InputError unless `data` is an image file that is whole and of `size`; path, field: where it is from."""
     try:
         found, complete = measure(data)
     except ValueError as error:
-        raise InputError(str(error), path=path) from None
-    check_size(path, found, size)
+        raise InputError(str(error), path=path, field=field) from None
+    check_size(path, found, size, field)
     if not complete:
-        raise InputError("expected a whole image, found one that is cut off or damaged", path=path)
-    return data
+        raise InputError("expected a whole image, found one that is cut off or damaged", path=path, field=field)
 
 
 def load_image(path: Path, size: tuple[int, int]) -> Image:
     """Return an image file as (H, W) uint8 grey values. Raises InputError."""
-    data = read_image(path, size)
+    return decoded(read_image(path, size), size, path=path)
+
+
+def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> Image:
+    """Return an image file that is known to be whole as (H, W) uint8 grey values. Raises InputError."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error:
         image = None
     if image is None or image.shape != (size[1], size[0]):
-        raise InputError("expected an image that can be decoded", path=path)
+        raise InputError("expected an image that can be decoded", path=path, field=field)
     return np.asarray(image, dtype=np.uint8)
 
 
@@ -98,12 +107,13 @@ def check_head(path: Path, size: tuple[int, int]) -> None:
     check_size(path, found, size)
 
 
-def check_size(path: Path, found: tuple[int, int], size: tuple[int, int]) -> None:
+def check_size(path: Path, found: tuple[int, int], size: tuple[int, int], field: str | None = None) -> None:
     """Raise InputError when an image's size is not the camera's."""
     if found != size:
         raise InputError(
             f"expected an image of {size[0]}×{size[1]} pixels, as the camera says, found {found[0]}×{found[1]}",
             path=path,
+            field=field,
         )
 
 
@@ -160,11 +170,17 @@ def _measure_png(data: bytes) -> tuple[tuple[int, int], bool]:
     return size, False
 
 
+def suffix_of(data: bytes) -> str:
+    """Return what the name of an image file ends with, by its first bytes."""
+    return ".png" if data.startswith(_PNG_SIGNATURE) else ".jpg"
+
+
 def encode_image(image: Image, suffix: str, jpeg_quality: int) -> bytes:
     """Return an image, (H, W) grey or (H, W, 3) BGR uint8, as a JPEG or PNG file. Raises ValueError for other types."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise ValueError(f"expected an (H, W) or (H, W, 3) image of uint8, found {image.dtype} {image.shape}")
-    done, data = cv2.imencode(suffix, image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    options = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality] if suffix == ".jpg" else []
+    done, data = cv2.imencode(suffix, image, options)
     if not done:
         raise ValueError(f"cannot encode an image as {suffix}")
     return bytes(data)

@@ -1,0 +1,52 @@
+"""`localiser convert`: logs from one format to another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from localiser.cli.shared import BagCamera, Quiet, Topics, progress, topics_by_role
+
+EPILOG = """Examples:
+
+`localiser convert drive.bag logs/drive`
+
+`localiser convert drive_bag logs/drive --topic odometry=/wheel/odom --camera camera.yaml`
+
+`localiser convert logs/corridor corridor.mcap`
+
+`localiser convert logs/corridor corridor_bag --to sqlite3`"""
+
+
+def convert(
+    source: Annotated[
+        Path, typer.Argument(metavar="LOG", help="ROS bag (ROS 1, or ROS 2 file or folder), log folder.")
+    ],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New log folder, or new bag.")],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="folder|mcap|sqlite3|ros1",
+            help="What OUT becomes; by default what its ending says (.mcap, .db3, .bag), else a folder from a bag and "
+            "MCAP from a folder.",
+        ),
+    ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a recorded LOG into another format: ROS bag to log folder, log folder to ROS bag, bag to bag.
+
+    Images are copied as they are, poses to a billionth of a metre.
+    """
+    from localiser.app import convert as conversion
+    from localiser.storage import open_log
+
+    log = open_log(source, topics=topics_by_role(topics), camera=camera)
+    target = conversion.target_of(out, log, to)
+    with progress("Converting", len(log.frames), quiet) as advance:
+        conversion.convert(log, out, target, advance)
+    if not quiet:
+        typer.echo(f"{len(log.frames)} frames and {len(log.odometry)} odometry poses in {out} ({target})")

@@ -1,0 +1,148 @@
+"""A bag of any kind as its messages: which topics it has, and what was sent on them in the order of recording.
+
+Messages are decoded by the definitions that ROS ships, never by those that a bag carries: a bag could define anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from localiser.errors import InputError, LocaliserError
+from localiser.storage.bags.limits import bounded_decompression, check_chunks, check_metadata, message_unpacker
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+    from rosbags.typesys.store import Typestore
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
+TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+
+METADATA_FILE = "metadata.yaml"
+ROS1_SUFFIX = ".bag"
+SUFFIXES = (ROS1_SUFFIX, ".mcap", ".db3")
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Topic:
+    """A topic of a bag: name, type of its messages, and how many there are."""
+
+    name: str
+    msgtype: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """A message as recorded. t_ns: when it was recorded, which is not when it was measured. content: its fields."""
+
+    topic: str
+    t_ns: int
+    content: Any
+
+    @property
+    def stamp_ns(self) -> int:
+        """When it was measured, by its header."""
+        stamp = self.content.header.stamp
+        return int(stamp.sec) * _NS + int(stamp.nanosec)
+
+
+class Bag:
+    """A bag that is open for reading; to be used as a context manager, or closed."""
+
+    def __init__(self, path: Path) -> None:
+        """Open a bag and read which topics it has. Raises InputError."""
+        self.path = path
+        is_ros1 = path.suffix == ROS1_SUFFIX
+        self._store = typestore(ros1=is_ros1)
+        self._decode = self._store.deserialize_ros1 if is_ros1 else self._store.deserialize_cdr
+        self._reader = _reader(path, is_ros1)
+        bounded_decompression()
+        check_metadata(path / METADATA_FILE)
+        with bag_errors(path):
+            self._reader.open()
+        try:
+            with bag_errors(path):
+                check_chunks(self._reader)
+                self._unpack = message_unpacker(self._reader)
+                self._connections: list[Connection] = list(self._reader.connections)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the bag."""
+        with suppress(Exception):  # a damaged bag that is being left anyway
+            self._reader.close()
+
+    @property
+    def topics(self) -> list[Topic]:
+        """The topics, by name; a topic that several nodes published on is one."""
+        counts: dict[tuple[str, str], int] = {}
+        for found in self._connections:
+            key = (found.topic, found.msgtype)
+            counts[key] = counts.get(key, 0) + found.msgcount
+        return [Topic(*key, count) for key, count in sorted(counts.items())]
+
+    def messages(self, topics: Collection[Topic], from_ns: int | None = None) -> Iterator[Message]:
+        """Yield the messages of some topics in the order of recording, from a time of recording on.
+
+        Raises InputError for a message that its type cannot be read from.
+        """
+        wanted = {(topic.name, topic.msgtype) for topic in topics}
+        connections = [found for found in self._connections if (found.topic, found.msgtype) in wanted]
+        if not connections:
+            return
+        with bag_errors(self.path):
+            for connection, t_ns, data in self._reader.messages(connections, start=from_ns):
+                with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
+                    content = self._decode(self._unpack(data), connection.msgtype)
+                yield Message(connection.topic, int(t_ns), content)
+
+
+def _reader(path: Path, is_ros1: bool) -> Any:
+    from rosbags import rosbag1, rosbag2
+
+    if not path.exists():
+        raise InputError("no such bag", path=path)
+    with bag_errors(path):
+        return rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
+
+
+@contextmanager
+def bag_errors(path: Path, field: str | None = None) -> Iterator[None]:
+    """Turn whatever a damaged bag makes `rosbags` raise into an InputError.
+
+    It promises no list of exceptions: bytes that were changed show up as errors of struct, lz4, sqlite, numpy or YAML.
+    """
+    try:
+        yield
+    except (LocaliserError, GeneratorExit):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        what = "message" if field else "ROS bag"
+        raise InputError(f"expected a {what} that can be read: {reason}", path=path, field=field) from None
+
+
+@cache
+def typestore(*, ros1: bool) -> Typestore:
+    """Return the message definitions of ROS 1 Noetic or ROS 2 Humble; the messages read here are the same in all."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if TRANSFORMS not in store.fielddefs:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+    return store

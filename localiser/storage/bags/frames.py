@@ -1,0 +1,151 @@
+"""Where the camera sits on the robot, from a tree of ROS transforms, and back.
+
+ROS (REP-103): a robot's frame has x forward, y left, z up; a camera's optical frame x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from localiser.camera import Mount
+from localiser.geometry import Array
+
+FLOOR_FRAME = "base_footprint"  # REP-120: the robot's frame, let down to the floor
+
+_ROBOT_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+_OPTICAL_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+_LARGEST_M = 100.0
+
+
+class FrameTree:
+    """Fixed transforms between named frames. A transform is (4, 4) and takes points of a child to its parent."""
+
+    def __init__(self) -> None:
+        """Start with no frame."""
+        self._neighbours: dict[str, dict[str, Array]] = {}
+
+    def add(self, stamped: Any) -> None:
+        """Add a geometry_msgs/TransformStamped. Raises ValueError when it is no rigid motion."""
+        parent, child = plain_frame(stamped.header.frame_id), plain_frame(stamped.child_frame_id)
+        moved, turned = stamped.transform.translation, stamped.transform.rotation
+        transform = np.eye(4)
+        transform[:3, :3] = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
+        transform[:3, 3] = moved.x, moved.y, moved.z
+        if not (np.abs(transform[:3, 3]) <= _LARGEST_M).all():
+            raise ValueError(f"expected {child!r} within {_LARGEST_M:g} m of {parent!r}")
+        self._neighbours.setdefault(parent, {})[child] = transform
+        self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform), dtype=np.float64)
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._neighbours
+
+    def between(self, target: str, source: str) -> Array:
+        """Return the transform (4, 4) from `source` to `target` along any chain of frames. Raises ValueError."""
+        reached = {target: np.eye(4)}
+        waiting = [target]
+        while waiting and source not in reached:
+            frame = waiting.pop(0)
+            for neighbour, transform in self._neighbours.get(frame, {}).items():
+                if neighbour not in reached:
+                    reached[neighbour] = reached[frame] @ transform
+                    waiting.append(neighbour)
+        if source not in reached:
+            known = ", ".join(sorted(self._neighbours)) or "no frame at all"
+            raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}")
+        return reached[source]
+
+
+def plain_frame(name: str) -> str:
+    """Return the name of a frame without the slash that old ROS 1 drivers put before it."""
+    return str(name).lstrip("/")
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion. Raises ValueError unless its length is 1."""
+    length = math.hypot(x, y, z, w)
+    if not abs(length - 1) <= 0.01:
+        raise ValueError(f"expected a quaternion of length 1, found length {length:.4g}")
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:
+    """Return the quaternion (x, y, z, w), w ≥ 0, of a rotation matrix (3, 3).
+
+    The eigenvector of the largest eigenvalue of Bar-Itzhack's matrix, which has no special cases.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    symmetric = np.array(
+        [
+            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
+            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
+            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    found = np.linalg.eigh(symmetric)[1][:, -1]
+    x, y, z, w = (float(value) for value in (found if found[3] >= 0 else -found))
+    return x, y, z, w
+
+
+# -- mount ------------------------------------------------------------------------------------------------------------
+
+
+def mount_of(tree: FrameTree, base: str, optical: str) -> Mount:
+    """Return the mount of the camera with the frame `optical` on the robot with the frame `base`.
+
+    Heights are above the floor: above FLOOR_FRAME where the tree has it, else above `base`. Angles are rounded to
+    1e-10 degrees and lengths to 1e-10 m, far below what can be known, so that writing and reading again changes
+    nothing. Raises ValueError when no chain of frames joins the two, or the camera is not above the floor.
+    """
+    base_from_optical = tree.between(base, optical)
+    axes = _ROBOT_FROM_BASE @ base_from_optical[:3, :3] @ _OPTICAL_FROM_CAMERA
+    place = _ROBOT_FROM_BASE @ base_from_optical[:3, 3]
+    height_m = tree.between(FLOOR_FRAME, optical)[2, 3] if FLOOR_FRAME in tree else place[1]
+    if not height_m > 0:
+        raise ValueError(f"expected the camera {optical!r} above the floor, found it {height_m:.3f} m high")
+    # axes = turn(yaw) @ tilt @ roll of `Camera`; its last column is where the camera's back points.
+    tilt = math.atan2(axes[1, 2], math.hypot(axes[0, 2], axes[2, 2]))
+    if not abs(math.degrees(tilt)) < 89.9:
+        raise ValueError("expected a camera that does not look straight up or down")
+    return Mount(
+        tilt_rad=_rounded_angle(tilt),
+        roll_rad=_rounded_angle(math.atan2(-axes[1, 0], axes[1, 1])),
+        yaw_rad=_rounded_angle(math.atan2(axes[0, 2], axes[2, 2])),
+        height_m=round(float(height_m), 10),
+        right_m=round(float(place[0]), 10) + 0.0,
+        back_m=round(float(place[2]), 10) + 0.0,
+    )
+
+
+def _rounded_angle(angle_rad: float) -> float:
+    return math.radians(round(math.degrees(angle_rad), 10) + 0.0)  # + 0.0: no -0.0
+
+
+def base_from_optical(mount: Mount, level_from_camera: Array) -> Array:
+    """Return the transform (4, 4) from the optical frame to the robot's ROS frame; inverse of `mount_of`.
+
+    level_from_camera: (3, 3) tilt and roll, of `Camera`.
+    """
+    cos, sin = math.cos(mount.yaw_rad), math.sin(mount.yaw_rad)
+    turn = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    transform = np.eye(4)
+    transform[:3, :3] = _ROBOT_FROM_BASE.T @ turn @ level_from_camera @ _OPTICAL_FROM_CAMERA
+    transform[:3, 3] = _ROBOT_FROM_BASE.T @ np.array([mount.right_m, mount.height_m, mount.back_m])
+    return transform
+
+
+def add_all(tree: FrameTree, transforms: Iterable[Any]) -> None:
+    """Add the transforms of a tf2_msgs/TFMessage. Raises ValueError."""
+    for stamped in transforms:
+        tree.add(stamped)

@@ -1,0 +1,75 @@
+"""Images of ROS messages as image files: compressed ones as they are, raw ones as PNG, which loses nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image, measure
+
+# What a raw image becomes, and the bytes of a pixel. Bayer and YUV become colour.
+_BYTES = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
+_BYTES |= {f"bayer_{pattern}8": 1 for pattern in ("rggb", "bggr", "gbrg", "grbg")}
+_BYTES |= dict.fromkeys(("yuv422", "uyvy", "yuv422_yuy2", "yuyv"), 2)
+_TO_BGR = {
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "rgba8": cv2.COLOR_RGBA2BGR,
+    "bgra8": cv2.COLOR_BGRA2BGR,
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
+    "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
+    "bayer_gbrg8": cv2.COLOR_BayerGBRG2BGR,
+    "bayer_grbg8": cv2.COLOR_BayerGRBG2BGR,
+    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
+    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
+    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
+    "nv21": cv2.COLOR_YUV2BGR_NV21,
+    "nv12": cv2.COLOR_YUV2BGR_NV12,
+}
+ENCODINGS = (*_BYTES, "nv12", "nv21")
+
+
+def stated_size(message: Any) -> tuple[int, int]:
+    """Return the size (width, height) that a message says its image has. Raises ValueError when it cannot be one."""
+    if not hasattr(message, "encoding"):
+        return measure(message.data.tobytes())[0]
+    _check_raw(message)
+    return int(message.width), int(message.height)
+
+
+def image_file(message: Any) -> bytes:
+    """Return the image of a sensor_msgs Image or CompressedImage as a JPEG or PNG file. Raises ValueError."""
+    if not hasattr(message, "encoding"):
+        return bytes(message.data)
+    return encode_image(_pixels(message), ".png", 100)
+
+
+def _check_raw(message: Any) -> None:
+    """Raise ValueError unless an Image has as many bytes as its size and encoding ask for."""
+    encoding, width, height, step = message.encoding, message.width, message.height, message.step
+    if encoding not in ENCODINGS:
+        raise ValueError(f"expected an encoding of {', '.join(ENCODINGS)}, found {encoding[:40]!r}")
+    planar = encoding not in _BYTES
+    if min(width, height) < 1 or ((planar or _BYTES[encoding] == 2) and width % 2) or (planar and height % 2):
+        raise ValueError(f"expected an image that {encoding} can hold, found {width}×{height} pixels")
+    least = width * _BYTES.get(encoding, 1)
+    rows = height * 3 // 2 if planar else height
+    if step < least:
+        raise ValueError(f"expected rows of at least {least} bytes for {width} pixels of {encoding}, found {step}")
+    if len(message.data) != step * rows:
+        raise ValueError(f"expected {rows} rows of {step} bytes, found {len(message.data)} bytes")
+    if len(message.data) > MAX_IMAGE_BYTES:
+        raise ValueError(f"expected at most {MAX_IMAGE_BYTES} bytes, found {len(message.data)}")
+
+
+def _pixels(message: Any) -> Image:
+    """Return an Image as (H, W) grey or (H, W, 3) BGR uint8, the rows' padding cut off."""
+    _check_raw(message)
+    encoding = message.encoding
+    channels = _BYTES.get(encoding, 1)
+    rows = message.data.reshape(-1, message.step)[:, : message.width * channels]
+    pixels = np.ascontiguousarray(rows.reshape(len(rows), message.width, channels) if channels > 1 else rows)
+    code = _TO_BGR.get(encoding)
+    return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)

@@ -1,0 +1,63 @@
+"""What a log knows and ROS has no message for: its name, the start, the map; as YAML on topics of std_msgs/String."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field
+
+from localiser.documents import dump, parse, validate
+from localiser.documents.files import MAX_DOCUMENT_BYTES
+from localiser.landmarks import LandmarkMap
+from localiser.storage.cameras import FileModel
+from localiser.storage.folder import StartFile, start_data
+from localiser.storage.log import Log
+from localiser.storage.maps import map_data, map_from_document
+
+
+class Label(BaseModel):
+    """Name and settings of a log in a bag; see `LogFile`."""
+
+    model_config = FileModel
+
+    format: Literal["localiser-bag/1"] = "localiser-bag/1"
+    name: Annotated[str, Field(min_length=1, max_length=200)]
+    camera_name: Annotated[str, Field(max_length=200)] = ""
+    start: StartFile | None = None
+    motion: dict[str, Any] | None = None
+
+
+def label_of(text: str, source: str) -> Label:
+    """Return the label that the text of a message holds. Raises InputError; ValueError when it is too long."""
+    return validate(parse(_bounded(text), source), Label)
+
+
+def map_of(text: str, source: str) -> LandmarkMap:
+    """Return the map that the text of a message holds. Raises InputError; ValueError when it is too long."""
+    return map_from_document(parse(_bounded(text), source))
+
+
+def label_text(log: Log) -> str:
+    """Return what `label_of` reads."""
+    data: dict[str, Any] = {"format": "localiser-bag/1", "name": log.name, "camera_name": log.camera.name}
+    if log.start is not None:
+        data["start"] = start_data(log.start)
+    if motion := motion_settings(log):
+        data["motion"] = motion
+    return dump(data)
+
+
+def map_text(landmark_map: LandmarkMap) -> str:
+    """Return what `map_of` reads."""
+    return dump(map_data(landmark_map))
+
+
+def motion_settings(log: Log) -> dict[str, Any]:
+    """Return what a log says of its robot's odometry, as a log folder names it."""
+    return {name.removeprefix("motion."): value for name, value in log.settings.items() if name.startswith("motion.")}
+
+
+def _bounded(text: str) -> str:
+    if len(text) > MAX_DOCUMENT_BYTES:
+        raise ValueError(f"expected at most {MAX_DOCUMENT_BYTES} characters, found {len(text)}")
+    return text

@@ -1,0 +1,75 @@
+"""How much memory a bag may ask for, checked before it gets it."""
+
+from __future__ import annotations
+
+from bz2 import BZ2Decompressor
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from localiser.errors import InputError
+
+MAX_METADATA_BYTES = 4 * 2**20
+MAX_CHUNK_BYTES = 512 * 2**20  # recorders close a chunk after a few MB; one message may exceed that
+_TOO_LARGE = f"expected at most {MAX_CHUNK_BYTES} bytes in a chunk"
+
+
+def check_metadata(path: Path) -> None:
+    """Raise InputError when a bag's metadata.yaml, where it has one, is too large to be one."""
+    if path.is_file() and (size := path.stat().st_size) > MAX_METADATA_BYTES:
+        raise InputError(f"expected at most {MAX_METADATA_BYTES} bytes, found {size}", path=path)
+
+
+def check_chunks(reader: Any) -> None:
+    """Raise ValueError when a chunk of an open MCAP file states to be larger than is allowed."""
+    storage = getattr(reader, "storage", None)
+    for part in getattr(storage, "storages", [storage]):
+        for chunk in getattr(part, "chunks", []):
+            found = max(chunk.compressed_size, chunk.uncompressed_size)
+            if found > MAX_CHUNK_BYTES:
+                raise ValueError(f"{_TOO_LARGE}, found {found}")
+
+
+@cache
+def bounded_decompression() -> None:
+    """Make `rosbags` stop where a compressed chunk grows beyond what is allowed; a few bytes can ask for gigabytes."""
+    from rosbags.rosbag1 import reader as ros1
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    mcap.DECOMPRESSORS |= {"lz4": lambda data, _: _lz4(data), "zstd": lambda data, _: _zstd(data)}
+    ros1.decompressors |= {"lz4": _lz4, "bz2": _bz2}
+
+
+def message_unpacker(reader: Any) -> Callable[[bytes], bytes]:
+    """Return what unpacks the messages of an open bag, and keep `rosbags` from doing so without a limit."""
+    storage = getattr(reader, "storage", None)
+    if storage is None or storage.metadata.compression_mode != "message":
+        return lambda data: data
+    storage.metadata = storage.metadata._replace(compression_mode=None)
+    return _zstd
+
+
+def _lz4(data: bytes) -> bytes:
+    from lz4.frame import LZ4FrameDecompressor
+
+    return _decompressed(LZ4FrameDecompressor(), data)
+
+
+def _zstd(data: bytes) -> bytes:
+    from rosbags.rosbag2 import storage_mcap
+
+    zstd: Any = vars(storage_mcap)["zstd"]  # of Python's library or its backport
+    return _decompressed(zstd.ZstdDecompressor(), data)
+
+
+def _bz2(data: bytes) -> bytes:
+    return _decompressed(BZ2Decompressor(), data)
+
+
+def _decompressed(decompressor: Any, data: bytes) -> bytes:
+    content: bytes = decompressor.decompress(data, MAX_CHUNK_BYTES)
+    if not decompressor.eof:
+        more = len(content) >= MAX_CHUNK_BYTES
+        raise ValueError(f"{_TOO_LARGE}, found more" if more else "a compressed chunk is cut off")
+    return content

@@ -1,0 +1,79 @@
+"""The images of a bag, fetched one at a time when they are asked for, so that a bag may be larger than memory."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from localiser.errors import InputError
+from localiser.storage.bags.bag import Bag, Message, Topic
+from localiser.storage.bags.images import image_file
+from localiser.storage.images import Image, ImageEvent, check_whole, decoded
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePlace:
+    """Where an image stands in a bag. stamp_ns: when it was taken. recorded_ns: when it was recorded.
+
+    order: how many images of its topic were recorded before it. later: how many of those at the same time.
+    """
+
+    stamp_ns: int
+    recorded_ns: int
+    order: int
+    later: int
+
+
+class Playback:
+    """Fetches images of one topic; in the order of recording each is read once, in any other the bag is searched."""
+
+    def __init__(self, path: Path, topic: Topic, size: tuple[int, int]) -> None:
+        """Prepare to read; the bag is opened when the first image is asked for. size: (width, height) expected."""
+        self._path, self._topic, self._size = path, topic, size
+        self._messages: Iterator[Message] | None = None
+        self._next = 0
+        self._last: tuple[int, bytes] | None = None
+
+    def event(self, place: ImagePlace) -> ImageEvent:
+        """Return the image as an event of a log."""
+        name = f"{self._topic.name}/{place.order:06d}"
+        field = self._field(place)
+
+        def load() -> Image:
+            return decoded(self._file(place), self._size, path=self._path, field=field)
+
+        return ImageEvent(place.stamp_ns, name, load, lambda: self._file(place))
+
+    def _field(self, place: ImagePlace) -> str:
+        return f"{self._topic.name} at {place.stamp_ns} ns"
+
+    def _file(self, place: ImagePlace) -> bytes:
+        """Return the image as a JPEG or PNG file that is whole and of the right size."""
+        if self._last is None or self._last[0] != place.order:
+            try:
+                data = image_file(self._fetch(place).content)
+            except ValueError as error:
+                raise InputError(str(error), path=self._path, field=self._field(place)) from None
+            check_whole(data, self._size, path=self._path, field=self._field(place))
+            self._last = (place.order, data)
+        return self._last[1]
+
+    def _fetch(self, place: ImagePlace) -> Message:
+        if self._messages is None or place.order != self._next:
+            self._seek(place)
+        assert self._messages is not None
+        message = next(self._messages, None)
+        if message is None or message.stamp_ns != place.stamp_ns:
+            raise InputError("expected the image that was here when the bag was opened", path=self._path)
+        self._next = place.order + 1
+        return message
+
+    def _seek(self, place: ImagePlace) -> None:
+        """Open the bag anew right before an image."""
+        bag = Bag(self._path)
+        weakref.finalize(self, bag.close)
+        self._messages = bag.messages([self._topic], place.recorded_ns)
+        for _ in range(place.later):
+            next(self._messages, None)

@@ -1,0 +1,198 @@
+"""A log as a ROS bag: what `read` reads, in any of the three kinds, written whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from localiser import mcl
+from localiser.errors import InputError, OutputError
+from localiser.geometry import ros_from_pose, wrap_angle
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS, typestore
+from localiser.storage.bags.cameras import info_fields
+from localiser.storage.bags.frames import base_from_optical, quaternion_from_rotation
+from localiser.storage.bags.label import label_text, map_text
+from localiser.storage.bags.topics import LOG_TOPIC, MAP_TOPIC
+from localiser.storage.files import output_errors
+from localiser.storage.images import ImageEvent, suffix_of
+from localiser.storage.log import Log
+
+KINDS = ("mcap", "sqlite3", "ros1")
+FILE_KINDS = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
+
+BASE, OPTICAL, ODOM, MAP = "base_link", "camera_optical_frame", "odom", "map"
+TOPICS = {
+    "/tf_static": TRANSFORMS,
+    "/camera/camera_info": CAMERA_INFO,
+    "/camera/image_raw/compressed": COMPRESSED,
+    "/odom": ODOMETRY,
+    "/ground_truth/odom": ODOMETRY,
+    LOG_TOPIC: TEXT,
+    MAP_TOPIC: TEXT,
+}
+_NS = 1_000_000_000
+_LAST_NS = (2**31 - 1) * _NS  # a stamp's seconds have 32 bits
+
+
+def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = lambda: None) -> None:
+    """Write a log with images as a bag of one of KINDS, calling `progress` after every image.
+
+    A path that ends in .mcap or .db3 becomes that one file, any other of these kinds a folder, as ROS 2 records it.
+    Poses are rounded to 1e-9 m and rad, as log folders have them. Raises OutputError when the path exists or cannot be
+    written, InputError for a log without images or with times that ROS cannot tell, or when an image cannot be read.
+    """
+    _check(log)
+    if path.exists():
+        raise OutputError(f"{path}: expected a path where nothing is, found something there")
+    draft = path.with_name(f".{path.name}.part")
+    with output_errors(path):
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.mkdir(parents=True)
+    try:
+        with output_errors(path):
+            with _writer(draft / path.stem, kind) as writer:
+                _Bagger(writer, ros1=kind == "ros1").write(log, progress)
+            written = draft / path.stem
+            if path.suffix in FILE_KINDS and kind != "ros1":
+                (written,) = written.glob(f"{path.stem}.*")  # the file alone, without its metadata.yaml
+            written.replace(path)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _check(log: Log) -> None:
+    if not log.has_images:
+        raise InputError("expected a log with images, found edges: ROS has no message for them", path=log.path)
+    ends = [log.odometry.t_ns[0], log.odometry.t_ns[-1], log.frames[0].t_ns, log.frames[-1].t_ns]
+    ends += [] if log.groundtruth is None else [log.groundtruth.t_ns[0], log.groundtruth.t_ns[-1]]
+    for t_ns in ends:
+        if not 0 <= t_ns <= _LAST_NS:
+            raise InputError(f"expected times from 0 to {_LAST_NS} ns, as ROS has them, found {t_ns}", path=log.path)
+
+
+@contextmanager
+def _writer(path: Path, kind: str) -> Iterator[Any]:
+    from rosbags import rosbag1, rosbag2
+
+    if kind not in KINDS:
+        raise InputError(f"expected {', '.join(KINDS)}, found {kind!r}", field="kind")
+    if kind == "ros1":
+        with rosbag1.Writer(path) as writer:
+            yield writer
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+            yield writer
+
+
+class _Bagger:
+    """Turns what a log holds into messages of ROS 1 or ROS 2, and writes them."""
+
+    def __init__(self, writer: Any, *, ros1: bool) -> None:
+        self._writer, self._ros1 = writer, ros1
+        self._store = typestore(ros1=ros1)
+        self._encode = self._store.serialize_ros1 if ros1 else self._store.serialize_cdr
+        self._connections: dict[str, Any] = {}
+
+    def write(self, log: Log, progress: Callable[[], None]) -> None:
+        """Write everything in the order of time."""
+        first_ns = log.start_ns
+        self._send("/tf_static", first_ns, transforms=[self._mount(log, first_ns)])
+        self._send(LOG_TOPIC, first_ns, data=label_text(log))
+        if log.landmark_map is not None:
+            self._send(MAP_TOPIC, first_ns, data=map_text(log.landmark_map))
+        info = self._info(log)
+        truth = [] if log.groundtruth is None else list(zip(log.groundtruth.t_ns, log.groundtruth.poses, strict=True))
+        truth.reverse()
+        for event in log.events():
+            while truth and truth[-1][0] <= event.t_ns:
+                self._pose("/ground_truth/odom", MAP, *truth.pop())
+            if isinstance(event, mcl.Odometry):
+                self._pose("/odom", ODOM, event.t_ns, event.pose)
+            elif isinstance(event, ImageEvent):
+                header = self._header(event.t_ns, OPTICAL)
+                self._send("/camera/camera_info", event.t_ns, header=header, **info)
+                self._image(event, header)
+                progress()
+        while truth:
+            self._pose("/ground_truth/odom", MAP, *truth.pop())
+
+    def _image(self, event: ImageEvent, header: Any) -> None:
+        data = event.encoded()
+        name = "png" if suffix_of(data) == ".png" else "jpeg"
+        pixels = np.frombuffer(data, dtype=np.uint8)
+        self._send("/camera/image_raw/compressed", event.t_ns, header=header, format=name, data=pixels)
+
+    def _pose(self, topic: str, frame: str, t_ns: int, pose: Any) -> None:
+        x, y, yaw = (float(value) for value in ros_from_pose(_rounded(pose)))
+        make = self._make
+        position = make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+        turned = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
+        zero = make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        self._send(
+            topic,
+            int(t_ns),
+            header=self._header(int(t_ns), frame),
+            child_frame_id=BASE,
+            pose=make(
+                "geometry_msgs/msg/PoseWithCovariance",
+                pose=make("geometry_msgs/msg/Pose", position=position, orientation=turned),
+                covariance=np.zeros(36),
+            ),
+            twist=make(
+                "geometry_msgs/msg/TwistWithCovariance",
+                twist=make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
+                covariance=np.zeros(36),
+            ),
+        )
+
+    def _mount(self, log: Log, t_ns: int) -> Any:
+        transform = base_from_optical(log.camera.mount, log.camera.level_from_camera)
+        x, y, z = (float(value) for value in transform[:3, 3])
+        qx, qy, qz, qw = quaternion_from_rotation(transform[:3, :3])
+        make = self._make
+        return make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self._header(t_ns, BASE),
+            child_frame_id=OPTICAL,
+            transform=make(
+                "geometry_msgs/msg/Transform",
+                translation=make("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
+                rotation=make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
+            ),
+        )
+
+    def _info(self, log: Log) -> dict[str, Any]:
+        region = self._make(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        fields: dict[str, Any] = {"binning_x": 0, "binning_y": 0, "roi": region}
+        for name, value in info_fields(log.camera).items():
+            numbers = np.array(value, dtype=np.float64) if isinstance(value, list) else value
+            fields[name.upper() if self._ros1 and len(name) == 1 else name] = numbers
+        return fields
+
+    def _header(self, t_ns: int, frame: str) -> Any:
+        seconds, nanoseconds = divmod(t_ns, _NS)
+        stamp = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self._ros1 else {}))
+
+    def _make(self, msgtype: str, **fields: Any) -> Any:
+        return self._store.types[msgtype](**fields)
+
+    def _send(self, topic: str, t_ns: int, **fields: Any) -> None:
+        msgtype = TOPICS[topic]
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store)
+        self._writer.write(self._connections[topic], t_ns, self._encode(self._make(msgtype, **fields), msgtype))
+
+
+def _rounded(pose: Any) -> Any:
+    """Return a pose (3,) that comes back as the same number however often it is written and read."""
+    x, z, heading = (float(value) for value in np.round(pose, 9))
+    return np.array([x, z, np.round(wrap_angle(heading), 9)])

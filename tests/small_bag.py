@@ -1,0 +1,127 @@
+"""Bags made message by message, as other programs might have recorded them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Nodetype
+
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS, typestore
+
+WIDTH, HEIGHT = 8, 6
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame that looks straight ahead, tilted by nothing
+
+
+def default(store: Any, msgtype: str, **fields: Any) -> Any:
+    """Return a message in which everything is zero or empty but `fields`."""
+    values = {}
+    for name, (kind, detail) in store.fielddefs[msgtype][1]:
+        if name in fields:
+            values[name] = fields.pop(name)
+        elif kind == Nodetype.NAME:
+            values[name] = default(store, detail)
+        elif kind == Nodetype.BASE:
+            values[name] = {"string": "", "bool": False}.get(detail[0], 0)
+        else:
+            length = detail[1] if kind == Nodetype.ARRAY else 0
+            values[name] = np.zeros(length, dtype=detail[0][1][0]) if detail[0][0] == Nodetype.BASE else []
+    assert not fields, fields
+    return store.types[msgtype](**values)
+
+
+class Recorder:
+    """Writes messages to an open bag."""
+
+    def __init__(self, writer: Any, ros1: bool) -> None:
+        self.writer, self.ros1, self.store = writer, ros1, typestore(ros1=ros1)
+        self.connections: dict[tuple[str, str], Any] = {}
+
+    def make(self, msgtype: str, **fields: Any) -> Any:
+        return default(self.store, msgtype, **fields)
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        stamp = self.make("builtin_interfaces/msg/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def send(self, topic: str, msgtype: str, t_ns: int, **fields: Any) -> None:
+        """Write a message, recorded at t_ns."""
+        key = topic, msgtype
+        if key not in self.connections:
+            self.connections[key] = self.writer.add_connection(topic, msgtype, typestore=self.store)
+        encode = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        self.writer.write(self.connections[key], t_ns, encode(self.make(msgtype, **fields), msgtype))
+
+    def image(self, t_ns: int, *, topic: str = "/cam/image", recorded_ns: int | None = None, **fields: Any) -> None:
+        grey = np.full((HEIGHT, WIDTH), t_ns % 251, dtype=np.uint8)
+        fields = {"width": WIDTH, "height": HEIGHT, "encoding": "mono8", "step": WIDTH, "data": grey.ravel()} | fields
+        recorded = t_ns if recorded_ns is None else recorded_ns
+        self.send(topic, IMAGE, recorded, header=self.header(t_ns, "optical"), **fields)
+
+    def compressed(self, t_ns: int, data: bytes, topic: str = "/cam/image/compressed") -> None:
+        pixels = np.frombuffer(data, dtype=np.uint8)
+        self.send(topic, COMPRESSED, t_ns, header=self.header(t_ns, "optical"), format="jpeg", data=pixels)
+
+    def info(self, t_ns: int = 0, topic: str = "/cam/camera_info", focal: float = 10.0, **fields: Any) -> None:
+        matrix = np.array([focal, 0, 3.5, 0, focal, 2.5, 0, 0, 1.0])
+        names = "K" if self.ros1 else "k"
+        fields = {"width": WIDTH, "height": HEIGHT, "distortion_model": "plumb_bob", names: matrix} | fields
+        self.send(topic, CAMERA_INFO, t_ns, header=self.header(t_ns, "optical"), **fields)
+
+    def odometry(self, t_ns: int, x: float = 0.0, *, topic: str = "/odom", **turned: float) -> None:
+        make = self.make
+        quaternion = make("geometry_msgs/msg/Quaternion", **({"w": 1.0} | turned))
+        pose = make(
+            "geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", x=x, y=0.0), orientation=quaternion
+        )
+        full = make("geometry_msgs/msg/PoseWithCovariance", pose=pose)
+        self.send(topic, ODOMETRY, t_ns, header=self.header(t_ns, "odom"), child_frame_id="base_link", pose=full)
+
+    def transform(
+        self,
+        parent: str,
+        child: str,
+        translation: tuple[float, float, float],
+        rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
+    ) -> None:
+        make = self.make
+        moved = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, translation), strict=True)))
+        turned = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, rotation), strict=True)))
+        stamped = make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(0, parent),
+            child_frame_id=child,
+            transform=make("geometry_msgs/msg/Transform", translation=moved, rotation=turned),
+        )
+        self.send("/tf_static", TRANSFORMS, 0, transforms=[stamped])
+
+    def setting(self) -> None:
+        """Write what every log needs beside images: camera, mount, odometry for a second."""
+        self.info()
+        self.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+        for step in range(11):
+            self.odometry(step * 10**8, 0.01 * step)
+
+
+@contextmanager
+def recording(path: Path, kind: str = "mcap") -> Iterator[Recorder]:
+    """Make a new bag of a kind."""
+    if kind == "ros1":
+        with rosbag1.Writer(path) as writer:
+            yield Recorder(writer, ros1=True)
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+        with rosbag2.Writer(path, version=9, storage_plugin=plugin) as two:
+            yield Recorder(two, ros1=False)
+
+
+def bag(path: Path, record: Callable[[Recorder], None], kind: str = "mcap") -> Path:
+    """Make a bag with the usual setting and what `record` adds; returns its path."""
+    with recording(path, kind) as recorder:
+        recorder.setting()
+        record(recorder)
+    return path

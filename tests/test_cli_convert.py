@@ -1,0 +1,129 @@
+"""`localiser convert`, and `localiser replay` of what it wrote."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from short_log import CORRIDOR, FRAMES, Localiser, cut_log
+from small_bag import Recorder, bag
+from small_log import write_small_log
+
+
+@pytest.fixture
+def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
+    return Localiser(capsys)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_chain_of_conversions_changes_nothing_after_the_first_step(
+    localiser: Localiser, tmp_path: Path, suffix: str
+) -> None:
+    source = write_small_log(tmp_path / "log", suffix)
+    with (source / "log.yaml").open("a") as file:
+        file.write("motion: {alpha1: 0.02}\n")
+    first = tmp_path / "first"
+    chain = (source, tmp_path / "a.mcap", first, tmp_path / "b.db3", tmp_path / "c.bag", tmp_path / "d", tmp_path / "e")
+    for start, end in pairwise(chain):
+        option = ("--to", "sqlite3") if end.name == "d" else ()
+        assert localiser("convert", start, end, *option).exit_code == 0
+    assert files(tmp_path / "e") == files(first)
+    before = files(source)
+    for name, data in files(first).items():
+        if name.startswith("images"):
+            assert data == before[name]
+    assert set(files(first)) == set(before)
+
+
+def test_a_bag_replays_as_the_folder_does(localiser: Localiser, tmp_path: Path) -> None:
+    log = cut_log(CORRIDOR, tmp_path / "corridor", FRAMES)
+    localiser("convert", log, tmp_path / "corridor.bag")
+    tracks, figures = [], []
+    for index, path in enumerate((log, tmp_path / "corridor.bag")):
+        run = localiser.replay(path, tmp_path / str(index))
+        tracks.append((run / "trajectory.csv").read_text())
+        figures.append(json.loads((run / "metrics.json").read_text())["position_rmse_m"])
+    assert tracks[0] == tracks[1]
+    assert figures[0] == figures[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "found"),
+    [
+        ("x.mcap", (), "one file"),
+        ("x.bag", (), "one file"),
+        ("x", (), "mcap"),
+        ("x", ("--to", "sqlite3"), "db3"),
+        ("x", ("--to", "folder"), "log.yaml"),
+    ],
+)
+def test_what_comes_out(localiser: Localiser, tmp_path: Path, name: str, option: tuple[str, ...], found: str) -> None:
+    source = write_small_log(tmp_path / "log")
+    result = localiser("convert", source, tmp_path / name, *option, "--quiet")
+    assert (result.exit_code, result.out, result.err) == (0, "", "")
+    if found == "one file":
+        assert (tmp_path / name).is_file()
+    else:
+        assert any(path.name.endswith(found) for path in (tmp_path / name).iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "problem"),
+    [
+        ("x.bag", ("--to", "mcap"), "expected a path for mcap, found one that ends in .bag"),
+        ("x", ("--to", "tar"), "--to: expected folder, mcap, sqlite3, ros1, found 'tar'"),
+        ("x", ("--topic", "odometry"), "--topic: expected KIND=NAME, such as odometry=/odom, found 'odometry'"),
+        ("x", ("--topic", "odometry=/odom"), "--topic is for ROS bags"),
+        ("log", (), "found something there"),
+        ("log", ("--to", "folder"), "expected a new or empty folder"),
+    ],
+)
+def test_what_cannot_be_done(
+    localiser: Localiser, tmp_path: Path, name: str, option: tuple[str, ...], problem: str
+) -> None:
+    source = write_small_log(tmp_path / "log")
+    before = files(tmp_path)
+    result = localiser("convert", source, tmp_path / name, *option, "--quiet")
+    assert result.exit_code == 2
+    assert problem in " ".join(result.err.split())
+    assert files(tmp_path) == before
+
+
+def test_topics_are_chosen_by_option(localiser: Localiser, tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        for step in range(3):
+            recorder.image(step * 10**8)
+            recorder.image(step * 10**8, topic="/other/image")
+
+    path = bag(tmp_path / "bag", record)
+    result = localiser("convert", path, tmp_path / "out", "--quiet")
+    assert result.exit_code == 2 and "choose with --topic image=/cam/image" in result.err
+    result = localiser("convert", path, tmp_path / "out", "--quiet", "--topic", "image=/other/image")
+    assert result.exit_code == 0, result.err
+
+
+def test_there_is_no_such_bag(localiser: Localiser, tmp_path: Path) -> None:
+    result = localiser("convert", tmp_path / "no.bag", tmp_path / "out")
+    assert result.exit_code == 2 and "no such bag" in result.err
+
+
+@pytest.mark.data
+def test_the_bag_of_house_has_the_figures_of_its_first_20_s(
+    localiser: Localiser, tmp_path: Path, data_dir: Path
+) -> None:
+    """The same images and poses to 1e-7 give the same path to a millimetre; digits that the folder lacks remain."""
+    house = cut_log(data_dir / "house", tmp_path / "house", 101)
+    figures = []
+    for index, path in enumerate((house, data_dir / "house_bag")):
+        run = localiser.replay(
+            path, tmp_path / str(index), "--map", data_dir / "house" / "map.yaml", "--start", "truth"
+        )
+        figures.append(json.loads((run / "metrics.json").read_text()))
+    assert figures[0]["frames"] == figures[1]["frames"] == 101
+    assert figures[1]["position_rmse_m"] == pytest.approx(figures[0]["position_rmse_m"], abs=1e-3)

@@ -1,0 +1,382 @@
+"""ROS bags of all three kinds: what goes in comes out, what other programs recorded is understood."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_bag import HEIGHT, OPTICAL, WIDTH, Recorder, bag, recording
+from small_log import CAMERA, write_edge_log, write_small_log
+
+from localiser.errors import InputError, OutputError
+from localiser.storage import ImageEvent, Log, open_log, write_bag
+from localiser.storage.maps import map_data
+
+KINDS = pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+NAMES = {"mcap": "bag", "sqlite3": "bag", "ros1": "x.bag"}
+
+
+def images(log: Log) -> list[tuple[int, bytes]]:
+    return [(frame.t_ns, frame.encoded()) for frame in log.frames if isinstance(frame, ImageEvent)]
+
+
+def assert_same(found: Log, wanted: Log, tolerance: float = 1e-9) -> None:
+    """Assert that two logs hold the same, images byte by byte."""
+    assert found.name == wanted.name
+    assert found.camera.mount == wanted.camera.mount
+    for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion_model", "distortion", "name"):
+        assert getattr(found.camera, name) == getattr(wanted.camera, name), name
+    for mine, theirs in ((found.odometry, wanted.odometry), (found.groundtruth, wanted.groundtruth)):
+        assert mine is not None and theirs is not None
+        np.testing.assert_array_equal(mine.t_ns, theirs.t_ns)
+        np.testing.assert_allclose(mine.poses, theirs.poses, rtol=0, atol=tolerance)
+    assert images(found) == images(wanted)
+    assert found.landmark_map is not None and wanted.landmark_map is not None
+    assert map_data(found.landmark_map) == map_data(wanted.landmark_map)
+    assert found.start is not None and wanted.start is not None
+    assert found.start.t_ns == wanted.start.t_ns
+    np.testing.assert_allclose(found.start.mean, wanted.start.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.start.cov, wanted.start.cov, rtol=0, atol=1e-12)
+    assert found.settings == wanted.settings
+
+
+@KINDS
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_log_comes_back_from_a_bag(tmp_path: Path, kind: str, suffix: str) -> None:
+    folder = write_small_log(tmp_path / "log", suffix)
+    with (folder / "log.yaml").open("a") as file:
+        file.write("motion: {alpha1: 0.02}\n")
+    log = open_log(folder)
+    write_bag(tmp_path / NAMES[kind], log, kind)
+    assert_same(open_log(tmp_path / NAMES[kind]), log)
+
+
+@pytest.mark.parametrize("name", ["one.mcap", "one.db3"])
+def test_a_bag_of_one_file_needs_no_folder(tmp_path: Path, name: str) -> None:
+    log = open_log(write_small_log(tmp_path / "log"))
+    write_bag(tmp_path / name, log, "mcap" if name.endswith("mcap") else "sqlite3")
+    assert (tmp_path / name).is_file()
+    assert_same(open_log(tmp_path / name), log)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log", name]
+
+
+@pytest.mark.parametrize("model", [("none", ()), ("plumb_bob", (0.1, -0.2, 1e-3, 2e-3, 0.3)), ("plumb_bob", ())])
+@KINDS
+def test_lens_models_survive(tmp_path: Path, kind: str, model: tuple[str, tuple[float, ...]]) -> None:
+    assert_lens_survives(tmp_path, kind, *model)
+
+
+@KINDS
+def test_wide_lens_models_survive(tmp_path: Path, kind: str) -> None:
+    assert_lens_survives(tmp_path, kind, "equidistant", (0.01, -0.02, 0.003, 0.0004))
+
+
+@KINDS
+def test_rational_lens_models_survive(tmp_path: Path, kind: str) -> None:
+    assert_lens_survives(tmp_path, kind, "rational_polynomial", (0.1, 0.2, 1e-3, 1e-3, 0.3, 0.4, 0.5, 0.6))
+
+
+def assert_lens_survives(tmp_path: Path, kind: str, model: str, coefficients: tuple[float, ...]) -> None:
+    with recording(tmp_path / NAMES[kind], kind) as recorder:
+        name = "D" if kind == "ros1" else "d"
+        recorder.info(distortion_model="" if model == "none" else model, **{name: np.array(coefficients)})
+        recorder.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+        for step in range(3):
+            recorder.odometry(step * 10**8)
+            recorder.image(step * 10**8)
+    log = open_log(tmp_path / NAMES[kind])
+    assert (log.camera.distortion_model, log.camera.distortion) == (model, coefficients)
+    write_bag(tmp_path / f"again{NAMES[kind]}", log, kind)
+    again = open_log(tmp_path / f"again{NAMES[kind]}").camera
+    assert (again.distortion_model, again.distortion) == (model, coefficients)
+
+
+# -- times ------------------------------------------------------------------------------------------------------------
+
+
+@KINDS
+def test_events_are_in_the_order_of_stamps_not_of_arrival(tmp_path: Path, kind: str) -> None:
+    def record(recorder: Recorder) -> None:
+        for stamp, arrival in ((1, 5), (3, 6), (2, 6), (4, 6), (5, 9)):
+            recorder.image(stamp * 10**8 + stamp, recorded_ns=arrival * 10**8)
+
+    log = open_log(bag(tmp_path / NAMES[kind], record, kind))
+    assert [frame.t_ns for frame in log.frames] == [stamp * 10**8 + stamp for stamp in (1, 2, 3, 4, 5)]
+    for order in ((0, 1, 2, 3, 4), (4, 3, 2, 1, 0), (2, 2, 0)):  # as a replay reads, and in any other order
+        for index in order:
+            frame = log.frames[index]
+            assert isinstance(frame, ImageEvent)
+            assert (frame.load() == frame.t_ns % 251).all()
+
+
+def test_equal_stamps_are_refused(tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        recorder.image(10**8)
+        recorder.image(10**8, recorded_ns=2 * 10**8)
+
+    with pytest.raises(InputError, match="/cam/image: expected stamps that differ, found 100000000 ns twice"):
+        open_log(bag(tmp_path / "bag", record))
+
+
+def test_times_that_ros_has_not_are_refused(tmp_path: Path) -> None:
+    folder = write_small_log(tmp_path / "log")
+    rows = (folder / "odometry.csv").read_text().replace("\n0,", "\n-5,")
+    (folder / "odometry.csv").write_text(rows)
+    with pytest.raises(InputError, match=r"expected times from 0 to .* found -5"):
+        write_bag(tmp_path / "bag", open_log(folder), "mcap")
+    assert not (tmp_path / "bag").exists()
+
+
+# -- topics -----------------------------------------------------------------------------------------------------------
+
+
+def record_images(recorder: Recorder) -> None:
+    for step in range(3):
+        recorder.image(step * 10**8)
+
+
+def test_ground_truth_is_told_by_its_name(tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        record_images(recorder)
+        recorder.odometry(0, 5.0, topic="/ground_truth/odom")
+        recorder.odometry(10**8, 6.0, topic="/ground_truth/odom")
+
+    log = open_log(bag(tmp_path / "bag", record))
+    assert log.groundtruth is not None
+    np.testing.assert_allclose(log.groundtruth.poses[:, 0], [5.0, 6.0])
+    np.testing.assert_allclose(log.odometry.poses[:, 0], np.arange(11) * 0.01)
+
+
+def test_several_topics_are_listed_with_the_option_that_chooses(tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        record_images(recorder)
+        recorder.odometry(0, 5.0, topic="/wheel/odom")
+        recorder.odometry(10**8, 6.0, topic="/wheel/odom")
+
+    path = bag(tmp_path / "bag", record)
+    with pytest.raises(InputError) as error:
+        open_log(path)
+    assert "/odom (Odometry, 11), /wheel/odom (Odometry, 2)" in str(error.value)
+    assert "--topic odometry=/odom" in str(error.value)
+    log = open_log(path, topics={"odometry": "/wheel/odom"})
+    np.testing.assert_allclose(log.odometry.poses[:, 0], [5.0, 6.0])
+    log = open_log(path, topics={"odometry": "/odom", "groundtruth": "/wheel/odom"})
+    assert log.groundtruth is not None and len(log.odometry) == 11
+    assert len(open_log(path, topics={"groundtruth": "/wheel/odom"}).odometry) == 11
+
+
+def test_the_camera_info_beside_the_image_is_taken(tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        record_images(recorder)
+        recorder.info(topic="/other/camera_info", focal=99.0)
+
+    assert open_log(bag(tmp_path / "bag", record)).camera.fx == 10.0
+
+
+@pytest.mark.parametrize(
+    ("topics", "problem"),
+    [
+        ({"image": "/nothing"}, r"expected one of the topics /cam/image .*, found '/nothing'"),
+        ({"images": "/cam/image"}, "unknown kind of topic.*image"),
+        ({"odometry": "/cam/image"}, "expected one of the topics /odom"),
+    ],
+)
+def test_topics_that_are_not_there(tmp_path: Path, topics: dict[str, str], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        open_log(bag(tmp_path / "bag", record_images), topics=topics)
+
+
+def test_a_bag_without_images_lists_what_it_has(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"CompressedImage, found .*/odom \(Odometry, 11\)"):
+        open_log(bag(tmp_path / "bag", lambda _: None))
+
+
+def test_topic_options_are_for_bags(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--topic is for ROS bags"):
+        open_log(write_small_log(tmp_path / "log"), topics={"image": "/x"})
+
+
+# -- images -----------------------------------------------------------------------------------------------------------
+
+COLOUR = np.random.default_rng(5).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)  # blue, green, red
+FLAT = np.full((HEIGHT, WIDTH, 3), (40, 90, 200), dtype=np.uint8)
+
+
+def decoded(tmp_path: Path, **fields: object) -> np.ndarray:
+    """Return the pixels of a raw image after reading it from a bag."""
+    path = bag(tmp_path / "bag", lambda recorder: recorder.image(10**8, **fields))
+    (frame,) = open_log(path).frames
+    assert isinstance(frame, ImageEvent)
+    grey = frame.load()
+    assert grey.shape == (HEIGHT, WIDTH)
+    file = np.frombuffer(frame.encoded(), dtype=np.uint8)
+    np.testing.assert_array_equal(grey, cv2.imdecode(file, cv2.IMREAD_GRAYSCALE))
+    return np.asarray(cv2.imdecode(file, cv2.IMREAD_UNCHANGED))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels"),
+    [
+        ("bgr8", COLOUR),
+        ("8UC3", COLOUR),
+        ("rgb8", COLOUR[..., ::-1]),
+        ("bgra8", np.dstack([COLOUR, COLOUR[..., 0]])),
+        ("rgba8", np.dstack([COLOUR[..., ::-1], COLOUR[..., 0]])),
+    ],
+)
+@pytest.mark.parametrize("padding", [0, 5])
+def test_colour_images_keep_every_pixel(tmp_path: Path, encoding: str, pixels: np.ndarray, padding: int) -> None:
+    rows = np.pad(pixels.reshape(HEIGHT, -1), ((0, 0), (0, padding)), constant_values=7)
+    found = decoded(tmp_path, encoding=encoding, step=rows.shape[1], data=rows.ravel())
+    np.testing.assert_array_equal(found, COLOUR)
+
+
+def test_grey_images_keep_every_pixel(tmp_path: Path) -> None:
+    grey = np.ascontiguousarray(COLOUR[..., 1])
+    np.testing.assert_array_equal(decoded(tmp_path, data=grey.ravel()), grey)
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_images_get_their_colours(tmp_path: Path, pattern: str) -> None:
+    """The mosaic of an even colour is that colour again."""
+    channel = ["bgr".index(letter) for letter in pattern]
+    mosaic = np.empty((HEIGHT, WIDTH), dtype=np.uint8)
+    for place in range(4):
+        mosaic[place // 2 :: 2, place % 2 :: 2] = FLAT[0, 0, channel[place]]
+    np.testing.assert_array_equal(decoded(tmp_path, encoding=f"bayer_{pattern}8", data=mosaic.ravel()), FLAT)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "order"), [("uyvy", "uyvy"), ("yuv422", "uyvy"), ("yuyv", "yuyv"), ("yuv422_yuy2", "yuyv")]
+)
+def test_yuv_images_get_their_colours(tmp_path: Path, encoding: str, order: str) -> None:
+    """BT.601 with head room, as cameras send it; the inverse of the transform is applied by hand."""
+    values = yuv_of(*FLAT[0, 0])
+    row = np.array([values[letter] for letter in order] * (WIDTH // 2), dtype=np.uint8)
+    found = decoded(tmp_path, encoding=encoding, step=2 * WIDTH, data=np.tile(row, HEIGHT))
+    assert np.abs(found.astype(int) - FLAT).max() <= 3
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("nv12", "uv"), ("nv21", "vu")])
+def test_planar_yuv_images_get_their_colours(tmp_path: Path, encoding: str, order: str) -> None:
+    values = yuv_of(*FLAT[0, 0])
+    luma = np.full(WIDTH * HEIGHT, values["y"], dtype=np.uint8)
+    chroma = np.array([values[letter] for letter in order] * (WIDTH * HEIGHT // 4), dtype=np.uint8)
+    found = decoded(tmp_path, encoding=encoding, data=np.concatenate([luma, chroma]))
+    assert np.abs(found.astype(int) - FLAT).max() <= 3
+
+
+def yuv_of(blue: int, green: int, red: int) -> dict[str, int]:
+    """Return y, u and v of a colour by BT.601 with head room."""
+    luma = 0.299 * red + 0.587 * green + 0.114 * blue
+    return {
+        "y": round(16 + 219 / 255 * luma),
+        "u": round(128 + 224 / 255 * (blue - luma) / 1.772),
+        "v": round(128 + 224 / 255 * (red - luma) / 1.402),
+    }
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"encoding": "32FC1"}, "expected an encoding of mono8, .*, found '32FC1'"),
+        ({"step": 7}, "expected rows of at least 8 bytes for 8 pixels of mono8, found 7"),
+        ({"data": np.zeros(47, np.uint8)}, "expected 6 rows of 8 bytes, found 47 bytes"),
+        ({"height": 2**31}, "expected 2147483648 rows of 8 bytes, found 48 bytes"),
+        ({"height": 0}, "expected an image that mono8 can hold, found 8×0"),
+        ({"encoding": "nv12", "height": 5}, "expected an image that nv12 can hold"),
+        ({"width": 4}, r"expected images of 8×6 pixels, as the camera says, found \(4, 6\)"),
+    ],
+)
+def test_raw_images_that_cannot_be(tmp_path: Path, fields: dict[str, object], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        decoded(tmp_path, **fields)
+
+
+def test_a_compressed_image_that_is_cut_off_is_named(tmp_path: Path) -> None:
+    done, file = cv2.imencode(".jpg", COLOUR)
+    assert done
+    path = bag(tmp_path / "bag", lambda recorder: recorder.compressed(10**8, bytes(file)[:-9]))
+    (frame,) = open_log(path).frames
+    assert isinstance(frame, ImageEvent)
+    with pytest.raises(InputError, match="/cam/image/compressed at 100000000 ns: expected a whole image"):
+        frame.load()
+
+
+@KINDS
+def test_images_are_not_held_in_memory(tmp_path: Path, kind: str) -> None:
+    """Four times as many images of 256 kB need as much memory as before."""
+    few, many = (peak_bytes(tmp_path / f"{count}{NAMES[kind]}", kind, count) for count in (15, 60))
+    assert many < few + 4 * 2**18
+    assert many < 60 * 2**18 / 2
+
+
+def peak_bytes(path: Path, kind: str, count: int) -> int:
+    """Return how much memory it takes to read a bag of so many images, all of them."""
+    side = 2**9
+    grey = np.random.default_rng(0).integers(0, 256, side * side, dtype=np.uint8)
+    with recording(path, kind) as recorder:
+        recorder.info(width=side, height=side)
+        recorder.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+        for step in range(count):
+            recorder.odometry(step * 10**7)
+            recorder.image(step * 10**7, width=side, height=side, step=side, data=grey)
+    tracemalloc.start()
+    try:
+        for frame in open_log(path).frames:
+            assert isinstance(frame, ImageEvent)
+            frame.load()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    log = open_log(write_small_log(tmp_path / "log"))
+    (tmp_path / "x.bag").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="found something there"):
+        write_bag(tmp_path / "x.bag", log, "ros1")
+    assert (tmp_path / "x.bag").read_bytes() == b"mine"
+
+
+def test_a_bag_that_cannot_be_finished_leaves_nothing(tmp_path: Path) -> None:
+    folder = write_small_log(tmp_path / "log")
+    log = open_log(folder)
+    (folder / "images" / "000001.jpg").write_bytes(b"\xff\xd8\xff")
+    for kind, name in NAMES.items():
+        with pytest.raises(InputError):
+            write_bag(tmp_path / name, log, kind)
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]
+
+
+def test_edges_do_not_fit_into_a_bag(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected a log with images, found edges"):
+        write_bag(tmp_path / "bag", open_log(write_edge_log(tmp_path / "log")), "mcap")
+
+
+@pytest.mark.data
+def test_house_as_a_bag_is_the_first_20_s_of_house(data_dir: Path) -> None:
+    found, whole = open_log(data_dir / "house_bag"), open_log(data_dir / "house")
+    count, frames = len(found.odometry), len(found.frames)
+    assert (count, frames) == (401, 101)
+    assert found.groundtruth is not None and whole.groundtruth is not None
+    shift_ns = found.start_ns - whole.start_ns
+    np.testing.assert_array_equal(found.odometry.t_ns - shift_ns, whole.odometry.t_ns[:count])
+    # The bag was made from poses with all their digits, the folder has six of them.
+    np.testing.assert_allclose(found.odometry.poses, whole.odometry.poses[:count], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.groundtruth.poses, whole.groundtruth.poses[:count], rtol=0, atol=1e-6)
+    assert found.camera.mount == whole.camera.mount
+    np.testing.assert_array_equal(found.camera.matrix, whole.camera.matrix)
+    assert [data for _, data in images(found)] == [data for _, data in images(whole)[:frames]]
+
+
+def test_the_camera_of_the_small_log_is_fully_used() -> None:
+    """Every number of the mount that the tests above carry through a bag is one that could be lost."""
+    mount = CAMERA.mount
+    assert all((mount.tilt_rad, mount.roll_rad, mount.yaw_rad, mount.height_m, mount.right_m, mount.back_m))

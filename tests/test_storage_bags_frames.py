@@ -1,0 +1,157 @@
+"""The mount from ROS transforms, against projecting points through those transforms."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_bag import OPTICAL, Recorder, recording
+from small_log import CAMERA
+
+from localiser.camera import Mount
+from localiser.errors import InputError
+from localiser.storage import open_log
+from localiser.storage.bags.frames import (
+    FrameTree,
+    base_from_optical,
+    mount_of,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
+
+angle = st.floats(-80, 80)
+length = st.floats(-2, 2)
+mounts = st.builds(
+    lambda tilt, roll, yaw, height, right, back: Mount(
+        np.radians(tilt), height, np.radians(roll), np.radians(yaw), right, back
+    ),
+    angle,
+    st.floats(-170, 170),
+    st.floats(-170, 170),
+    st.floats(0.05, 3),
+    length,
+    length,
+)
+
+
+class Stamped:
+    """A transform as a message has it."""
+
+    def __init__(self, parent: str, child: str, transform: np.ndarray) -> None:
+        self.header = type("Header", (), {"frame_id": parent})
+        self.child_frame_id = child
+        moved = dict(zip("xyz", transform[:3, 3], strict=True))
+        turned = dict(zip("xyzw", quaternion_from_rotation(transform[:3, :3]), strict=True))
+        vectors = {"translation": type("V", (), moved), "rotation": type("Q", (), turned)}
+        self.transform = type("T", (), vectors)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(mounts, st.integers(0, 2**32 - 1), st.integers(0, 3), st.booleans())
+def test_mount_of_any_chain_projects_points_as_the_transforms_do(
+    mount: Mount, seed: int, links: int, backwards: bool
+) -> None:
+    """Points before the camera, in the robot's ROS frame, land on the same pixels by both ways."""
+    rng = np.random.default_rng(seed)
+    camera = CAMERA.undistorted().with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))
+    whole = base_from_optical(camera.mount, camera.level_from_camera)
+    tree = chain(whole, rng, links, backwards)
+    found = camera.with_mount(**dict(zip(Mount.__slots__, astuple(mount_of(tree, "base", "optical")), strict=True)))
+    in_optical = rng.uniform([-1, -1, 1], [1, 1, 5], (20, 3))
+    in_base = in_optical @ whole[:3, :3].T + whole[:3, 3]
+    by_hand = in_optical[:, :2] / in_optical[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    # x ahead, y left, z up → a robot at the map's origin that faces −z.
+    in_map = np.stack([-in_base[:, 1], in_base[:, 2], -in_base[:, 0]], axis=-1)
+    np.testing.assert_allclose(found.project(np.zeros(3), in_map), by_hand, rtol=0, atol=1e-5)
+
+
+def chain(whole: np.ndarray, rng: np.random.Generator, links: int, backwards: bool) -> FrameTree:
+    """Return a tree in which `whole` is broken into a chain of random transforms, some of them the other way round."""
+    tree = FrameTree()
+    names = ["base", *(f"link{index}" for index in range(links)), "optical"]
+    rest = whole
+    for parent, child in pairwise(names[:-1]):
+        step = np.eye(4)
+        step[:3, :3] = rotation_from_quaternion(*unit(rng.standard_normal(4)))
+        step[:3, 3] = rng.uniform(-1, 1, 3)
+        rest = np.linalg.inv(step) @ rest
+        if backwards:
+            tree.add(Stamped(child, parent, np.linalg.inv(step)))
+        else:
+            tree.add(Stamped(parent, child, step))
+    tree.add(Stamped(names[-2], "optical", rest))
+    return tree
+
+
+def unit(values: np.ndarray) -> tuple[float, float, float, float]:
+    x, y, z, w = (float(value) for value in values / np.linalg.norm(values))
+    return x, y, z, w
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(mounts)
+def test_a_mount_that_was_read_once_stays_the_same_bit_by_bit(mount: Mount) -> None:
+    def through_transforms(mount: Mount) -> Mount:
+        camera = CAMERA.with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))
+        tree = FrameTree()
+        tree.add(Stamped("base", "optical", base_from_optical(mount, camera.level_from_camera)))
+        return mount_of(tree, "base", "optical")
+
+    once = through_transforms(mount)
+    np.testing.assert_allclose(astuple(once), astuple(mount), rtol=0, atol=1e-9)
+    assert astuple(through_transforms(once)) == astuple(once)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda values: np.linalg.norm(values) > 0.1))
+def test_quaternions_and_rotations_are_inverse(values: tuple[float, ...]) -> None:
+    quaternion = np.array(unit(np.array(values)))
+    found = np.array(quaternion_from_rotation(rotation_from_quaternion(*quaternion)))
+    assert min(np.abs(found - quaternion).max(), np.abs(found + quaternion).max()) < 1e-9
+
+
+def test_height_is_above_the_footprint_where_there_is_one(tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        recorder.transform("base_footprint", "base_link", (0.5, 0.0, 0.2))
+        recorder.transform("base_link", "/mast", (0.0, 0.05, 0.4))
+        recorder.transform("mast", "/optical", (-0.1, 0.0, 0.1), OPTICAL)
+
+    mount = read(tmp_path / "bag", record).camera.mount
+    assert (mount.height_m, mount.right_m, mount.back_m) == pytest.approx((0.7, -0.05, 0.1))
+    assert (mount.tilt_rad, mount.roll_rad, mount.yaw_rad) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("transforms", "problem"),
+    [
+        ([], r"expected transforms from 'base_link' to 'optical', found no frame at all.*--camera FILE"),
+        ([("base_link", "mast", (0, 0, 1))], "found base_link, mast"),
+        ([("base_link", "optical", (0, 0, -1), OPTICAL)], "above the floor, found it -1.000 m high"),
+        ([("base_link", "optical", (0, 0, 1), (0, 0, 0, 0.5))], "expected a quaternion of length 1, found length 0.5"),
+        ([("base_link", "optical", (np.nan, 0, 1), OPTICAL)], "expected 'optical' within 100 m of 'base_link'"),
+        ([("base_link", "optical", (0, 0, 1), (0, 1, 0, 0))], "does not look straight up or down"),
+    ],
+)
+def test_mounts_that_cannot_be(tmp_path: Path, transforms: list[tuple[object, ...]], problem: str) -> None:
+    def record(recorder: Recorder) -> None:
+        for transform in transforms:
+            recorder.transform(*transform)  # type: ignore[arg-type]
+
+    with pytest.raises(InputError, match=problem):
+        read(tmp_path / "bag", record)
+
+
+def read(path: Path, record: object) -> object:
+    """Return the log of a bag whose transforms are what `record` writes."""
+    with recording(path) as recorder:
+        recorder.info()
+        record(recorder)  # type: ignore[operator]
+        for step in range(3):
+            recorder.odometry(step * 10**8)
+            recorder.image(step * 10**8)
+    return open_log(path)
