@@ -303,7 +303,7 @@ def test_nothing_is_overwritten(localiser: Localiser, folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--detector", "canny"], "canny"),
+        (["--detector", "canny"], "Error: --detector: expected 'columns', 'lsd' or 'hough', found 'canny'"),
         (["--set", "edges.min_length=3"], "min_length"),
         (["--camera", "nowhere.yaml"], "nowhere.yaml: no such file"),
     ],

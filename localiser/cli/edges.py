@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
+from localiser.errors import InputError
 
 EPILOG = """Examples:
 
@@ -45,7 +46,7 @@ def edges(
 
     settings = load_config(config, overrides or [])
     for name in detector or []:
-        load_config(None, [f"edges.detector={name}"])  # raises for a name that is not one
+        _require_detector(name)
     names = list(dict.fromkeys(detector or [settings.edges.detector]))
     taken_by, taken = inputs_of(images, camera)
     run = EdgeRun(taken_by, taken, settings, names, Outputs(out, pictures))
@@ -56,3 +57,12 @@ def edges(
             show(table)
         pictures_too = ", a picture" if pictures else ""
         typer.echo(f"Results in {run.folder}: edges.csv; of each image JSON{pictures_too}; detectors.csv compares.")
+
+
+def _require_detector(name: str) -> None:
+    from localiser.config import load_config
+
+    try:
+        load_config(None, [f"edges.detector={name}"])
+    except InputError as error:
+        raise InputError(error.problem, field="--detector") from None
