@@ -78,6 +78,7 @@ def test_plot_is_a_new_picture(localiser: Localiser, log: Path, tmp_path: Path) 
     assert picture.shape[1] > 1000 and picture.std() > 10
     again = localiser("camera", "tilt", log, "--plot", plot, "--images", 2)
     assert again.exit_code == 2 and "expected a new file" in again.err
+    assert "tilt (°)" not in again.out, "it is told before the work"
 
 
 def test_images_without_edges_are_told_and_not_written(localiser: Localiser, tmp_path: Path) -> None:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from localiser.app.outputs import require_new_file
 from localiser.calibration import Board, BoardView, FloorMount, Intrinsics, calibrated, mount_over_board
 from localiser.camera import Camera, Mount
 from localiser.documents import read_bytes
-from localiser.errors import InputError, OutputError
+from localiser.errors import InputError
 from localiser.storage import save_camera
 from localiser.storage.files import output_errors
 from localiser.storage.images import MAX_IMAGE_BYTES, load_image, measure
@@ -75,12 +76,6 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     return sizes[0]
 
 
-def require_new(path: Path) -> None:
-    """Raise OutputError when there is a file already."""
-    if path.exists():
-        raise OutputError(f"{path}: expected a new file, found one that is there already")
-
-
 def write_camera(calibration: Calibration, path: Path) -> None:
     """Write a camera file, with how good it is as a comment. Raises OutputError."""
     intrinsics = calibration.intrinsics
@@ -105,7 +100,7 @@ def draw_board(board: Board, path: Path) -> None:
 
     if path.suffix.lower() not in (".pdf", ".png", ".svg"):
         raise InputError("expected a name that ends in .pdf, .png or .svg", path=path)
-    require_new(path)
+    require_new_file(path)
     inches = [metres / 0.0254 for metres in board.picture_size_m()]
     figure = Figure(figsize=(inches[0], inches[1]), facecolor="white")
     FigureCanvasAgg(figure)

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from localiser.app.outputs import require_new_file
 from localiser.calibration import LogMount, check_mount, mount_of_images, save_mount_plot, spread, views_of
 from localiser.config import Config
 from localiser.edges import Edges
-from localiser.errors import InputError, OutputError
+from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.storage import ImageEvent, Log, camera_file, update_mount
 from localiser.storage.files import output_errors
@@ -45,8 +46,7 @@ def find_tilt(log: Log, images: list[ImageEvent], config: Config, progress: Call
 
 def write_plot(tilt: Tilt, path: Path) -> None:
     """Draw what was found. Raises OutputError when the file is there already."""
-    if path.exists():
-        raise OutputError(f"{path}: expected a new file, found one that is there already")
+    require_new_file(path)
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         save_mount_plot(path, tilt.found, tilt.seconds, f"{tilt.log.name}: tilt and roll")

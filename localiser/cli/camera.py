@@ -69,10 +69,13 @@ def tilt(
     quiet: Quiet = False,
 ) -> None:
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
+    from localiser.app.outputs import require_new_file
     from localiser.app.tilt import find_tilt, usable_images, write_plot, write_tilt
     from localiser.config import load_config
     from localiser.storage import open_log
 
+    if plot is not None:
+        require_new_file(plot)
     settings = load_config(config, overrides or [])
     recorded = open_log(log, format=log_format, sensor=settings.sensor)
     used = usable_images(recorded, images)
@@ -123,9 +126,10 @@ def calibrate(
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
     from localiser.app import calibrate as calibration
+    from localiser.app.outputs import require_new_file
 
     if out is not None:
-        calibration.require_new(out)
+        require_new_file(out)
     wanted = _board(board, squares, square_m, marker_m, dictionary, legacy)
     with progress("Looking for the board", len(images) + (floor is not None and floor not in images), quiet) as advance:
         found = calibration.calibrate(images, floor, wanted, lens.value, advance)
