@@ -34,7 +34,7 @@ def open_log(
     if format is not None:
         readers = [reader for reader in readers if reader.format == format]
         if not readers:
-            raise InputError(f"expected {' or '.join(FORMATS)}, found {format!r}", field="--format")
+            raise InputError(f"expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, found {format!r}", field="--format")
         return _read(readers[0], path, bags)
     for reader in readers:
         if reader.recognises(path):

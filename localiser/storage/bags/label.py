@@ -14,13 +14,15 @@ from localiser.storage.folder import StartFile, start_data
 from localiser.storage.log import Log
 from localiser.storage.maps import map_data, map_from_document
 
+FORMAT: Literal["localiser-bag/1"] = "localiser-bag/1"
+
 
 class Label(BaseModel):
     """Name and settings of a log in a bag; see `LogFile`."""
 
     model_config = FileModel
 
-    format: Literal["localiser-bag/1"] = "localiser-bag/1"
+    format: Literal["localiser-bag/1"]
     name: Annotated[str, Field(min_length=1, max_length=200)]
     camera_name: Annotated[str, Field(max_length=200)] = ""
     start: StartFile | None = None
@@ -39,7 +41,7 @@ def map_of(text: str, source: str) -> LandmarkMap:
 
 def label_text(log: Log) -> str:
     """Return what `label_of` reads."""
-    data: dict[str, Any] = {"format": "localiser-bag/1", "name": log.name, "camera_name": log.camera.name}
+    data: dict[str, Any] = {"format": FORMAT, "name": log.name, "camera_name": log.camera.name}
     if log.start is not None:
         data["start"] = start_data(log.start)
     if motion := motion_settings(log):

@@ -12,7 +12,6 @@ from localiser.errors import InputError
 
 MAX_METADATA_BYTES = 4 * 2**20
 MAX_CHUNK_BYTES = 512 * 2**20  # recorders close a chunk after a few MB; one message may exceed that
-_TOO_LARGE = f"expected at most {MAX_CHUNK_BYTES} bytes in a chunk"
 
 
 def check_metadata(path: Path) -> None:
@@ -28,7 +27,7 @@ def check_chunks(reader: Any) -> None:
         for chunk in getattr(part, "chunks", []):
             found = max(chunk.compressed_size, chunk.uncompressed_size)
             if found > MAX_CHUNK_BYTES:
-                raise ValueError(f"{_TOO_LARGE}, found {found}")
+                raise _too_large(str(found))
 
 
 @cache
@@ -69,7 +68,12 @@ def _bz2(data: bytes) -> bytes:
 
 def _decompressed(decompressor: Any, data: bytes) -> bytes:
     content: bytes = decompressor.decompress(data, MAX_CHUNK_BYTES)
-    if not decompressor.eof:
-        more = len(content) >= MAX_CHUNK_BYTES
-        raise ValueError(f"{_TOO_LARGE}, found more" if more else "a compressed chunk is cut off")
-    return content
+    if decompressor.eof:
+        return content
+    if len(content) >= MAX_CHUNK_BYTES:
+        raise _too_large("more")
+    raise ValueError("a compressed chunk is cut off")
+
+
+def _too_large(found: str) -> ValueError:
+    return ValueError(f"expected at most {MAX_CHUNK_BYTES} bytes in a chunk, found {found}")

@@ -18,7 +18,7 @@ from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, To
 from localiser.storage.bags.cameras import camera_of
 from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame, rotation_from_quaternion
 from localiser.storage.bags.images import stated_size
-from localiser.storage.bags.label import Label, label_of, map_of
+from localiser.storage.bags.label import FORMAT, Label, label_of, map_of
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.topics import MAP_TOPIC, Chosen, choose
 from localiser.storage.cameras import load_camera
@@ -154,7 +154,7 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
     places = sorted(content.images, key=lambda place: place.stamp_ns)
     _require_distinct(path, chosen.image, np.array([place.stamp_ns for place in places]))
     odometry = content.odometry.trajectory(path, chosen.odometry)
-    label = content.label or Label(name=path.resolve().stem)
+    label = content.label or Label(format=FORMAT, name=path.resolve().stem)
     camera = given or _camera(path, content, label.camera_name)
     size = (camera.width, camera.height)
     if content.size != size:

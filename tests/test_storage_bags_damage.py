@@ -1,0 +1,288 @@
+"""Damaged bags, and bags made to do harm: a value or an InputError, soon, and in little memory."""
+
+from __future__ import annotations
+
+import bz2
+import shutil
+import signal
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import mkdtemp
+from types import FrameType
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2.storage_mcap import zstd
+from small_bag import Recorder, bag, recording
+
+from localiser.errors import InputError
+from localiser.storage import ImageEvent, open_log
+from localiser.storage.bags import limits
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS, Bag, typestore
+
+FUZZ = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+FILES = {"mcap": "bag.mcap", "sqlite3": "bag.db3", "ros1": "bag.bag", "metadata": "bag/metadata.yaml"}
+
+
+def record(recorder: Recorder) -> None:
+    for step in range(4):
+        recorder.image(step * 10**8)
+    recorder.odometry(0, 5.0, topic="/ground_truth/odom")
+    recorder.odometry(10**8, 6.0, topic="/ground_truth/odom")
+    recorder.send("/localiser/log", TEXT, 0, data="format: localiser-bag/1\nname: x\n")
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a small bag of each kind."""
+    folder = tmp_path_factory.mktemp("bags")
+    for kind in ("mcap", "sqlite3", "ros1"):
+        bag(folder / ("bag.bag" if kind == "ros1" else kind), record, kind)
+    shutil.move(folder / "sqlite3" / "sqlite3.db3", folder / "bag.db3")
+    shutil.copy(folder / "mcap" / "mcap.mcap", folder / "bag.mcap")
+    shutil.move(folder / "mcap", folder / "bag")
+    return folder
+
+
+@contextmanager
+def not_hanging(seconds: int = 20) -> Iterator[None]:
+    """Fail when the work does not end; far beyond what it takes on any machine."""
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        raise AssertionError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def outcome(path: Path) -> str:
+    """Read a bag with all its images; return "read", or "refused" with a message that a person can read."""
+    try:
+        with not_hanging():
+            for frame in open_log(path).frames:
+                assert isinstance(frame, ImageEvent)
+                frame.load()
+    except InputError as error:
+        assert "\n" not in str(error) and len(str(error)) < 1500
+        return "refused"
+    return "read"
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_whole_bags_are_read(bags: Path, kind: str) -> None:
+    path = bags / FILES[kind]
+    assert outcome(path.parent if kind == "metadata" else path) == "read"
+
+
+@pytest.mark.parametrize("kind", FILES)
+@settings(FUZZ, max_examples=150)
+@given(data=st.data())
+def test_bytes_that_changed(bags: Path, tmp_path: Path, kind: str, data: st.DataObject) -> None:
+    content = bytearray((bags / FILES[kind]).read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] = data.draw(st.integers(0, 255) | st.sampled_from([0, 255, 127, 128]))
+    if data.draw(st.integers(0, 7)) == 0:
+        del content[data.draw(st.integers(0, len(content))) :]
+    outcome(written(tmp_path, bags, kind, bytes(content)))
+
+
+@pytest.mark.parametrize("kind", FILES)
+@settings(FUZZ, max_examples=40)
+@given(st.binary(max_size=200))
+def test_arbitrary_bytes(bags: Path, tmp_path: Path, kind: str, content: bytes) -> None:
+    assert outcome(written(tmp_path, bags, kind, content)) == "refused"
+
+
+def written(tmp_path: Path, bags: Path, kind: str, content: bytes) -> Path:
+    """Write a bag of these bytes; returns its path."""
+    if kind != "metadata":
+        (tmp_path / FILES[kind]).write_bytes(content)
+        return tmp_path / FILES[kind]
+    shutil.rmtree(tmp_path / "bag", ignore_errors=True)
+    shutil.copytree(bags / "bag", tmp_path / "bag")
+    (tmp_path / FILES[kind]).write_bytes(content)
+    return tmp_path / "bag"
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+def test_a_bag_that_is_cut_off_anywhere(bags: Path, tmp_path: Path, kind: str) -> None:
+    whole = (bags / FILES[kind]).read_bytes()
+    for length in np.linspace(0, len(whole) - 1, 40).astype(int):
+        (tmp_path / FILES[kind]).write_bytes(whole[:length])
+        outcome(tmp_path / FILES[kind])
+    (tmp_path / FILES[kind]).write_bytes(whole[: len(whole) // 2])
+    assert outcome(tmp_path / FILES[kind]) == "refused"
+
+
+# -- messages ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ros1", [False, True], ids=["ros2", "ros1"])
+@pytest.mark.parametrize("msgtype", [IMAGE, COMPRESSED, CAMERA_INFO, ODOMETRY, TRANSFORMS, TEXT])
+@settings(FUZZ, max_examples=25)
+@given(data=st.data())
+def test_messages_that_changed(tmp_path: Path, msgtype: str, ros1: bool, data: st.DataObject) -> None:
+    """One message of a good bag is changed; its bag is whole."""
+    path = Path(mkdtemp(dir=tmp_path)) / ("x.bag" if ros1 else "x")
+    with recording(path, "ros1" if ros1 else "mcap") as recorder:
+        recorder.writer = Tampered(recorder.writer, msgtype, data)
+        recorder.setting()
+        record(recorder)
+        recorder.compressed(0, b"\xff\xd8\xff\xc0", topic="/other/compressed")
+    topics = {"image": "/other/compressed" if msgtype == COMPRESSED else "/cam/image"}
+    try:
+        with not_hanging():
+            for frame in open_log(path, topics=topics).frames:
+                assert isinstance(frame, ImageEvent)
+                frame.load()
+    except InputError as error:
+        assert len(str(error)) < 1500
+
+
+class Tampered:
+    """A writer that changes the first message of a type on its way."""
+
+    def __init__(self, writer: Any, msgtype: str, data: st.DataObject) -> None:
+        self._writer, self._msgtype, self._data, self._done = writer, msgtype, data, False
+
+    def add_connection(self, *arguments: Any, **options: Any) -> Any:
+        return self._writer.add_connection(*arguments, **options)
+
+    def write(self, connection: Any, t_ns: int, content: bytes) -> None:
+        if connection.msgtype == self._msgtype and not self._done:
+            self._done = True
+            changed = bytearray(content)
+            for _ in range(self._data.draw(st.integers(1, 3))):
+                changed[self._data.draw(st.integers(0, len(changed) - 1))] = self._data.draw(st.integers(0, 255))
+            content = bytes(changed[: self._data.draw(st.integers(0, len(changed)) | st.just(len(changed)))])
+        self._writer.write(connection, t_ns, content)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda r: r.odometry(5, 0.0, w=0.5), "/odom at 5 ns: expected a quaternion of length 1, found length 0.5"),
+        (lambda r: r.odometry(5, 0.0, w=float("nan")), "expected a quaternion of length 1, found length nan"),
+        (lambda r: r.odometry(5, float("inf")), "expected a position within 1e.09 m, found x = inf"),
+        (lambda r: r.info(5, focal=11.0), "/cam/camera_info at 5 ns: expected one camera, found intrinsics that"),
+        (lambda r: r.image(5, width=4, step=4, data=np.zeros(24, np.uint8)), "expected images of one size"),
+        (lambda r: r.send("/localiser/log", TEXT, 5, data="name: 3"), "/localiser/log:.*format: expected a value"),
+        (lambda r: r.send("/localiser/map", TEXT, 5, data="a: [1"), "/localiser/map:.*not valid YAML"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, change: Callable[[Recorder], None], problem: str) -> None:
+    def with_change(recorder: Recorder) -> None:
+        record(recorder)
+        change(recorder)
+
+    with pytest.raises(InputError, match=problem):
+        open_log(bag(tmp_path / "bag", with_change))
+
+
+# -- memory -----------------------------------------------------------------------------------------------------------
+
+ZEROS = 64 * 2**20
+
+
+@pytest.fixture
+def small_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MAX_CHUNK_BYTES", 2**20)
+
+
+@pytest.mark.usefixtures("small_limit")
+@pytest.mark.parametrize("squeeze", ["lz4", "bz2"])
+def test_a_ros1_chunk_that_swells_is_stopped(tmp_path: Path, squeeze: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chunk of some kB that unpacks to 64 MB."""
+    compress = {"lz4": lz4.frame.compress, "bz2": bz2.compress}[squeeze]
+    writer = rosbag1.Writer(tmp_path / "x.bag")
+    writer.set_compression(getattr(rosbag1.Writer.CompressionFormat, squeeze.upper()))
+    monkeypatch.setattr(writer, "compressor", lambda content: compress(content + bytes(ZEROS)))
+    with writer:
+        recorder = Recorder(writer, ros1=True)
+        recorder.setting()
+        record(recorder)
+    assert_refused_in_little_memory(tmp_path / "x.bag", "expected at most 1048576 bytes in a chunk, found more")
+
+
+@pytest.mark.usefixtures("small_limit")
+def test_an_mcap_chunk_that_states_a_huge_size_is_refused(tmp_path: Path) -> None:
+    writer = rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        recorder = Recorder(writer, ros1=False)
+        recorder.setting()
+        record(recorder)
+        recorder.image(9 * 10**8, data=np.zeros(ZEROS // 16, np.uint8))
+    assert_refused_in_little_memory(tmp_path / "bag", "expected at most 1048576 bytes in a chunk, found 4")
+
+
+@pytest.mark.usefixtures("small_limit")
+def test_a_compressed_message_that_swells_is_stopped(tmp_path: Path) -> None:
+    writer = rosbag2.Writer(tmp_path / "bag", version=9)
+    writer.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        recorder = Recorder(writer, ros1=False)
+        recorder.setting()
+        record(recorder)
+        recorder.image(9 * 10**8, data=np.zeros(ZEROS, np.uint8))
+    assert_refused_in_little_memory(tmp_path / "bag", "expected at most 1048576 bytes in a chunk, found more")
+
+
+@pytest.mark.usefixtures("small_limit")
+def test_a_zstd_chunk_without_its_size_is_stopped() -> None:
+    swelling = zstd.compress(bytes(ZEROS))
+    with pytest.raises(ValueError, match="found more"):
+        limits._zstd(swelling)
+
+
+def assert_refused_in_little_memory(path: Path, problem: str) -> None:
+    typestore(ros1=path.suffix == ".bag")  # not what is measured
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=problem):
+            open_log(path)
+        assert tracemalloc.get_traced_memory()[1] < ZEROS / 4
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("mode", "squeeze"),
+    [(rosbag2.CompressionMode.MESSAGE, "sqlite3"), (rosbag2.CompressionMode.STORAGE, "mcap")],
+)
+def test_compressed_bags_are_read(tmp_path: Path, mode: rosbag2.CompressionMode, squeeze: str) -> None:
+    plugin = rosbag2.StoragePlugin.MCAP if squeeze == "mcap" else rosbag2.StoragePlugin.SQLITE3
+    writer = rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=plugin)
+    writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        recorder = Recorder(writer, ros1=False)
+        recorder.setting()
+        record(recorder)
+    assert outcome(tmp_path / "bag") == "read"
+
+
+def test_metadata_that_is_no_metadata_is_not_read(bags: Path, tmp_path: Path) -> None:
+    path = written(tmp_path, bags, "metadata", b"#" * (limits.MAX_METADATA_BYTES + 1))
+    with pytest.raises(InputError, match=r"metadata.yaml: expected at most 4194304 bytes, found 4194305"):
+        open_log(path)
+
+
+def test_a_bag_that_was_refused_is_closed(tmp_path: Path) -> None:
+    path = bag(tmp_path / "x.bag", lambda _: None, "ros1")
+    with pytest.raises(InputError, match="expected a topic"):
+        open_log(path)
+    with Bag(path) as found:
+        assert [topic.count for topic in found.topics] == [1, 11, 1]
