@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
 
-from localiser.edges import EdgeParameters, find_edges
+from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.edges.mount import mount_error, mount_error_of_edges, nadir_miss
 from localiser.edges.segments import Segments
 
@@ -65,6 +65,20 @@ def test_tilt_cannot_be_told_from_an_edge_straight_ahead():
     )
     np.testing.assert_allclose(np.sqrt(error.cov[0, 0]), 0.05, rtol=1e-3)
     assert np.sqrt(error.cov[1, 1]) < 0.01
+
+
+def test_edges_that_are_not_quite_straight_count_by_their_length():
+    camera, rng = camera_of(tilt_deg=20.0), np.random.default_rng(0)
+    long = vertical_segments(camera, np.linspace(-25, 25, 6), (-0.35, 0.3)).ends_px
+    short = vertical_segments(camera, np.linspace(-24, 24, 20), (-0.03, 0.03)).ends_px
+    ends, unknown = np.concatenate([long, short]), np.full(26, np.nan)
+    normalised = []
+    for _ in range(100):
+        rough = ends + rng.normal(0, 0.35, ends.shape) * [1.0, 0.0]
+        edges = Edges.from_columns(unknown, unknown, unknown, np.full(26, 1e-4), ends_px=rough)
+        error = mount_error_of_edges(edges, camera, np.deg2rad([3.0, 3.0]), np.deg2rad(0.01))
+        normalised.append(error.mean / np.sqrt(np.diag(error.cov)))
+    assert np.all(np.abs(np.std(normalised, axis=0) - 1) < 0.25)
 
 
 def test_an_image_taken_with_a_wrong_tilt_gives_the_true_one():

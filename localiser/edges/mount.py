@@ -15,6 +15,9 @@ from localiser.geometry import Array
 
 _TUKEY = 4.0
 """Segments further from the common direction than this many sigmas have no say."""
+_STRAIGHT_PX = 0.35
+"""Error of an edge's ends across it that is none of measuring: real edges and lenses are no straighter. It turns a
+short edge far and a long one hardly, so that many short edges do not outvote few long ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +85,11 @@ def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float,
 
 
 def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
-    """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `mount_error`."""
+    """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `mount_error`.
+
+    `plumb_sigma_rad` is the same for edges of any length; that they are not straight counts for more in shorter ones.
+    """
     ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
-    pointing = nadir_miss(Segments.of_ends(ideal_px, 1.0), camera)
-    return mount_error(replace(pointing, sigma=edges.lean_sigma), prior_sigma_rad, plumb_sigma_rad)
+    pointing = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera)
+    sigma = np.hypot(pointing.sigma, edges.lean_sigma)
+    return mount_error(replace(pointing, sigma=sigma), prior_sigma_rad, plumb_sigma_rad)
