@@ -1,6 +1,6 @@
 """How well two images tell how the robot moved: rotation and translation errors over rendered pairs, sigma honesty.
 
-    python benchmarks/increments.py [--pairs 200] [--seed 1]
+    python benchmarks/increments.py [--pairs 200] [--seed 7]
 
 Half of the pairs are seen in each of the two worlds that ship. A third of them only drives, a third only turns, the
 rest does both. Nothing is known of the motion but that 0.2 s passed. A figure of honesty is the standard deviation of
@@ -76,7 +76,7 @@ def main() -> None:
     """Print the table."""
     arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     arguments.add_argument("--pairs", type=int, default=200)
-    arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--seed", type=int, default=7)
     chosen = arguments.parse_args()
     rng = np.random.default_rng(chosen.seed)
     found: list[tuple[str, str, Array, Array]] = []
