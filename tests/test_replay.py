@@ -20,6 +20,7 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_log import write_edge_log
 
 from localiser import storage
+from localiser.evaluate import report
 from localiser.view import live, paths
 
 COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh", "ess"]
@@ -298,6 +299,22 @@ def test_ctrl_c_leaves_what_was_done(tmp_path: Path) -> None:
     assert str(run) in told
     assert "Traceback" not in err
     assert_valid_until(run, frames, CORRIDOR)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
+def test_ctrl_c_while_the_report_is_drawn_takes_nothing_away(
+    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = report.save_report
+
+    def interrupted(*arguments: Any, **further: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        draw(*arguments, **further)
+
+    monkeypatch.setattr(report, "save_report", interrupted)
+    run = localiser.replay(log, tmp_path / "out")
+    assert (run / "report.png").stat().st_size > 10_000
+    assert metrics_of(run)["complete"]
 
 
 def lines_in(path: Path) -> int:

@@ -80,7 +80,8 @@ class Replay:
             close_all(self.sinks, complete=False)
             raise
         close_all(self.sinks, complete=True)
-        return self._write_figures(complete=True)
+        with stop_request():  # the run is done: Ctrl-C does not take its figures away
+            return self._write_figures(complete=True)
 
     def _replay(self, progress: Callable[[], None], stop_if_asked: Callable[[], None]) -> None:
         filter_ = mcl.Mcl(
