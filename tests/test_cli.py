@@ -117,6 +117,12 @@ def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, l
     itself = localiser("evaluate", run / "groundtruth.tum", "--truth", run / "groundtruth.tum")
     assert " 0.000 " in itself.out
 
+    later = tmp_path / "later.tum"
+    later.write_text("".join(f"9{line}\n" for line in (run / "groundtruth.tum").read_text().splitlines()))
+    apart = localiser("evaluate", run, "--truth", later)
+    assert apart.exit_code == 2
+    assert apart.err.startswith(f"Error: {later}: expected truth during the run")
+
     without = localiser("evaluate", run / "trajectory.tum")
     assert without.exit_code == 2
     assert "--truth" in without.err
