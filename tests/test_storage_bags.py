@@ -380,3 +380,14 @@ def test_the_camera_of_the_small_log_is_fully_used() -> None:
     """Every number of the mount that the tests above carry through a bag is one that could be lost."""
     mount = CAMERA.mount
     assert all((mount.tilt_rad, mount.roll_rad, mount.yaw_rad, mount.height_m, mount.right_m, mount.back_m))
+
+
+@pytest.mark.parametrize("heading", [-3.141592654, 3.141592653, -3.1415926535, 3.14159265358, 1.570796327, 0.0])
+def test_headings_at_the_border_settle_at_once(tmp_path: Path, heading: float) -> None:
+    folder = write_small_log(tmp_path / "log")
+    (folder / "odometry.csv").write_text(f"t_ns,x,z,heading\n0,0.1,0.2,{heading}\n200000000,0.1,0.2,{heading}\n")
+    write_bag(tmp_path / "a.bag", open_log(folder), "ros1")
+    once = open_log(tmp_path / "a.bag")
+    assert np.abs(np.angle(np.exp(1j * (once.odometry.poses[:, 2] - heading)))).max() < 2e-9
+    write_bag(tmp_path / "b.mcap", once, "mcap")
+    np.testing.assert_array_equal(open_log(tmp_path / "b.mcap").odometry.poses, once.odometry.poses)

@@ -71,7 +71,7 @@ class Bag:
             with bag_errors(path):
                 check_chunks(self._reader)
                 self._unpack = message_unpacker(self._reader)
-                self._connections: list[Connection] = list(self._reader.connections)
+                self._connections: list[Connection] = [_checked(found) for found in self._reader.connections]
         except BaseException:
             self.close()
             raise
@@ -119,6 +119,14 @@ def _reader(path: Path, is_ros1: bool) -> Any:
         raise InputError("no such bag", path=path)
     with bag_errors(path):
         return rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
+
+
+def _checked(connection: Connection) -> Connection:
+    """Return the connection if its topic has a name and a type; a damaged database may hold anything there."""
+    for text in (connection.topic, connection.msgtype):
+        if not isinstance(text, str) or not text.isprintable():
+            raise ValueError("a topic has no name or no type")
+    return connection
 
 
 @contextmanager

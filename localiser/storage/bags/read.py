@@ -12,7 +12,7 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.errors import InputError
-from localiser.geometry import Trajectory, pose_from_ros
+from localiser.geometry import Array, Trajectory, pose_from_ros, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, Topic
 from localiser.storage.bags.cameras import camera_of
@@ -70,8 +70,7 @@ class _Poses:
             raise ValueError(f"expected a position within {_LARGEST_M:.0e} m, found x = {at.x}, y = {at.y}")
         rotation = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
         yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-        x, z, heading = (float(value) for value in pose_from_ros([at.x, at.y, yaw]))
-        self.rows.append((message.stamp_ns, x, z, heading))
+        self.rows.append((message.stamp_ns, *_rounded(pose_from_ros([at.x, at.y, yaw]))))
         self.frame = plain_frame(message.content.child_frame_id)
 
     def trajectory(self, path: Path, topic: Topic) -> Trajectory:
@@ -80,6 +79,15 @@ class _Poses:
         times = np.array([row[0] for row in rows], dtype=np.int64)
         _require_distinct(path, topic, times)
         return Trajectory(times, np.array([row[1:] for row in rows]))
+
+
+def _rounded(pose: Array) -> tuple[float, float, float]:
+    """Return x, z, heading to 1e-9, as log folders have them, so that converting a log and back changes nothing.
+
+    Wrapped after rounding and rounded again: -3.141592654 is less than -π.
+    """
+    x, z, heading = np.round(pose, 9)
+    return float(x), float(z), float(np.round(wrap_angle(heading), 9))
 
 
 @dataclass(slots=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 
 from localiser import mcl
 from localiser.errors import InputError, OutputError
-from localiser.geometry import ros_from_pose, wrap_angle
+from localiser.geometry import ros_from_pose
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS, typestore
 from localiser.storage.bags.cameras import info_fields
 from localiser.storage.bags.frames import base_from_optical, quaternion_from_rotation
@@ -43,7 +43,7 @@ def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = la
     """Write a log with images as a bag of one of KINDS, calling `progress` after every image.
 
     A path that ends in .mcap or .db3 becomes that one file, any other of these kinds a folder, as ROS 2 records it.
-    Poses are rounded to 1e-9 m and rad, as log folders have them. Raises OutputError when the path exists or cannot be
+    Raises OutputError when the path exists or cannot be
     written, InputError for a log without images or with times that ROS cannot tell, or when an image cannot be read.
     """
     _check(log)
@@ -129,7 +129,7 @@ class _Bagger:
         self._send("/camera/image_raw/compressed", event.t_ns, header=header, format=name, data=pixels)
 
     def _pose(self, topic: str, frame: str, t_ns: int, pose: Any) -> None:
-        x, y, yaw = (float(value) for value in ros_from_pose(_rounded(pose)))
+        x, y, yaw = (float(value) for value in ros_from_pose(pose))
         make = self._make
         position = make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
         turned = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
@@ -190,9 +190,3 @@ class _Bagger:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store)
         self._writer.write(self._connections[topic], t_ns, self._encode(self._make(msgtype, **fields), msgtype))
-
-
-def _rounded(pose: Any) -> Any:
-    """Return a pose (3,) that comes back as the same number however often it is written and read."""
-    x, z, heading = (float(value) for value in np.round(pose, 9))
-    return np.array([x, z, np.round(wrap_angle(heading), 9)])
