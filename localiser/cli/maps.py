@@ -1,4 +1,4 @@
-"""`localiser map`: build maps, and look at them."""
+"""`localiser map`: build maps, look at them, check and mend them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from localiser.cli import map_edit
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 map_app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Build landmark maps, and look at them.")
 
-MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="Landmark map (YAML).")]
+MapOut = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write.")]
 
 
 @map_app.command(
@@ -87,7 +88,7 @@ def _show_built(built: MapBuilt, out: Path) -> None:
 
 @map_app.command("show", epilog="Example: `localiser map show maps/corridor.yaml -o corridor.png`")
 def show_map(
-    map_file: MapFile,
+    map_file: map_edit.MapFile,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture; by default MAP.png beside the map.")
     ] = None,
@@ -106,3 +107,62 @@ def show_map(
     if not quiet:
         show(map_show.summary_table(landmark_map))
         typer.echo(f"Picture in {picture}")
+
+
+@map_app.command("plan", epilog="Example: `localiser map plan building.yaml -o maps/building.yaml`")
+def plan_map(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Floor plan: YAML of ROS map_server, PGM or PNG.")],
+    out: MapOut,
+    force: map_edit.Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn the corners of walls, jambs and pillars of a floor PLAN into landmarks."""
+    from localiser.app.map_build import require_writable
+    from localiser.app.map_plan import map_of_plan
+    from localiser.storage import save_map
+
+    require_writable(out, overwrite=force)
+    landmark_map, drawn = map_of_plan(plan)
+    save_map(landmark_map, out)
+    if not quiet:
+        rows, columns = drawn.shape
+        typer.echo(
+            f"{len(landmark_map)} landmarks in {out}, from a plan of {columns * drawn.resolution_m:.1f} m × "
+            f"{rows * drawn.resolution_m:.1f} m; `localiser map show {out}` draws them."
+        )
+
+
+@map_app.command("draw", epilog="Example: `localiser map draw configs/worlds/office.yaml -o office_plan.yaml`")
+def draw(
+    world: Annotated[Path, typer.Argument(metavar="WORLD", help="World file, such as configs/worlds/corridor.yaml.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PLAN", help="The plan: this YAML and a PGM beside it.")],
+    resolution: Annotated[float, typer.Option(min=1e-3, max=1.0, metavar="M", help="Side of a cell.")] = 0.05,
+    yaw_deg: Annotated[float, typer.Option(metavar="DEG", help="Turn of the grid, anticlockwise from ROS x.")] = 0.0,
+    furniture: Annotated[bool, typer.Option("--furniture", help="Draw furniture, too.")] = False,
+    force: map_edit.Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw the floor plan of a simulated WORLD for ROS map_server: walls, open doorways and pillars."""
+    import math
+
+    from localiser.app import map_draw
+    from localiser.app.map_build import require_writable
+    from localiser.storage.plans import plan_picture, save_plan
+
+    for file in (out, plan_picture(out)):
+        require_writable(file, overwrite=force)
+    plan = map_draw.draw_plan(map_draw.load_world(world), resolution, math.radians(yaw_deg), furniture=furniture)
+    picture = save_plan(plan, out)
+    if not quiet:
+        typer.echo(f"{plan.shape[1]}×{plan.shape[0]} cells of {resolution:g} m in {out} and {picture}")
+
+
+for _command, _example in (
+    (map_edit.add, "localiser map add mine.yaml --at 1.2,-3.4 --bottom 0 --top 2.05 -o better.yaml"),
+    (map_edit.remove, "localiser map remove mine.yaml 12 13 -o better.yaml"),
+    (map_edit.move, "localiser map move mine.yaml 12 --to 1.2,-3.4 -o better.yaml"),
+    (map_edit.export, "localiser map export mine.yaml --csv mine.csv"),
+    (map_edit.align, "localiser map align plan.yaml mine.yaml -o mine_in_plan.yaml"),
+    (map_edit.merge, "localiser map merge plan.yaml mine.yaml --align -o whole.yaml"),
+):
+    map_app.command(epilog=f"Example: `{_example}`")(_command)

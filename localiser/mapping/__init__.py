@@ -1,9 +1,13 @@
-"""Build landmark maps: from logs with known poses, and from logs alone."""
+"""Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
+from localiser.mapping.align import Alignment, align, matches
 from localiser.mapping.factors import CONSTANTS, Wheels
 from localiser.mapping.known import build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
+from localiser.mapping.merge import agreeing, fused, joined_maps
 from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.plan import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
+from localiser.mapping.plan_corners import plan_landmarks
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
@@ -11,17 +15,28 @@ from localiser.mapping.tracks import TrackParameters, follow
 
 __all__ = [
     "CONSTANTS",
+    "MOST_CELLS",
+    "Alignment",
     "Built",
+    "FloorPlan",
     "MappingParameters",
     "Sightings",
     "Slam",
     "TrackParameters",
     "Wheels",
+    "agreeing",
+    "align",
     "build_from_log",
     "build_from_poses",
+    "cells_from_map",
     "direction_of",
     "follow",
+    "fused",
+    "joined_maps",
     "landmark_map_of",
+    "map_from_cells",
+    "matches",
     "measured_sigma",
     "parallax",
+    "plan_landmarks",
 ]

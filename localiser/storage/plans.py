@@ -1,0 +1,174 @@
+"""Floor plans as ROS `map_server` has them: a YAML file, and beside it a picture (PGM, PNG) seen from above."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from localiser.documents import dump, load, read_bytes, validate
+from localiser.errors import InputError
+from localiser.mapping import MOST_CELLS, FloorPlan
+from localiser.mapping.plan import Mask
+from localiser.storage.files import write_bytes, write_text
+from localiser.storage.images import measure
+
+OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
+_MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text
+_PGM_HEAD = re.compile(rb"(P[25])" + 3 * rb"(?:\s+|#[^\n]*\n)+(\d{1,9})" + rb"(?:[ \t]*#[^\n]*)?\s")
+Picture = NDArray[Any]
+_PNG_COLOUR_TYPE, _GREY_AND_ALPHA = 25, 4  # where a PNG says how it is coloured
+
+
+class PlanFile(BaseModel):
+    """The YAML file of a map_server map; other keys are ignored, as ROS does."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+    image: Annotated[str, Field(min_length=1)]
+    resolution: Annotated[float, Field(ge=1e-3, le=10.0)]
+    origin: Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
+    negate: Annotated[int, Field(ge=0, le=1)]
+    occupied_thresh: Annotated[float, Field(ge=0, le=1)]
+    free_thresh: Annotated[float, Field(ge=0, le=1)]
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+
+    @model_validator(mode="after")
+    def _thresholds_apart(self) -> PlanFile:
+        if self.free_thresh >= self.occupied_thresh:
+            raise ValueError(
+                f"expected free_thresh below occupied_thresh, found {self.free_thresh:g} and {self.occupied_thresh:g}"
+            )
+        return self
+
+
+def load_plan(path: Path) -> FloorPlan:
+    """Return the floor plan that a map_server YAML file describes; its image may lie anywhere. Raises InputError."""
+    document = load(path)
+    file = validate(document, PlanFile)
+    image = path.parent / file.image
+    occupied, free = classify(_load_picture(image), file)
+    # Row 0 of the picture is the farthest along y.
+    return FloorPlan(occupied[::-1], free[::-1], file.resolution, np.array(file.origin))
+
+
+def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
+    """Return which pixels (H, W) are walls, and which are free floor, by map_server's rules.
+
+    picture: (H, W, C) values 0 to 255 of grey, grey and alpha, colour, or colour and alpha. p = (255 - mean) / 255 is
+    how surely a pixel is a wall. In `scale` what lies between the thresholds is a wall when nearer to it; where it is
+    transparent, it is unknown. In `raw` the values are percentages, and those over 100 are unknown.
+    """
+    channels = picture.shape[2]
+    has_alpha = channels in (2, 4)
+    # ROS takes alpha for one more colour in trinary mode.
+    colours = channels - 1 if has_alpha and file.mode != "trinary" else channels
+    mean = picture[..., :colours].mean(axis=2, dtype=np.float32)
+    mean = 255.0 - mean if file.negate else mean
+    if file.mode == "raw":
+        known = np.round(mean) <= 100
+        share = np.round(mean) / 100
+        return known & (share >= file.occupied_thresh), known & (share <= file.free_thresh)
+    share = (255.0 - mean) / 255.0
+    occupied, free = share > file.occupied_thresh, share < file.free_thresh
+    if file.mode == "scale":
+        between = ~occupied & ~free
+        if has_alpha:
+            between &= picture[..., -1] == 255
+        likely = share >= (file.occupied_thresh + file.free_thresh) / 2
+        occupied, free = occupied | (between & likely), free | (between & ~likely)
+    return occupied, free
+
+
+def save_plan(plan: FloorPlan, path: Path) -> Path:
+    """Write the plan as a map_server YAML file and a PGM beside it, whose path is returned. Raises OutputError."""
+    picture = plan_picture(path)
+    grey = np.where(plan.occupied, OCCUPIED_GREY, np.where(plan.free, FREE_GREY, UNKNOWN_GREY)).astype(np.uint8)
+    rows, columns = grey.shape
+    write_bytes(picture, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
+    data = {
+        "image": picture.name,
+        "resolution": plan.resolution_m,
+        "origin": [float(value) for value in plan.origin_ros],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+        "mode": "trinary",
+    }
+    write_text(path, dump(data))
+    return picture
+
+
+def plan_picture(path: Path) -> Path:
+    """Return the path of the picture that goes with the plan's YAML file at `path`."""
+    return path.with_suffix(".pgm")
+
+
+# -- the picture ------------------------------------------------------------------------------------------------------
+
+
+def _load_picture(path: Path) -> Picture:
+    """Return a PGM or PNG file as (H, W, C) values 0 to 255. Raises InputError before any memory is taken for it."""
+    data = read_bytes(path, _MAX_BYTES)
+    try:
+        return _read_pgm(data) if data.startswith((b"P2", b"P5")) else _read_png(data)
+    except ValueError as error:
+        raise InputError(str(error), path=path) from None
+
+
+def _read_pgm(data: bytes) -> Picture:
+    head = _PGM_HEAD.match(data)
+    if head is None:
+        raise ValueError("expected the head of a PGM picture (P5, width, height, largest value), found another")
+    columns, rows, largest = (int(head[k]) for k in (2, 3, 4))
+    _check_cells(columns, rows)
+    if not 1 <= largest <= 65535:
+        raise ValueError(f"expected a PGM picture with a largest value of 1 to 65535, found {largest}")
+    body = data[head.end() :]
+    values = _text_values(body) if head[1] == b"P2" else _binary_values(body, 1 if largest < 256 else 2)
+    if len(values) < rows * columns:
+        raise ValueError(f"expected {columns}×{rows} pixels, as its head says, found {len(values)}: it is cut off")
+    values = values[: rows * columns].reshape(rows, columns, 1)
+    if values.max() > largest:
+        raise ValueError(f"expected values up to {largest}, as its head says, found {values.max()}")
+    return values if largest == 255 else values * np.float32(255.0 / largest)
+
+
+def _text_values(body: bytes) -> Picture:
+    words = re.sub(rb"#[^\n]*", b"", body).split()
+    if not all(word.isdigit() and len(word) < 6 for word in words):
+        raise ValueError("expected numbers in a PGM picture of text, found something else")
+    return np.array(words, dtype=np.int32)
+
+
+def _binary_values(body: bytes, size: int) -> Picture:
+    return np.frombuffer(body[: len(body) // size * size], dtype=np.uint8 if size == 1 else ">u2")
+
+
+def _read_png(data: bytes) -> Picture:
+    if not data.startswith(b"\x89PNG"):
+        raise ValueError("expected a PGM or PNG picture, found " + ("an empty file" if not data else "something else"))
+    (columns, rows), complete = measure(data)
+    _check_cells(columns, rows)
+    if not complete:
+        raise ValueError("expected a whole picture, found one that is cut off or damaged")
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None or picture.shape[:2] != (rows, columns):
+        raise ValueError("expected a picture that can be decoded")
+    picture = picture.reshape(rows, columns, -1)
+    if data[_PNG_COLOUR_TYPE] == _GREY_AND_ALPHA and picture.shape[2] == 4:
+        picture = picture[..., [0, 3]]
+    return picture if picture.dtype == np.uint8 else picture * np.float32(255.0 / 65535.0)
+
+
+def _check_cells(columns: int, rows: int) -> None:
+    if not 1 <= columns * rows <= MOST_CELLS:
+        raise ValueError(f"expected a picture of 1 to {MOST_CELLS} pixels, found {columns}×{rows}")

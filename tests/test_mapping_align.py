@@ -1,0 +1,112 @@
+"""Alignment of maps with unknown correspondence, and maps put together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
+from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping import agreeing, align, fused, joined_maps, matches
+from localiser.mapping.align import fitted_motion
+
+
+def hall(seed: int, count: int = 40) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([-6, -9], [6, 1], (count, 2))
+
+
+@given(x=st.floats(-9, 9), z=st.floats(-9, 9), heading=st.floats(-3, 3), scale=st.floats(0.5, 2))
+def test_exact_points_give_the_motion_back(x: float, z: float, heading: float, scale: float) -> None:
+    pose = np.array([x, z, heading])
+    points = hall(1)
+    found, size = fitted_motion(points, robot_from_map(pose, points) / scale, similarity=True)
+    assert found == pytest.approx(pose, abs=1e-6)
+    assert size == pytest.approx(scale, rel=1e-6)
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 1000), similarity=st.just(False))
+def test_maps_are_aligned_though_much_differs(seed: int, similarity: bool) -> None:
+    """A third is missing from the second map, a fifth of it is new, places are 3 cm off."""
+    rng = np.random.default_rng(seed)
+    first = hall(seed)
+    pose = np.array([*rng.uniform(-20, 20, 2), rng.uniform(-np.pi, np.pi)])
+    kept = rng.permutation(40)[:27]
+    second = robot_from_map(
+        pose, np.concatenate([first[kept] + rng.normal(0, 0.03, (27, 2)), rng.uniform(-6, 1, (7, 2))])
+    )
+    found = align(first, second, 0.15, similarity=similarity)
+    assert np.hypot(*(found.pose - pose)[:2]) < 0.2
+    assert abs(wrap_angle(found.pose[2] - pose[2])) < np.deg2rad(0.7)
+    right = [kept[j] == i for i, j in found.pairs if j < 27]
+    assert sum(right) >= 24
+    assert found.rival < 0.7
+    assert found.apply(second[:27]) == pytest.approx(first[kept], abs=0.2)
+
+
+def test_the_scale_is_found_when_asked_for() -> None:
+    first, pose = hall(3), np.array([3.0, -2.0, 2.1])
+    found = align(first, robot_from_map(pose, first) / 1.18, 0.1, similarity=True)
+    assert found.scale == pytest.approx(1.18, rel=1e-6)
+    assert found.pose == pytest.approx(pose, abs=1e-6)
+    assert len(found.pairs) == 40
+
+
+def test_a_building_that_looks_like_itself_is_told() -> None:
+    """Two rows of posts, turned by half a turn, are the same posts."""
+    posts = np.array([[x, z] for x in (-2.0, 2.0) for z in np.arange(0.0, 12.0, 1.5)])
+    assert align(posts, posts, 0.1).rival == pytest.approx(1.0)
+
+
+def test_maps_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 3"):
+        align(np.array([[0.0, 0.0], [1.0, 0.0], [5.0, 5.0]]), np.array([[0.0, 0.0], [9.0, 0.0], [20.0, 3.0]]), 0.05)
+
+
+def known(points: list[list[float]], sigma: float, ids: tuple[int | str, ...], **columns: object) -> LandmarkMap:
+    plain = LandmarkMap.from_points(np.array(points), ids=ids, source="a log")
+    return replace(plain, cov=np.tile(sigma**2 * np.eye(2), (len(points), 1, 1)), **columns)
+
+
+def test_fusing_weighs_by_covariance_and_keeps_what_is_alone() -> None:
+    plan = known([[0.0, 0.0], [5.0, 0.0]], 0.03, (0, 1), bottom_m=np.zeros(2))
+    quality = Quality(np.array([9.0, 8.0]), np.array([0.5, 0.4]), np.array([0.9, 0.8]), np.ones((2, 5)))
+    built = known([[0.04, 0.0], [9.0, 1.0]], 0.01, (0, "b"), polarity=np.array([1, -1], dtype=np.int8), quality=quality)
+    pairs = matches(plan.points, built.points, 0.15)
+    assert pairs.tolist() == [[0, 0]]
+    whole = fused(plan, built, pairs)
+    assert whole.ids == (0, 1, "b")
+    assert whole.points == pytest.approx(np.array([[0.036, 0.0], [5.0, 0.0], [9.0, 1.0]]))
+    assert whole.cov[0, 0, 0] == pytest.approx(1 / (1 / 0.03**2 + 1 / 0.01**2))
+    assert whole.polarity.tolist() == [1, 0, -1]
+    assert whole.bottom_m[0] == 0.0
+    assert whole.source[0] == "a log; a log"
+    assert whole.quality is not None
+    assert whole.quality.sightings == pytest.approx([9.0, np.nan, 8.0], nan_ok=True)
+    assert whole.quality.profile[0] == pytest.approx(np.ones(5))
+
+
+def test_an_unknown_covariance_lets_the_other_place_count() -> None:
+    surveyed = LandmarkMap.from_points(np.array([[0.0, 0.0]]))
+    built = known([[0.1, 0.0]], 0.01, (7,))
+    pairs = np.array([[0, 0]])
+    assert fused(surveyed, built, pairs).points[0, 0] == pytest.approx(0.1)
+    assert fused(built, surveyed, pairs).points[0, 0] == pytest.approx(0.1)
+
+
+def test_contradictions_are_not_fused() -> None:
+    light = known([[0.0, 0.0], [1.0, 0.0]], 0.01, (0, 1), polarity=np.array([1, 1], dtype=np.int8))
+    dark = known([[0.0, 0.0], [1.09, 0.0]], 0.01, (0, 1), polarity=np.array([-1, 1], dtype=np.int8))
+    assert agreeing(light, dark, np.array([[0, 0], [1, 1]]), 0.01).tolist() == [False, False]
+    assert agreeing(light, dark, np.array([[0, 0], [1, 1]]), 0.12).tolist() == [False, True]
+
+
+def test_ids_stay_unique() -> None:
+    joined = joined_maps(known([[0.0, 0.0]] * 3, 0.1, (0, "7", 9)), known([[1.0, 1.0]] * 3, 0.1, (7, 8, 9)))
+    assert joined.ids == (0, "7", 9, 10, 8, 11)
+    assert len({str(name) for name in joined.ids}) == 6
+    assert map_from_robot(np.zeros(3), joined.points).shape == (6, 2)
