@@ -19,8 +19,8 @@ from localiser.documents import Document, Place, Schema
 from localiser.edges import EdgeParameters
 from localiser.edges.bearings import BearingSensor
 from localiser.errors import InputError
-from localiser.mapping import MappingParameters
 from localiser.increments import IncrementParameters
+from localiser.mapping import MappingParameters
 from localiser.mcl import MclParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
