@@ -10,6 +10,7 @@ import pytest
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
 from localiser.simulate.render import Scene, expose, radiance, render, scene_of
+from localiser.simulate.textures import look_up
 from localiser.simulate.world import world_of
 
 
@@ -192,6 +193,11 @@ def test_exposure_blurs_edges_by_the_motion_and_leaves_them_in_place() -> None:
     steepest = [np.abs(np.diff(image[rows], axis=1)).max(axis=1).mean() for image in (sharp, blurred)]
     # The post's edge moves by 554 px · 0.6 rad/s · 0.02 s = 6.6 px while the shutter is open.
     assert steepest[1] < steepest[0] / 4
+
+
+def test_looking_up_nothing_gives_nothing() -> None:
+    nowhere = np.zeros(0, dtype=np.float32)
+    assert look_up(np.ones((4, 5, 3), dtype=np.float32), nowhere, nowhere).shape == (0, 3)
 
 
 def test_a_camera_that_looks_straight_down_is_refused() -> None:

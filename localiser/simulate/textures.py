@@ -54,6 +54,8 @@ def look_up(image: Image, column: Image, row: Image) -> Image:
     """Return the image (H, W, …) at sub-pixel positions (S,), interpolated between its pixels; its rim outside."""
     # OpenCV's look-up takes at most 32767 samples in a row: fold them to a rectangle.
     width, count = 4096, len(column)
+    if count == 0:  # an image that shows no floor
+        return np.zeros((0, *image.shape[2:]), dtype=np.float32)
     folded = []
     for position in (column, row):
         padded = np.zeros(-(-count // width) * width, dtype=np.float32)
