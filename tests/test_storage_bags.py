@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import tracemalloc
 from pathlib import Path
 
@@ -391,3 +392,17 @@ def test_headings_at_the_border_settle_at_once(tmp_path: Path, heading: float) -
     assert np.abs(np.angle(np.exp(1j * (once.odometry.poses[:, 2] - heading)))).max() < 2e-9
     write_bag(tmp_path / "b.mcap", once, "mcap")
     np.testing.assert_array_equal(open_log(tmp_path / "b.mcap").odometry.poses, once.odometry.poses)
+
+
+@KINDS
+def test_a_disk_that_is_full_is_told_and_nothing_stays(tmp_path: Path, kind: str) -> None:
+    """A limit on the size of files stands in for the disk."""
+    log = open_log(write_small_log(tmp_path / "log", ".png"))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**12, hard))
+    try:
+        with pytest.raises(OutputError, match="cannot be written"):
+            write_bag(tmp_path / NAMES[kind], log, kind)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir()] == ["log"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,7 +55,7 @@ def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = la
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir(parents=True)
     try:
-        with output_errors(path):
+        with output_errors(path), _sqlite_errors(path):
             with _writer(draft / path.stem, kind) as writer:
                 _Bagger(writer, ros1=kind == "ros1").write(log, progress)
             written = draft / path.stem
@@ -63,6 +64,15 @@ def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = la
             written.replace(path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+
+
+@contextmanager
+def _sqlite_errors(path: Path) -> Iterator[None]:
+    """Turn what SQLite says about writing `path` into an OutputError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OutputError(f"{path}: cannot be written: {error}") from None
 
 
 def _check(log: Log) -> None:
