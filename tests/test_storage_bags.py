@@ -5,10 +5,13 @@ from __future__ import annotations
 import resource
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import QosDurability
 from small_bag import HEIGHT, OPTICAL, WIDTH, Recorder, bag, recording
 from small_log import CAMERA, write_edge_log, write_small_log
 
@@ -406,3 +409,55 @@ def test_a_disk_that_is_full_is_told_and_nothing_stays(tmp_path: Path, kind: str
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert [path.name for path in tmp_path.iterdir()] == ["log"]
+
+
+@KINDS
+def test_what_is_sent_once_is_kept_for_late_subscribers(tmp_path: Path, kind: str) -> None:
+    write_bag(tmp_path / NAMES[kind], open_log(write_small_log(tmp_path / "log")), kind)
+    reader = (rosbag1 if kind == "ros1" else rosbag2).Reader(tmp_path / NAMES[kind])
+    with reader:
+        latched = {found.topic for found in reader.connections if is_latched(found.ext)}
+    assert latched == {"/tf_static", "/localiser/log", "/localiser/map"}
+
+
+def is_latched(ext: Any) -> bool:
+    if hasattr(ext, "latching"):
+        return bool(ext.latching)
+    return [qos.durability for qos in ext.offered_qos_profiles] == [QosDurability.TRANSIENT_LOCAL]
+
+
+def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path: Path) -> None:
+    projection = np.array([20.0, 0, 4, 0, 0, 21, 3, 0, 0, 0, 1, 0])
+    with recording(tmp_path / "bag") as recorder:
+        recorder.info(d=np.array([0.1, 0.2, 0.0, 0.0, 0.0]), p=projection, r=np.eye(3).ravel())
+        recorder.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+        for step in range(3):
+            recorder.odometry(step * 10**8)
+            recorder.image(step * 10**8, topic="/cam/image_rect")
+    camera = open_log(tmp_path / "bag").camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (20.0, 21.0, 4.0, 3.0)
+    assert (camera.distortion_model, camera.distortion) == ("none", ())
+
+
+def test_binning_is_refused(tmp_path: Path) -> None:
+    def record(recorder: Recorder) -> None:
+        record_images(recorder)
+        recorder.info(10**9, binning_x=2)
+
+    with pytest.raises(InputError, match="/cam/camera_info: binning: expected images of the whole sensor"):
+        open_log(bag(tmp_path / "bag", record))
+
+
+def test_a_camera_file_stands_in_for_a_bag_without_camera(tmp_path: Path) -> None:
+    with recording(tmp_path / "bag") as recorder:
+        for step in range(3):
+            recorder.odometry(step * 10**8)
+            recorder.image(step * 10**8)
+    with pytest.raises(InputError, match=r"expected a topic of sensor_msgs/CameraInfo, found none; .*--camera FILE"):
+        open_log(tmp_path / "bag")
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(
+        f"image_width: {WIDTH}\nimage_height: {HEIGHT}\n"
+        "camera_matrix: {rows: 3, cols: 3, data: [9, 0, 1, 0, 9, 1, 0, 0, 1]}\nmount: {tilt_deg: 1, height_m: 1}\n"
+    )
+    assert open_log(tmp_path / "bag", camera=camera).camera.fx == 9.0

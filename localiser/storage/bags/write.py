@@ -36,6 +36,7 @@ TOPICS = {
     LOG_TOPIC: TEXT,
     MAP_TOPIC: TEXT,
 }
+LATCHED = ("/tf_static", LOG_TOPIC, MAP_TOPIC)
 _NS = 1_000_000_000
 _LAST_NS = (2**31 - 1) * _NS  # a stamp's seconds have 32 bits
 
@@ -195,8 +196,29 @@ class _Bagger:
     def _make(self, msgtype: str, **fields: Any) -> Any:
         return self._store.types[msgtype](**fields)
 
+    def _latched(self) -> dict[str, Any]:
+        """Return what makes a player of bags hold a message for those who subscribe later."""
+        if self._ros1:
+            return {"latching": 1}
+        from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+        never = QosTime(9_223_372_036, 854_775_807)  # what ROS 2 writes for a duration without end
+        qos = Qos(
+            QosHistory.KEEP_LAST,
+            1,
+            QosReliability.RELIABLE,
+            QosDurability.TRANSIENT_LOCAL,
+            never,
+            never,
+            QosLiveliness.AUTOMATIC,
+            never,
+            avoid_ros_namespace_conventions=False,
+        )
+        return {"offered_qos_profiles": [qos]}
+
     def _send(self, topic: str, t_ns: int, **fields: Any) -> None:
         msgtype = TOPICS[topic]
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store)
+            options = self._latched() if topic in LATCHED else {}
+            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store, **options)
         self._writer.write(self._connections[topic], t_ns, self._encode(self._make(msgtype, **fields), msgtype))
