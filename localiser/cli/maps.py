@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.cli import map_edit
+from localiser.cli import map_check, map_edit
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
 
 if TYPE_CHECKING:
@@ -158,6 +158,7 @@ def draw(
 
 
 for _command, _example in (
+    (map_check.check, "localiser map check maps/corridor.yaml --log logs/corridor -o coverage.png"),
     (map_edit.add, "localiser map add mine.yaml --at 1.2,-3.4 --bottom 0 --top 2.05 -o better.yaml"),
     (map_edit.remove, "localiser map remove mine.yaml 12 13 -o better.yaml"),
     (map_edit.move, "localiser map move mine.yaml 12 --to 1.2,-3.4 -o better.yaml"),

@@ -1,6 +1,7 @@
 """Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
 from localiser.mapping.align import Alignment, align, matches
+from localiser.mapping.check import ENOUGH, LogFit, doubtful, duplicates, in_view, log_fit
 from localiser.mapping.factors import CONSTANTS, Wheels
 from localiser.mapping.known import build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
@@ -15,10 +16,12 @@ from localiser.mapping.tracks import TrackParameters, follow
 
 __all__ = [
     "CONSTANTS",
+    "ENOUGH",
     "MOST_CELLS",
     "Alignment",
     "Built",
     "FloorPlan",
+    "LogFit",
     "MappingParameters",
     "Sightings",
     "Slam",
@@ -30,10 +33,14 @@ __all__ = [
     "build_from_poses",
     "cells_from_map",
     "direction_of",
+    "doubtful",
+    "duplicates",
     "follow",
     "fused",
+    "in_view",
     "joined_maps",
     "landmark_map_of",
+    "log_fit",
     "map_from_cells",
     "matches",
     "measured_sigma",

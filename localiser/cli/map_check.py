@@ -1,0 +1,59 @@
+"""`localiser map check`: how good a map is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from localiser.cli.map_edit import Force, MapFile
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
+
+
+def check(
+    map_file: MapFile,
+    log: Annotated[
+        Path | None, typer.Option(metavar="LOG", help="See how its edges fit; its camera looks round.")
+    ] = None,
+    poses: Annotated[
+        str, typer.Option(metavar="truth|FILE|odometry", help="Where the robot was, as for `map build`.")
+    ] = "truth",
+    camera_file: Annotated[
+        Path | None, typer.Option("--camera", metavar="FILE", help="The camera that looks round, without a log.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture; by default MAP_coverage.png.")
+    ] = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tell what looks wrong with a MAP, how it fits a log, and draw where too few landmarks are in view."""
+    from localiser.app import map_check
+    from localiser.app.map_build import require_writable
+    from localiser.config import load_config
+    from localiser.storage import load_camera, load_map, open_log
+
+    picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
+    landmark_map = load_map(map_file)
+    recorded = open_log(log, sensor=load_config(config, [*(overrides or [])]).sensor) if log else None
+    camera = recorded.camera if recorded else load_camera(camera_file) if camera_file else None
+    if camera is not None:
+        require_writable(picture, overwrite=force)
+    fit = None
+    if recorded is not None:
+        effective = load_config(config, [*(overrides or [])], recorded.settings)
+        with progress("Finding edges", len(recorded.frames), quiet) as advance:
+            fit = map_check.fit_to_log(landmark_map, recorded, poses, effective, advance)
+    show(map_check.suspects(landmark_map, fit))
+    if fit is not None:
+        typer.echo(map_check.fit_text(fit))
+    if camera is None:
+        typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
+        return
+    found = map_check.coverage(landmark_map, camera)
+    map_check.save_picture(landmark_map, found, picture)
+    typer.echo(map_check.coverage_text(found))
+    typer.echo(f"Picture in {picture}")

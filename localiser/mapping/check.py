@@ -1,0 +1,109 @@
+"""How good a map is: landmarks that are there twice or doubtful, that a log contradicts, too few in view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
+from localiser.mapping.merge import agreeing
+from localiser.mapping.sightings import Index, Sightings
+
+TWICE_M = 0.02
+"""Landmarks nearer to each other are one to any camera here."""
+ENOUGH = 3
+"""Landmarks in view that fix a pose: two leave an arc of places."""
+_NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
+_MATCH_RAD = np.deg2rad(1.5)  # an edge farther from where a landmark should be seen is another's
+_AT_ONCE = 4096  # poses whose views are worked out together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogFit:
+    """How a map's landmarks (L) fit the edges of a log whose poses are known.
+
+    expected: (L,) frames whose view they lie in; a wall may hide them from it. found: (L,) frames with an edge there.
+    rms_rad: (L,) root mean square of the edges' distance from where they should be, nan where none was found.
+    explained: share of all edges that have a landmark.
+    """
+
+    expected: Index
+    found: Index
+    rms_rad: Array
+    explained: float
+
+
+def duplicates(landmark_map: LandmarkMap) -> Index:
+    """Return the pairs (K, 2) of landmarks that are probably one: as near as two can be told apart, and alike."""
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(landmark_map.points).query_pairs(_NEAR_M, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+    one, other = pairs.T
+    apart = np.hypot(*(landmark_map.points[one] - landmark_map.points[other]).T)
+    alike = landmark_map.polarity[one] * landmark_map.polarity[other] >= 0
+    # A covariance that is not known makes nothing likely.
+    same = agreeing(landmark_map, landmark_map, pairs, TWICE_M)
+    return np.asarray(pairs[alike & ((apart < TWICE_M) | same)])
+
+
+def doubtful(landmark_map: LandmarkMap, existence_min: float = 0.5, sigma_max_m: float = 0.2) -> Index:
+    """Return the landmarks (K,) that are less likely to exist, or less certain in place, than these limits."""
+    quality = landmark_map.quality or Quality.unknown(len(landmark_map))
+    sigma = np.sqrt(np.trace(landmark_map.cov, axis1=1, axis2=2) / 2)
+    return np.flatnonzero((quality.existence < existence_min) | (sigma > sigma_max_m))
+
+
+def in_view(landmark_map: LandmarkMap, camera: Camera, places: Array, headings: int = 24) -> Index:
+    """Return how many landmarks (N, H) a robot's camera has in view from places (N, 2), at H headings all round.
+
+    Walls hide nothing here, so that fewer may be seen.
+    """
+    angles = 2 * np.pi * np.arange(headings) / headings
+    robots = np.concatenate([np.repeat(places, headings, axis=0), np.tile(angles, len(places))[:, None]], axis=1)
+    cameras = camera.pose_in_map(robots)
+    count = np.zeros(len(robots), dtype=np.int64)
+    for start in range(0, len(robots), _AT_ONCE):
+        part = cameras[start : start + _AT_ONCE]
+        count[start : start + len(part)] = np.bincount(sight(camera, part, landmark_map).pose, minlength=len(part))
+    return count.reshape(len(places), headings)
+
+
+def log_fit(landmark_map: LandmarkMap, sightings: Sightings, camera: Camera, robot_poses: Array) -> LogFit:
+    """Return how the landmarks fit edges that were seen from robots at (T, 3): each to the nearest, mutually."""
+    limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
+    views = sight(camera, camera.pose_in_map(robot_poses), landmark_map, limits)
+    first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
+    squares, found = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=np.int64)
+    for frame in range(sightings.frames):
+        seen = slice(sightings.first[frame], sightings.first[frame + 1])
+        expected = slice(first[frame], first[frame + 1])
+        landmark = views.landmark[expected]
+        row, apart = _nearest(
+            np.arctan(views.tangent[expected]),
+            landmark_map.polarity[landmark],
+            sightings.bearing[seen],
+            sightings.polarity[seen],
+        )
+        found[landmark[row]] += 1
+        squares[landmark[row]] += apart**2
+    expected_count = np.bincount(views.landmark, minlength=len(landmark_map))
+    rms = np.sqrt(np.divide(squares, found, out=np.full(len(found), np.nan), where=found > 0))
+    return LogFit(expected_count, found, rms, float(found.sum()) / max(len(sightings), 1))
+
+
+def _nearest(
+    predicted: Array, polarity: NDArray[np.int8], bearing: Array, seen_polarity: NDArray[np.int8]
+) -> tuple[Index, Array]:
+    """Return the predictions (K,) that an edge lies at, and how far off it is (K,) rad: mutual nearest, alike."""
+    if not len(predicted) or not len(bearing):
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    apart = np.abs(predicted[:, None] - bearing[None])
+    apart[polarity[:, None] * seen_polarity[None] < 0] = np.inf
+    column = apart.argmin(axis=1)
+    row = np.flatnonzero(apart.argmin(axis=0)[column] == np.arange(len(predicted)))
+    distance = apart[row, column[row]]
+    return row[distance < _MATCH_RAD], distance[distance < _MATCH_RAD]
