@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from localiser.cli.shared import BagCamera, Quiet, Topics, progress, topics_by_role
+from localiser.errors import InputError
 
 EPILOG = """Examples:
 
@@ -17,7 +18,9 @@ EPILOG = """Examples:
 
 `localiser convert logs/corridor corridor.mcap`
 
-`localiser convert logs/corridor corridor_bag --to sqlite3`"""
+`localiser convert logs/corridor corridor_bag --to sqlite3`
+
+`localiser convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml`"""
 
 
 def convert(
@@ -35,16 +38,34 @@ def convert(
     ] = None,
     topics: Topics = None,
     camera: BagCamera = None,
+    odometry: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Odometry of a video: CSV t_ns,x,z,heading.")
+    ] = None,
+    start_ns: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="When a video's first frame was taken, by the odometry's clock; by default with its first pose.",
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Turn a recorded LOG into another format: ROS bag to log folder, log folder to ROS bag, bag to bag.
 
-    Images are copied as they are, poses to a billionth of a metre.
+    Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --odometry and --camera.
     """
     from localiser.app import convert as conversion
     from localiser.storage import open_log
+    from localiser.storage.video import read_video
 
-    log = open_log(source, topics=topics_by_role(topics), camera=camera)
+    if odometry is not None:
+        if camera is None or topics:
+            raise InputError("expected a video with --camera FILE and without --topic", field="--odometry")
+        log = read_video(source, odometry, camera, start_ns)
+    elif start_ns is not None:
+        raise InputError("is for a video with --odometry FILE", field="--start-ns")
+    else:
+        log = open_log(source, topics=topics_by_role(topics), camera=camera)
     target = conversion.target_of(out, log, to)
     with progress("Converting", len(log.frames), quiet) as advance:
         conversion.convert(log, out, target, advance)

@@ -1,0 +1,95 @@
+"""A video file, with odometry and camera in files beside it, as a log; frames are decoded one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from localiser.camera import Camera
+from localiser.errors import InputError
+from localiser.storage.cameras import load_camera
+from localiser.storage.images import Image, ImageEvent, check_size, decoded, encode_image
+from localiser.storage.log import Log, require_overlap
+from localiser.storage.trajectories import load_poses
+
+
+def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = None) -> Log:
+    """Return the log of a video; its frames are counted now and decoded later.
+
+    odometry: CSV `t_ns,x,z,heading`. camera: camera file with the mount. start_ns: when the first frame was taken, by
+    the clock of the odometry; by default with the first pose. Raises InputError.
+    """
+    poses = load_poses(odometry)
+    known = load_camera(camera)
+    first_ns = int(poses.t_ns[0]) if start_ns is None else start_ns
+    video = _Video(path, (known.width, known.height))
+    frames = [video.event(index, first_ns + t_ns) for index, t_ns in enumerate(_times_ns(path, known))]
+    return require_overlap(Log(name=path.stem, path=path, camera=known, odometry=poses, frames=frames))
+
+
+def _open(path: Path) -> Any:
+    """Return the open video; by FFmpeg alone, for which a name with % or :// is still a file."""
+    if not path.is_file():
+        raise InputError("no such video", path=path)
+    capture = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise InputError("expected a video that can be decoded", path=path)
+    return capture
+
+
+def _times_ns(path: Path, camera: Camera) -> list[int]:
+    """Return the times (T,) of all frames after the first."""
+    capture = _open(path)
+    size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+    check_size(path, size, (camera.width, camera.height))
+    times = []
+    while capture.grab():
+        times.append(round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+    capture.release()
+    if not times:
+        raise InputError("expected a video with at least one frame, found none", path=path)
+    stuck = np.flatnonzero(np.diff(times) <= 0)
+    if len(stuck):
+        raise InputError(
+            f"expected frames with times that increase, found {times[stuck[0] + 1]} ns after {times[stuck[0]]} ns",
+            path=path,
+            field=f"frame {stuck[0] + 1}",
+        )
+    return [t_ns - times[0] for t_ns in times]
+
+
+@dataclass(slots=True, eq=False)
+class _Video:
+    """Decodes frames of a video: in order each once, in any other order from the start again."""
+
+    path: Path
+    size: tuple[int, int]
+    _capture: Any = None
+    _next: int = 0
+    _last: tuple[int, bytes] = field(default=(-1, b""))
+
+    def event(self, index: int, t_ns: int) -> ImageEvent:
+        """Return a frame as an event of a log."""
+
+        def load() -> Image:
+            return decoded(self._file(index), self.size, path=self.path, field=f"frame {index}")
+
+        return ImageEvent(t_ns, f"{self.path.name}/{index:06d}", load, lambda: self._file(index))
+
+    def _file(self, index: int) -> bytes:
+        """Return a frame as a PNG file, which loses nothing more."""
+        if self._last[0] != index:
+            if self._capture is None or index < self._next:
+                self._capture, self._next = _open(self.path), 0
+            while self._next < index and self._capture.grab():
+                self._next += 1
+            done, image = self._capture.read()
+            if not done or image.shape[1::-1] != self.size:
+                raise InputError("expected a frame that can be decoded", path=self.path, field=f"frame {index}")
+            self._next = index + 1
+            self._last = (index, encode_image(np.asarray(image, dtype=np.uint8), ".png", 100))
+        return self._last[1]
