@@ -17,6 +17,8 @@ from small_log import CAMERA, write_edge_log, write_small_log
 
 from localiser.errors import InputError, OutputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag
+from localiser.storage.bags import playback
+from localiser.storage.bags.bag import Bag
 from localiser.storage.maps import map_data
 
 KINDS = pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
@@ -461,3 +463,19 @@ def test_a_camera_file_stands_in_for_a_bag_without_camera(tmp_path: Path) -> Non
         "camera_matrix: {rows: 3, cols: 3, data: [9, 0, 1, 0, 9, 1, 0, 0, 1]}\nmount: {tilt_deg: 1, height_m: 1}\n"
     )
     assert open_log(tmp_path / "bag", camera=camera).camera.fx == 9.0
+
+
+def test_a_bag_is_opened_once_in_whatever_order_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = open_log(bag(tmp_path / "bag", record_images))
+    opened: list[Bag] = []
+
+    def counted(path: Path) -> Bag:
+        opened.append(Bag(path))
+        return opened[-1]
+
+    monkeypatch.setattr(playback, "Bag", counted)
+    for index in (2, 0, 1, 2, 1, 0):
+        frame = log.frames[index]
+        assert isinstance(frame, ImageEvent)
+        assert (frame.load() == frame.t_ns % 251).all()
+    assert len(opened) == 1

@@ -24,9 +24,7 @@ EPILOG = """Examples:
 
 
 def convert(
-    source: Annotated[
-        Path, typer.Argument(metavar="LOG", help="ROS bag (ROS 1, or ROS 2 file or folder), log folder.")
-    ],
+    source: Annotated[Path, typer.Argument(metavar="LOG", help="ROS bag (ROS 1, ROS 2), log folder, video file.")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="New log folder, or new bag.")],
     to: Annotated[
         str | None,

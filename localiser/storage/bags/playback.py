@@ -32,7 +32,8 @@ class Playback:
     def __init__(self, path: Path, topic: Topic, size: tuple[int, int]) -> None:
         """Prepare to read; the bag is opened when the first image is asked for. size: (width, height) expected."""
         self._path, self._topic, self._size = path, topic, size
-        self._messages: Iterator[Message] | None = None
+        self._bag: Bag | None = None
+        self._messages: Iterator[Message] = iter(())
         self._next = 0
         self._last: tuple[int, bytes] | None = None
 
@@ -61,19 +62,20 @@ class Playback:
         return self._last[1]
 
     def _fetch(self, place: ImagePlace) -> Message:
-        if self._messages is None or place.order != self._next:
-            self._seek(place)
-        assert self._messages is not None
+        if self._bag is None or place.order != self._next:
+            self._messages = self._from(place)
         message = next(self._messages, None)
         if message is None or message.stamp_ns != place.stamp_ns:
             raise InputError("expected the image that was here when the bag was opened", path=self._path)
         self._next = place.order + 1
         return message
 
-    def _seek(self, place: ImagePlace) -> None:
-        """Open the bag anew right before an image."""
-        bag = Bag(self._path)
-        weakref.finalize(self, bag.close)
-        self._messages = bag.messages([self._topic], place.recorded_ns)
+    def _from(self, place: ImagePlace) -> Iterator[Message]:
+        """Return the messages from an image on."""
+        if self._bag is None:
+            self._bag = Bag(self._path)
+            weakref.finalize(self, self._bag.close)
+        messages = self._bag.messages([self._topic], place.recorded_ns)
         for _ in range(place.later):
-            next(self._messages, None)
+            next(messages, None)
+        return messages
