@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.cli import map_check, map_edit
+from localiser.cli import map_check, map_edit, map_update
 from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
 
 if TYPE_CHECKING:
@@ -165,5 +165,6 @@ for _command, _example in (
     (map_edit.export, "localiser map export mine.yaml --csv mine.csv"),
     (map_edit.align, "localiser map align plan.yaml mine.yaml -o mine_in_plan.yaml"),
     (map_edit.merge, "localiser map merge plan.yaml mine.yaml --align -o whole.yaml"),
+    (map_update.update, "localiser map update mine.yaml logs/corridor -o newer.yaml"),
 ):
     map_app.command(epilog=f"Example: `{_example}`")(_command)

@@ -13,6 +13,7 @@ from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import TrackParameters, follow
+from localiser.mapping.update import existence_after, with_existence
 
 __all__ = [
     "CONSTANTS",
@@ -35,6 +36,7 @@ __all__ = [
     "direction_of",
     "doubtful",
     "duplicates",
+    "existence_after",
     "follow",
     "fused",
     "in_view",
@@ -46,4 +48,5 @@ __all__ = [
     "measured_sigma",
     "parallax",
     "plan_landmarks",
+    "with_existence",
 ]

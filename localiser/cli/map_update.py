@@ -1,0 +1,45 @@
+"""`localiser map update`: keep a map true."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from localiser.cli.map_edit import Force, MapFile, MapOut, Within
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress
+
+
+def update(
+    map_file: MapFile,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A log of the building as it is now.")],
+    out: MapOut,
+    poses: Annotated[
+        str, typer.Option(metavar="truth|FILE|odometry", help="Where the robot was, in the map's frame.")
+    ] = "truth",
+    within: Within = 0.1,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
+    from localiser.app import map_build
+    from localiser.app.map_update import updated
+    from localiser.config import load_config
+    from localiser.storage import load_map, open_log, save_map
+
+    map_build.require_writable(out, overwrite=force)
+    old = load_map(map_file)
+    settings = [*(overrides or [])]
+    recorded = open_log(log, sensor=load_config(config, settings).sensor)
+    effective = load_config(config, settings, recorded.settings)
+    with progress("Finding edges", len(recorded.frames), quiet) as advance:
+        built = map_build.build_map(recorded, poses, effective, advance)
+    changed = updated(old, built, recorded.camera, effective, within)
+    save_map(changed.landmark_map, out)
+    if not quiet:
+        typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")
+        typer.echo(f"Gone: {', '.join(map(str, changed.gone)) or 'none'}")
+        typer.echo(f"New: {', '.join(map(str, changed.new)) or 'none'}")
