@@ -17,7 +17,8 @@ from localiser.geometry import Array
 # Jeffreys' prior of a share is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
 _NODES = 6
 INLIER_SHARES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
-_PRIOR = np.full(_NODES, 1.0 / _NODES)  # counts for as much as one frame
+PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike are no reason to be sure of the next
+_PRIOR = np.full(_NODES, PRIOR_FRAMES / _NODES)
 
 MEMORY_FRAMES = 30.0  # independent frames after which another part of the building is in view, with clutter of its own
 
