@@ -13,7 +13,9 @@ from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
 if TYPE_CHECKING:
     from localiser.app.map_build import MapBuilt
 
-map_app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown", help="Build landmark maps, check and mend them.")
+map_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode="markdown", help="Build landmark maps, check and mend them."
+)
 
 MapOut = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write.")]
 
