@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 from short_log import CORRIDOR, FRAMES, Localiser, cut_log
-from small_log import write_edge_log
+from small_log import CAMERA, MAP, ODOMETRY, TRUTH, sightings, write_edge_log
 
 from localiser import storage
 from localiser.evaluate import report
+from localiser.landmarks import LandmarkMap
 from localiser.view import live, paths
 
 COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh", "ess"]
@@ -197,6 +198,23 @@ def test_another_map_can_be_given(localiser: Localiser, log: Path, tmp_path: Pat
     assert "--map" in missing.err
     given = localiser.replay(log, tmp_path / "b", "--map", CORRIDOR.parent.parent / "maps" / "corridor.yaml")
     assert (own / "trajectory.csv").read_bytes() == (given / "trajectory.csv").read_bytes()
+
+
+def test_the_bound_is_that_of_the_map_that_the_log_knows(localiser: Localiser, tmp_path: Path) -> None:
+    """Associations of a log are indices into its own map; on another map there is no bound."""
+    log, other = tmp_path / "log", tmp_path / "other.yaml"
+    storage.write_log(
+        log,
+        name="told",
+        camera=CAMERA,
+        odometry=ODOMETRY,
+        sightings=sightings(),
+        landmark_map=MAP,
+        groundtruth=TRUTH,
+    )
+    storage.save_map(LandmarkMap.from_points(np.array([[0.5, -1.25]])), other)
+    assert metrics_of(localiser.replay(log, tmp_path / "own"))["pcrb_position_m"] > 0
+    assert metrics_of(localiser.replay(log, tmp_path / "other", "--map", other))["pcrb_position_m"] is None
 
 
 def test_settings_have_their_effect(localiser: Localiser, log: Path, tmp_path: Path) -> None:

@@ -185,6 +185,8 @@ class Replay:
         truth, config = self.log.groundtruth, self.config
         if truth is None or _sighted(self.history.edges) is None:
             return None
+        if self.landmark_map is not self.log.landmark_map:
+            return None  # the log's associations are those of its own map
         poses = truth.sampled(track.t_ns).poses
         steps = zip(poses[:-1], self.history.increments[1:], strict=True)
         moves = [motion.linearised(pose, increment, config.motion) for pose, increment in steps]
