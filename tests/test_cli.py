@@ -65,7 +65,16 @@ def test_schema_is_json_that_knows_every_section(localiser: Localiser) -> None:
     assert set(schema["properties"]) == set(Config.model_fields)
 
 
-@pytest.mark.parametrize("arguments", [["repaly"], ["replay"], ["replay", CORRIDOR, "--seed", "-1"], ["evaluate"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["repaly"],
+        ["replay"],
+        ["replay", CORRIDOR, "--seed", "-1"],
+        ["replay", CORRIDOR, "--seed", str(2**32)],
+        ["evaluate"],
+    ],
+)
 def test_wrong_usage_is_told_on_stderr(localiser: Localiser, arguments: list[str]) -> None:
     result = localiser(*arguments)
     assert (result.exit_code, result.out) == (2, "")
