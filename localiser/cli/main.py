@@ -21,6 +21,7 @@ from localiser.cli.shared import (
     Quiet,
     Seed,
     Topics,
+    opened,
     progress,
     show,
     topics_by_role,
@@ -137,16 +138,13 @@ def replay(
 ) -> None:
     """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
     from localiser.app.replay import Outputs, prepare
-    from localiser.config import load_config
-    from localiser.storage import load_map, open_log
+    from localiser.storage import load_map
 
     settings = [*(overrides or [])]
     settings += [f"seed={seed}"] if seed is not None else []
     settings += [f"observation.kind={observation}"] if observation is not None else []
     settings += [f"increments.source={odometry}"] if odometry is not None else []
-    sensor = load_config(config, settings).sensor
-    recorded = open_log(log, format=log_format, sensor=sensor, topics=topics_by_role(topics), camera=camera)
-    effective = load_config(config, settings, recorded.settings)
+    recorded, effective = opened(log, config, settings, format=log_format, topics=topics_by_role(topics), camera=camera)
     landmark_map = load_map(map_file) if map_file else recorded.landmark_map
     if landmark_map is None:
         raise InputError("the log has no map; expected --map MAP", path=log, field="map")

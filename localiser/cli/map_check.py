@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from localiser.cli.map_edit import Force, MapFile
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, opened, progress, show
 
 
 def check(
@@ -33,18 +33,16 @@ def check(
     """Tell what looks wrong with a MAP, how it fits a log, and draw where too few landmarks are in view."""
     from localiser.app import map_check
     from localiser.app.map_build import require_writable
-    from localiser.config import load_config
-    from localiser.storage import load_camera, load_map, open_log
+    from localiser.storage import load_camera, load_map
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
     landmark_map = load_map(map_file)
-    recorded = open_log(log, sensor=load_config(config, [*(overrides or [])]).sensor) if log else None
+    recorded, effective = opened(log, config, [*(overrides or [])]) if log else (None, None)
     camera = recorded.camera if recorded else load_camera(camera_file) if camera_file else None
     if camera is not None:
         require_writable(picture, overwrite=force)
     fit = None
-    if recorded is not None:
-        effective = load_config(config, [*(overrides or [])], recorded.settings)
+    if recorded is not None and effective is not None:
         with progress("Finding edges", len(recorded.frames), quiet) as advance:
             fit = map_check.fit_to_log(landmark_map, recorded, poses, effective, advance)
     show(map_check.suspects(landmark_map, fit))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from localiser.cli.map_edit import Force, MapFile, MapOut, Within
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, opened, progress
 
 
 def update(
@@ -27,14 +27,11 @@ def update(
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
     from localiser.app import map_build
     from localiser.app.map_update import updated
-    from localiser.config import load_config
-    from localiser.storage import load_map, open_log, save_map
+    from localiser.storage import load_map, save_map
 
     map_build.require_writable(out, overwrite=force)
     old = load_map(map_file)
-    settings = [*(overrides or [])]
-    recorded = open_log(log, sensor=load_config(config, settings).sensor)
-    effective = load_config(config, settings, recorded.settings)
+    recorded, effective = opened(log, config, [*(overrides or [])])
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         built = map_build.build_map(recorded, poses, effective, advance)
     changed = updated(old, built, recorded.camera, effective, within)

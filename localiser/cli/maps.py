@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.cli import map_check, map_edit, map_update
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, progress, show
+from localiser.cli.shared import ConfigFile, Overrides, Quiet, opened, progress, show
 
 if TYPE_CHECKING:
     from localiser.app.map_build import MapBuilt
@@ -56,15 +56,12 @@ def build(
 ) -> None:
     """Build a map of the vertical edges that a LOG shows, with what is known of each."""
     from localiser.app import map_build
-    from localiser.config import load_config
-    from localiser.storage import open_log, save_tum
+    from localiser.storage import save_tum
 
     for file in (out, trajectory, rrd):
         if file is not None:
             map_build.require_writable(file, overwrite=force)
-    settings = [*(overrides or [])]
-    recorded = open_log(log, format=log_format, sensor=load_config(config, settings).sensor)
-    effective = load_config(config, settings, recorded.settings)
+    recorded, effective = opened(log, config, [*(overrides or [])], format=log_format)
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         built = map_build.build_map(recorded, poses, effective, advance)
     map_build.save(built, out, overwrite=force)

@@ -6,11 +6,15 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from localiser.errors import InputError
+
+if TYPE_CHECKING:  # both take long to import, and --help needs neither
+    from localiser.config import Config
+    from localiser.storage import Log
 
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Configuration; see `localiser config show`.")
@@ -33,6 +37,18 @@ BagCamera = Annotated[
     typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
+
+
+def opened(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
+    """Return a log, and the configuration in force: what the log asks for is weaker than `config` and `settings`.
+
+    how: see `storage.open_log`.
+    """
+    from localiser.config import load_config
+    from localiser.storage import open_log
+
+    recorded = open_log(log, sensor=load_config(config, settings).sensor, **how)
+    return recorded, load_config(config, settings, recorded.settings)
 
 
 def show(renderable: object) -> None:
