@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+from short_log import Localiser
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -17,3 +18,9 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"development data not found in {folder}; set LOCALISER_DATA")
     return folder
+
+
+@pytest.fixture
+def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
+    """Return the program, run inside this process."""
+    return Localiser(capsys)

@@ -10,11 +10,10 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from conftest import ROOT
 
 from localiser.cli import main
 
-CORRIDOR = ROOT / "logs" / "corridor"
+CORRIDOR = Path(__file__).resolve().parent.parent / "logs" / "corridor"
 FRAMES = 12
 
 

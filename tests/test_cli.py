@@ -23,11 +23,6 @@ from localiser.config import Config, load_config
 
 
 @pytest.fixture
-def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
-    return Localiser(capsys)
-
-
-@pytest.fixture
 def log(tmp_path: Path) -> Path:
     return cut_log(CORRIDOR, tmp_path / "log", FRAMES)
 

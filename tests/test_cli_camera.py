@@ -20,11 +20,6 @@ from localiser.storage import load_camera
 
 
 @pytest.fixture
-def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
-    return Localiser(capsys)
-
-
-@pytest.fixture
 def log(tmp_path: Path) -> Path:
     """A log whose camera file states a tilt that is 3° off, with comments."""
     folder = cut_log(CORRIDOR, tmp_path / "log", FRAMES)

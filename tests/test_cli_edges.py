@@ -24,11 +24,6 @@ DETECTORS = ("columns", "lsd", "hough")
 
 
 @pytest.fixture
-def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
-    return Localiser(capsys)
-
-
-@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a folder with three images of a wall on a floor and the camera that took them."""
     save_camera(CAMERA, tmp_path / "camera.yaml")

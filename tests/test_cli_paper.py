@@ -34,11 +34,6 @@ TILT_RAD = np.deg2rad(TILT_2_DEG)
 SMALL, LARGE = SIZES
 
 
-@pytest.fixture
-def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
-    return Localiser(capsys)
-
-
 @pytest.fixture(scope="module")
 def reproduced() -> Reproduction:
     calls = []

@@ -44,18 +44,18 @@ def test_a_slip_that_loses_wheels_does_not_lose_both() -> None:
 
 
 @pytest.mark.parametrize("source", ["vision", "both"])
-def test_replay_by_vision(tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str) -> None:
+def test_replay_by_vision(tmp_path: Path, localiser: Localiser, source: str) -> None:
     log = cut_log(CORRIDOR, tmp_path / "log", 3)
     few = ("--set", "mcl.particles=200", "--set", "mcl.start_particles=200")
-    run = Localiser(capsys).replay(log, tmp_path / "out", "--odometry", source, *few)
+    run = localiser.replay(log, tmp_path / "out", "--odometry", source, *few)
     figures = json.loads((run / "metrics.json").read_text())
     assert figures["complete"]
     assert f"source: {source}" in (run / "config.yaml").read_text()
 
 
-def test_a_log_without_images_cannot_be_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_images_cannot_be_followed(tmp_path: Path, localiser: Localiser) -> None:
     log = write_edge_log(tmp_path / "log")
-    result = Localiser(capsys)(
+    result = localiser(
         "replay", log, "--start", "1,2,170", "--odometry", "vision", "--out", tmp_path / "out", "--no-rrd"
     )
     assert result.exit_code == 2

@@ -34,11 +34,6 @@ METRICS = {
 
 
 @pytest.fixture
-def localiser(capsys: pytest.CaptureFixture[str]) -> Localiser:
-    return Localiser(capsys)
-
-
-@pytest.fixture
 def log(tmp_path: Path) -> Path:
     return cut_log(CORRIDOR, tmp_path / "log", FRAMES)
 

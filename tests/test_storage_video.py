@@ -59,8 +59,7 @@ def test_the_clock_of_the_video_is_set_by_its_start(drive: Path) -> None:
         read(drive, 9 * 10**9)
 
 
-def test_a_video_becomes_a_log_folder(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    localiser = Localiser(capsys)
+def test_a_video_becomes_a_log_folder(drive: Path, localiser: Localiser) -> None:
     options = ("--odometry", drive / "odometry.csv", "--camera", drive / "camera.yaml", "--quiet")
     result = localiser("convert", drive / "drive.avi", drive / "log", *options)
     assert (result.exit_code, result.err) == (0, "")
