@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -24,6 +24,7 @@ from localiser.motion import MotionParameters, linearised, predict
 from localiser.observation import Observation, ObservationParameters, independent_share
 from localiser.particles import Estimate, Particles
 from localiser.resampling import systematic_resample
+from localiser.weighing import Weighing
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
 
@@ -72,8 +73,6 @@ class Located:
     increment: Increment
     odometry: Array
 
-
-MOST_STAGES = 12  # so that a frame takes a bounded time whatever it shows
 
 # -- the filter -------------------------------------------------------------------------------------------------------
 
@@ -170,8 +169,9 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
-    weighed, state.inliers = weigh(
-        mcl, moved, sighting.edges, state.inliers.after(share), share, not state.weighed, rng
+    inliers, blurred = state.inliers.after(share), not state.weighed
+    weighed, state.inliers = Weighing(mcl.observation, mcl.landmark_map, mcl.parameters.stage_below).weigh(
+        moved, sighting.edges, inliers, share, blurred, rng
     )
 
     # Estimate before resampling, which only adds noise.
@@ -186,52 +186,6 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         weighed = particles.take(weighed, index)
     state.particles, state.at_ns, state.weighed, state.seen = weighed, sighting.t_ns, True, sighting.edges
     return located
-
-
-def weigh(
-    mcl: Mcl, moved: Particles, edges: Edges, inliers: InlierShare, share: float, first: bool, rng: np.random.Generator
-) -> tuple[Particles, InlierShare]:
-    """Return the particles with `share` of the edges' log-likelihood in their weights, and what that tells of clutter.
-
-    Edges much sharper than the cloud would leave all weight on the few particles that happen to lie nearest. So only
-    as much of the evidence is taken at once as leaves `stage_below` of them effective; these are resampled and spread
-    by a small kernel, and the rest is weighed on the new, denser cloud [Musso, Oudjane, Le Gland 2001]. At the start
-    (`first`) perhaps no particle fits at all; then edges are blurred first and sharpened from stage to stage.
-    """
-    fewest = mcl.parameters.stage_below * len(moved)
-    coarser_rad: float | None = None
-    for blur_rad in blurs_of(mcl, moved, edges) if first else [0.0]:
-        left = share
-        for stage in range(MOST_STAGES):
-            by_share = mcl.observation.by_share(moved, edges, mcl.landmark_map, blur_rad)
-            log_likelihood = inliers.log_mean(by_share)
-            if coarser_rad is not None:  # which the particles have been weighed by already
-                known = mcl.observation.by_share(moved, edges, mcl.landmark_map, coarser_rad)
-                log_likelihood = log_likelihood - inliers.log_mean(known)
-            last = stage == MOST_STAGES - 1
-            taken = left if last else particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
-            weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
-            left -= taken
-            if left <= 0 and blur_rad == 0:
-                break
-            index = systematic_resample(weighed.weight, len(weighed), rng)
-            moved = particles.spread(particles.take(weighed, index), rng)
-            if left <= 0:
-                break
-        coarser_rad = blur_rad
-    return weighed, inliers.given(by_share, weighed.weight, share)
-
-
-def blurs_of(mcl: Mcl, moved: Particles, edges: Edges) -> list[float]:
-    """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
-
-    Only 0 where at least one particle is expected within an edge's sigma of the truth in every dimension. Else from
-    twice the spread of the particles' predictions, halved until it is below the edges' sigma.
-    """
-    spread_rad, sigma_rad = mcl.observation.scales(moved, edges, mcl.landmark_map)
-    if len(moved) * sigma_rad ** len(moved.names) >= spread_rad ** len(moved.names):
-        return [0.0]
-    return [*(b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad), 0.0]
 
 
 def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:

@@ -10,8 +10,8 @@ from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap
-from localiser.mcl import Mcl, MclParameters, weigh
 from localiser.particles import Particles
+from localiser.weighing import Weighing
 
 SIGMA = np.array([0.1, 0.1, 0.05])
 
@@ -68,9 +68,9 @@ def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
 
 
 def weighed(peak: Peak, cloud: Particles, *, first: bool = False, stage_below: float = 0.3, seed: int = 0) -> Particles:
-    mcl = Mcl(LandmarkMap.from_points(np.zeros((1, 2))), peak, MclParameters(stage_below=stage_below))
+    weighing = Weighing(peak, LandmarkMap.from_points(np.zeros((1, 2))), stage_below)
     rng = np.random.default_rng(seed)
-    return weigh(mcl, cloud, Edges.none(), InlierShare.unknown(), 1.0, first, rng)[0]
+    return weighing.weigh(cloud, Edges.none(), InlierShare.unknown(), 1.0, first, rng)[0]
 
 
 @pytest.mark.parametrize("sharpness", [1 / 4, 1 / 40])
