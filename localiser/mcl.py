@@ -170,7 +170,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
     inliers, blurred = state.inliers.after(share), not state.weighed
-    weighed, state.inliers = Weighing(mcl.observation, mcl.landmark_map, mcl.parameters.stage_below).weigh(
+    weighed, state.inliers, _ = Weighing(mcl.observation, mcl.landmark_map, mcl.parameters.stage_below).weigh(
         moved, sighting.edges, inliers, share, blurred, rng
     )
 

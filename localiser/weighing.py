@@ -13,6 +13,7 @@ import numpy as np
 
 from localiser import particles
 from localiser.edges import Edges
+from localiser.geometry import Array
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import Observation
@@ -38,14 +39,16 @@ class Weighing:
         share: float,
         blurred: bool,
         rng: np.random.Generator,
-    ) -> tuple[Particles, InlierShare]:
+    ) -> tuple[Particles, InlierShare, float]:
         """Return the particles with `share` of the edges' log-likelihood weighed, and what that tells of clutter.
 
+        Last the log-evidence log Σ w p(edges | particle)^share: relative to all edges being clutter, before any stage.
         blurred: perhaps no particle fits at all, as at a start; then edges are blurred first and sharpened from stage
         to stage.
         """
         fewest = self.stage_below * len(moved)
         coarser_rad: float | None = None
+        log_evidence = 0.0
         for blur_rad in self._blurs(moved, edges) if blurred else [0.0]:
             left = share
             for stage in range(MOST_STAGES):
@@ -57,6 +60,7 @@ class Weighing:
                 last = stage == MOST_STAGES - 1
                 taken = left if last else particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
                 weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
+                log_evidence += _log_sum(weighed.log_weight) - _log_sum(moved.log_weight)
                 left -= taken
                 if left <= 0 and blur_rad == 0:
                     break
@@ -65,7 +69,7 @@ class Weighing:
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        return weighed, inliers.given(by_share, weighed.weight, share)
+        return weighed, inliers.given(by_share, weighed.weight, share), log_evidence
 
     def _blurs(self, moved: Particles, edges: Edges) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
@@ -77,3 +81,7 @@ class Weighing:
         if len(moved) * sigma_rad ** len(moved.names) >= spread_rad ** len(moved.names):
             return [0.0]
         return [*(b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad), 0.0]
+
+
+def _log_sum(log_weight: Array) -> float:
+    return float(np.logaddexp.reduce(log_weight))
