@@ -10,8 +10,10 @@ import pytest
 
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
-from localiser.geometry import Increment
+from localiser.frames import LocatedFrame
+from localiser.geometry import Array, Increment
 from localiser.mcl import Located
+from localiser.observation import Matches
 from localiser.particles import Estimate, Particles
 from localiser.storage import RunFolder, TrackWriter, find_run, json_text, load_json, load_track, load_tum
 from localiser.storage import runs as runs_module
@@ -33,6 +35,11 @@ def located(t_ns: int, names: tuple[str, ...] = ("x", "z", "heading")) -> Locate
         increment=Increment.from_mean(np.zeros(3)),
         odometry=np.array([0.1, 0.2, 0.3]),
     )
+
+
+def frame(result: Located, truth: Array | None = None) -> LocatedFrame:
+    nothing = Matches(np.full(len(result.edges), -1), np.full(len(result.edges), np.nan), np.zeros(0, dtype=bool))
+    return LocatedFrame(result, nothing, None, truth, {})
 
 
 def test_runs_are_numbered_and_latest_points_to_the_last(tmp_path: Path) -> None:
@@ -82,7 +89,7 @@ def test_what_is_no_run(tmp_path: Path) -> None:
 def test_track_is_read_back(tmp_path: Path) -> None:
     writer = TrackWriter(tmp_path)
     for t_ns in (0, 100_000_000, 250_000_000):
-        writer.frame(located(t_ns), None, np.array([1.0, 2.0, 3.0]), {})
+        writer.frame(frame(located(t_ns), np.array([1.0, 2.0, 3.0])))
     writer.close(True)
     track = load_track(tmp_path / "trajectory.csv")
     np.testing.assert_array_equal(track.t_ns, [0, 100_000_000, 250_000_000])
@@ -103,7 +110,7 @@ def test_first_columns_are_those_that_were_promised(tmp_path: Path) -> None:
 def test_files_are_whole_after_every_image_without_being_closed(tmp_path: Path) -> None:
     writer = TrackWriter(tmp_path)
     for frames, t_ns in enumerate((0, 1, 2), start=1):
-        writer.frame(located(t_ns), None, None, {})
+        writer.frame(frame(located(t_ns)))
         assert len(load_track(tmp_path / "trajectory.csv")) == frames
         assert len(load_tum(tmp_path / "trajectory.tum")) == frames
     assert not (tmp_path / "groundtruth.tum").exists()
@@ -112,7 +119,7 @@ def test_files_are_whole_after_every_image_without_being_closed(tmp_path: Path) 
 
 def test_biases_follow_as_further_columns(tmp_path: Path) -> None:
     writer = TrackWriter(tmp_path)
-    writer.frame(located(0, ("x", "z", "heading", "scale", "veer")), None, None, {})
+    writer.frame(frame(located(0, ("x", "z", "heading", "scale", "veer"))))
     header, row = (line.split(",") for line in (tmp_path / "trajectory.csv").read_text().splitlines())
     assert header[-4:] == ["scale", "scale_sigma", "veer", "veer_sigma"]
     assert [float(cell) for cell in row[-4:]] == [0.5, 0.5, 0.25, 0.5]
@@ -124,7 +131,7 @@ def test_odometry_that_is_not_known_is_an_empty_cell(tmp_path: Path) -> None:
     writer = TrackWriter(tmp_path)
     event = located(0)
     event.odometry[:] = np.nan
-    writer.frame(event, None, None, {})
+    writer.frame(frame(event))
     assert np.isnan(load_track(tmp_path / "trajectory.csv").odometry).all()
     writer.close(True)
 

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,11 @@ from rerun.chunk import RrdReader
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.errors import OutputError
+from localiser.frames import Image, LocatedFrame
 from localiser.geometry import Array, Increment, Trajectory, compose, forward, robot_from_map
 from localiser.landmarks import LandmarkMap
 from localiser.mcl import Located
+from localiser.observation import Matches
 from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
 from localiser.view import Context, LiveView, RrdFile, live, palette, paths
 from localiser.view.image import joins, predicted_lines
@@ -57,20 +58,16 @@ def strict() -> Iterator[None]:
     rr.set_strict_mode(before)
 
 
-@dataclass(frozen=True)
-class Matched:
-    landmark: NDArray[np.int64]
-    visible: NDArray[np.bool_]
-
-
-def associate(pose: Array, edges: Edges) -> Matched:
+def shown(located: Located, image: Image | None, truth: Array | None, stage_ms: dict[str, float]) -> LocatedFrame:
     """Edges show landmarks 0 and 1, the third is clutter; landmark 2 is expected and not found, 3 lies behind."""
-    return Matched(np.array([0, 1, -1])[: len(edges)], np.array([True, True, True, False]))
+    landmark = np.array([0, 1, -1])[: len(located.edges)]
+    matches = Matches(landmark, np.full(len(landmark), np.nan), np.array([True, True, True, False]))
+    return LocatedFrame(located, matches, image, truth, stage_ms)
 
 
 def context(**changes: Any) -> Context:
     given = {"truth": truth(), "odometry": None} | changes
-    return Context("unit", CAMERA, MAP, associate, **given)
+    return Context("unit", CAMERA, MAP, **given)
 
 
 def truth() -> Trajectory:
@@ -111,15 +108,15 @@ def picture() -> NDArray[np.uint8]:
 
 
 def record(path: Path, *, complete: bool = True, seed: int = 0, **changes: Any) -> list[Located]:
-    shown = []
+    recorded = []
     sink = RrdFile(path, context(**changes))
     sink.message(0, "start")
     for number in range(FRAMES):
         located, pose = frame(number, seed=seed)
-        sink.frame(located, picture(), pose if "truth" not in changes else None, STAGE_MS)
-        shown.append(located)
+        sink.frame(shown(located, picture(), pose if "truth" not in changes else None, STAGE_MS))
+        recorded.append(located)
     sink.close(complete)
-    return shown
+    return recorded
 
 
 def read(path: Path) -> dict[str, dict[str, list[Any]]]:
@@ -167,21 +164,21 @@ def test_every_entity_has_one_row_a_frame_on_both_time_lines(tmp_path: Path) -> 
 def test_times_since_the_epoch_are_dates(tmp_path: Path) -> None:
     epoch_ns = 1_700_000_000_123_456_789
     sink = RrdFile(tmp_path / "run.rrd", context())
-    sink.frame(frame(0, t0_ns=epoch_ns)[0], None, None, {})
+    sink.frame(shown(frame(0, t0_ns=epoch_ns)[0], None, None, {}))
     sink.close(True)
     (time,) = read(tmp_path / "run.rrd")[paths.ESS][paths.TIME]
     assert time.value == epoch_ns and time.year == 2023
 
 
 def test_plots_hold_error_and_three_sigma_ess_counts_and_stages(tmp_path: Path) -> None:
-    shown = record(tmp_path / "run.rrd")
+    recorded = record(tmp_path / "run.rrd")
     content = read(tmp_path / "run.rrd")
     errors = np.array(content[paths.ERROR]["Scalars:scalars"])
-    for located, pose, (error, three_sigma) in zip(shown, truth().poses, errors, strict=True):
+    for located, pose, (error, three_sigma) in zip(recorded, truth().poses, errors, strict=True):
         assert error == pytest.approx(np.linalg.norm(located.estimate.pose[:2] - pose[:2]))
         cov = located.estimate.pose_cov
         assert three_sigma == pytest.approx(3 * np.sqrt(cov[0, 0] + cov[1, 1]))
-    assert content[paths.ESS]["Scalars:scalars"] == [[pytest.approx(located.ess)] for located in shown]
+    assert content[paths.ESS]["Scalars:scalars"] == [[pytest.approx(located.ess)] for located in recorded]
     assert content[paths.COUNTS]["Scalars:scalars"] == [[3.0, 2.0]] * FRAMES
     assert content[paths.STAGES]["Scalars:scalars"] == [list(STAGE_MS.values())] * FRAMES
     assert content[paths.STAGES]["SeriesLines:names"] == [list(STAGE_MS)]
@@ -192,7 +189,7 @@ def test_particles_are_all_there_or_evenly_thinned(tmp_path: Path) -> None:
     counts = (300, 3 * MOST_PARTICLES + 1)
     clouds = [frame(number, particles=count)[0] for number, count in enumerate(counts)]
     for located in clouds:
-        sink.frame(located, None, None, STAGE_MS)
+        sink.frame(shown(located, None, None, STAGE_MS))
     sink.close(True)
     few, many = (np.array(rows) for rows in read(tmp_path / "run.rrd")[paths.PARTICLES]["Points3D:positions"])
     assert few.shape == (300, 3)
@@ -218,7 +215,7 @@ def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Pa
     file = cv2.imencode(".png", picture()[:, :, 0])[1].tobytes()
     sink = RrdFile(tmp_path / "run.rrd", context())
     for number, image in enumerate([picture(), file, None]):
-        sink.frame(frame(number)[0], image, None, STAGE_MS)
+        sink.frame(shown(frame(number)[0], image, None, STAGE_MS))
     sink.close(True)
     image = read(tmp_path / "run.rrd")[paths.IMAGE]
     blobs = [bytes(row[0]) for row in image["EncodedImage:blob"] if row]
@@ -230,10 +227,10 @@ def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Pa
 
 
 def test_edges_are_coloured_by_match_and_joined_to_what_was_expected(tmp_path: Path) -> None:
-    shown = record(tmp_path / "run.rrd")
+    recorded = record(tmp_path / "run.rrd")
     content = read(tmp_path / "run.rrd")
     edges = content[paths.EDGES]
-    np.testing.assert_allclose(edges["LineStrips2D:strips"][0], shown[0].edges.ends_px, atol=1e-3)
+    np.testing.assert_allclose(edges["LineStrips2D:strips"][0], recorded[0].edges.ends_px, atol=1e-3)
     rgba = [int.from_bytes(bytes(colour), "big") for colour in (palette.MATCHED, palette.UNMATCHED)]
     assert edges["LineStrips2D:colors"][0] == [rgba[0], rgba[0], rgba[1]]
     assert [len(lines) for lines in content[paths.PREDICTED]["LineStrips2D:strips"]] == [3] * FRAMES
@@ -242,15 +239,15 @@ def test_edges_are_coloured_by_match_and_joined_to_what_was_expected(tmp_path: P
 
 
 def test_trails_continue_where_the_last_frame_ended(tmp_path: Path) -> None:
-    shown = record(tmp_path / "run.rrd")
+    recorded = record(tmp_path / "run.rrd")
     content = read(tmp_path / "run.rrd")
-    positions = np.array([located.estimate.pose[:2] for located in shown])
+    positions = np.array([located.estimate.pose[:2] for located in recorded])
     pieces = np.array(content[paths.ESTIMATE_TRAIL]["LineStrips3D:strips"])[:, 0][:, :, [0, 2]]
     np.testing.assert_allclose(pieces[:, 1], positions, atol=1e-6)
     np.testing.assert_allclose(pieces[1:, 0], positions[:-1], atol=1e-6)
     # Odometry, in a frame of its own, starts at the first estimate and then moves as the truth does.
     odometry = np.array(content[paths.ODOMETRY_TRAIL]["LineStrips3D:strips"])[:, 0][:, 1, [0, 2]]
-    first = shown[0].estimate.pose
+    first = recorded[0].estimate.pose
     moved = robot_from_map(first, odometry)
     np.testing.assert_allclose(moved, robot_from_map(truth().poses[0], truth().poses[:, :2]), atol=1e-5)
 
@@ -277,7 +274,7 @@ def test_edges_without_pixels_and_frames_without_edges_are_shown(tmp_path: Path)
         kept = Located(
             number, located.estimate, located.particles, located.ess, edges, located.increment, np.full(3, np.nan)
         )
-        sink.frame(kept, None, None, {})
+        sink.frame(shown(kept, None, None, {}))
     sink.close(True)
     content = read(tmp_path / "run.rrd")
     assert content[paths.EDGES]["LineStrips2D:strips"] == [[], []]
@@ -343,7 +340,7 @@ def test_ellipse_lies_where_95_percent_are_inside() -> None:
 @pytest.mark.parametrize("camera", [CAMERA, CAMERA.undistorted()], ids=["lens", "pinhole"])
 def test_predicted_lines_are_the_part_of_each_landmark_inside_the_image(camera: Camera) -> None:
     pose = np.array([0.1, -0.2, 0.05])
-    view = Context("", camera, MAP, associate)
+    view = Context("", camera, MAP)
     index, lines = predicted_lines(camera, pose, view.landmark_ends, np.ones(len(MAP), dtype=bool))
     assert list(index) == [0, 1, 2], "landmark 3 lies behind the camera"
     for landmark, line in zip(index, lines, strict=True):
@@ -362,7 +359,7 @@ def test_predicted_lines_stop_at_the_border_that_they_cross_sideways(camera: Cam
     bearing = np.deg2rad(np.linspace(-40.0, 40.0, 161))
     landmarks = LandmarkMap.from_points(np.stack([np.sin(bearing), -np.cos(bearing)], axis=-1))
     pose = np.zeros(3)
-    ends = Context("", camera, landmarks, associate).landmark_ends
+    ends = Context("", camera, landmarks).landmark_ends
     index, lines = predicted_lines(camera, pose, ends, np.ones(len(landmarks), dtype=bool))
     size = np.array([camera.width, camera.height])
     assert ((lines >= -0.5) & (lines <= size - 0.5)).all()
@@ -394,7 +391,7 @@ def viewer(code: str, *arguments: object) -> list[str]:
 def show(sink: LiveView, count: int) -> None:
     for number in range(count):
         located, pose = frame(number)
-        sink.frame(located, picture(), pose, STAGE_MS)
+        sink.frame(shown(located, picture(), pose, STAGE_MS))
 
 
 def test_live_stream_is_the_recording(tmp_path: Path) -> None:

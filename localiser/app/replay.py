@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import evaluate, mcl, motion, view
-from localiser.app.sinks import History, Image, Sink, close_all
+from localiser.app.sinks import History, Sink, close_all
 from localiser.app.start import start_of
 from localiser.app.stop import stop_request
 from localiser.app.tilt import mount_figures
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
+from localiser.frames import Image, LocatedFrame
 from localiser.geometry import Array
 from localiser.increments import Odometer
 from localiser.landmarks import LandmarkMap
@@ -123,20 +124,21 @@ class Replay:
         pending[event.t_ns] = Pending(encoded, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
         return mcl.Sighting(event.t_ns, edges)
 
-    def _hand_over(self, located: mcl.Located, frame: Pending) -> None:
+    def _hand_over(self, located: mcl.Located, pending: Pending) -> None:
         truth = self.log.groundtruth
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
+        matches = self.observation.associate(located.estimate.pose, located.edges, self.landmark_map)
         begin = perf_counter()
         for sink in self.sinks:
-            sink.frame(located, frame.image, true_pose, frame.stage_ms)
-        frame.stage_ms["sinks"] = 1e3 * (perf_counter() - begin)
+            sink.frame(LocatedFrame(located, matches, pending.image, true_pose, pending.stage_ms))
+        stage_ms = pending.stage_ms | {"sinks": 1e3 * (perf_counter() - begin)}
         for stage in STAGES:
-            self.timing[stage].append(frame.stage_ms[stage])
+            self.timing[stage].append(stage_ms[stage])
 
     def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
         """Save what was done and return the error that says how much that is and where."""
         close_all(self.sinks, complete=False)
-        done, frames = len(self.history.t_ns), len(self.log.frames)
+        done, frames = len(self.history.frames), len(self.log.frames)
         if done:
             self._write_figures(complete=False)
         return RunEndedEarlyError(
@@ -152,8 +154,9 @@ class Replay:
 
         track = self.history.track
         truth = self.log.groundtruth
-        if truth is not None and not any(truth.covers(t_ns) for t_ns in self.history.t_ns):
+        if truth is not None and not any(truth.covers(int(t_ns)) for t_ns in track.t_ns):
             truth = None  # a run that ended before the truth begins
+        edges = [frame.located.edges for frame in self.history.frames]
         bound = self._bound(track)
         figures = evaluate.metrics(
             track,
@@ -163,10 +166,10 @@ class Replay:
             seed=self.config.seed,
             particles=self.config.mcl.particles,
             bound=bound,
-            sighted=_sighted(self.history.edges),
+            sighted=_sighted(edges),
         )
         figures["complete"] = complete
-        figures |= mount_figures(self.log, self.history.edges, track.odometry, self.config)
+        figures |= mount_figures(self.log, edges, track.odometry, self.config)
         timing = evaluate.timing_metrics(self.timing)
         self.folder.write_json("metrics.json", figures | timing)
         self.folder.write_json("timing.json", timing)
@@ -183,18 +186,19 @@ class Replay:
     def _bound(self, track: evaluate.Track) -> Array | None:
         """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
         truth, config = self.log.groundtruth, self.config
-        if truth is None or _sighted(self.history.edges) is None:
+        located = [frame.located for frame in self.history.frames]
+        if truth is None or _sighted([result.edges for result in located]) is None:
             return None
         if self.landmark_map is not self.log.landmark_map:
             return None  # the log's associations are those of its own map
         poses = truth.sampled(track.t_ns).poses
-        steps = zip(poses[:-1], self.history.increments[1:], strict=True)
-        moves = [motion.linearised(pose, increment, config.motion) for pose, increment in steps]
+        steps = zip(poses[:-1], located[1:], strict=True)
+        moves = [motion.linearised(pose, result.increment, config.motion) for pose, result in steps]
         informations = [
             evaluate.bearing_information(
-                pose, self.log.camera, self.landmark_map.points, edges, config.observation.kind
+                pose, self.log.camera, self.landmark_map.points, result.edges, config.observation.kind
             )
-            for pose, edges in zip(poses, self.history.edges, strict=True)
+            for pose, result in zip(poses, located, strict=True)
         ]
         return evaluate.posterior_bound(
             self.start.cov,
@@ -230,14 +234,10 @@ def prepare(
     start = start_of(log, start_option, rng)
     observation = EdgeObservation(log.camera, config.observation)
     observation.warm_up()
-
-    def associate(pose: Array, edges: Edges) -> Any:
-        return observation.associate(pose, edges, landmark_map)
-
     folder = RunFolder.create(outputs.results, log.name)
-    history = History(associate)
+    history = History()
     sinks: list[Sink] = [history, TrackWriter(folder.path)]
-    context = view.Context(log.name, log.camera, landmark_map, associate, truth=log.groundtruth, images=log.has_images)
+    context = view.Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
     if outputs.rrd:
         sinks.append(view.RrdFile(folder.path / "run.rrd", context))
     live = view.LiveView(outputs.view, context) if outputs.view != "none" else None

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from localiser.edges import Edges
+from localiser import particles
 from localiser.evaluate import Track
-from localiser.geometry import Array, Increment
-from localiser.mcl import Located
-from localiser.observation import Matches
-
-Image = NDArray[np.uint8] | bytes
+from localiser.frames import LocatedFrame
 
 
 class Sink(Protocol):
     """Takes what was located, image by image: files, recordings, live views, figures."""
 
-    def frame(self, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]) -> None:
-        """Take one frame. image: pixels or the bytes of an image file. truth: (3,) pose. stage_ms: time of stages."""
+    def frame(self, frame: LocatedFrame) -> None:
+        """Take one frame."""
 
     def close(self, complete: bool) -> None:
         """End. complete: whether the whole log was replayed."""
@@ -30,27 +25,14 @@ class Sink(Protocol):
 
 @dataclass(slots=True, eq=False)
 class History:
-    """Keeps the figures of a run for its metrics and its report: a few hundred bytes a frame."""
+    """Keeps the frames of a run, without images and particles, for its metrics and its report: some kilobytes each."""
 
-    associate: Callable[[Array, Edges], Matches]
-    t_ns: list[int] = field(default_factory=list)
-    poses: list[Array] = field(default_factory=list)
-    covs: list[Array] = field(default_factory=list)
-    odometry: list[Array] = field(default_factory=list)
-    edges: list[Edges] = field(default_factory=list)
-    matched: list[int] = field(default_factory=list)
-    increments: list[Increment] = field(default_factory=list)
+    frames: list[LocatedFrame] = field(default_factory=list)
 
-    def frame(self, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]) -> None:
+    def frame(self, frame: LocatedFrame) -> None:
         """Keep one frame."""
-        estimate = located.estimate
-        self.t_ns.append(located.t_ns)
-        self.poses.append(estimate.pose.copy())
-        self.covs.append(estimate.pose_cov.copy())
-        self.odometry.append(located.odometry)
-        self.edges.append(located.edges)
-        self.matched.append(int((self.associate(estimate.pose, located.edges).landmark >= 0).sum()))
-        self.increments.append(located.increment)
+        none = particles.take(frame.located.particles, np.zeros(0, dtype=np.int64))
+        self.frames.append(replace(frame, located=replace(frame.located, particles=none), image=None))
 
     def close(self, complete: bool) -> None:
         """Nothing to end."""
@@ -58,13 +40,14 @@ class History:
     @property
     def track(self) -> Track:
         """The run so far."""
+        located = [frame.located for frame in self.frames]
         return Track.from_poses(
-            self.t_ns,
-            np.array(self.poses).reshape(-1, 3),
-            covs=np.array(self.covs).reshape(-1, 3, 3),
-            odometry=np.array(self.odometry).reshape(-1, 3),
-            edges=[len(edges) for edges in self.edges],
-            matched=self.matched,
+            [result.t_ns for result in located],
+            np.array([result.estimate.pose for result in located]).reshape(-1, 3),
+            covs=np.array([result.estimate.pose_cov for result in located]).reshape(-1, 3, 3),
+            odometry=np.array([result.odometry for result in located]).reshape(-1, 3),
+            edges=[len(result.edges) for result in located],
+            matched=[int((frame.matches.landmark >= 0).sum()) for frame in self.frames],
         )
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.evaluate.accuracy import Track
-from localiser.geometry import Array
-from localiser.mcl import Located
+from localiser.frames import LocatedFrame
 from localiser.storage.files import output_errors
 from localiser.storage.tables import Column, integer, number, number_or_unknown, read_table
 from localiser.storage.trajectories import tum_line
@@ -43,15 +40,9 @@ class TrackWriter:
         self._files: dict[str, TextIO] = {}
         self._write(TRAJECTORY_TUM, "")
 
-    def frame(
-        self,
-        located: Located,
-        image: NDArray[np.uint8] | bytes | None,
-        truth: Array | None,
-        stage_ms: Mapping[str, float],
-    ) -> None:
-        """Write what the filter knows after one image. truth: (3,) true pose then."""
-        estimate = located.estimate
+    def frame(self, frame: LocatedFrame) -> None:
+        """Write what the filter knows after one image."""
+        located, estimate = frame.located, frame.located.estimate
         biases = estimate.names[3:]
         self._begin_csv(biases)
         cells = [str(located.t_ns)]
@@ -63,8 +54,8 @@ class TrackWriter:
             cells += [f"{estimate.mean[column]:.9e}", f"{np.sqrt(estimate.cov[column, column]):.9e}"]
         self._write(TRAJECTORY_CSV, ",".join(cells) + "\n")
         self._write(TRAJECTORY_TUM, tum_line(located.t_ns, estimate.pose))
-        if truth is not None:
-            self._write(GROUNDTRUTH_TUM, tum_line(located.t_ns, truth))
+        if frame.truth is not None:
+            self._write(GROUNDTRUTH_TUM, tum_line(located.t_ns, frame.truth))
 
     def close(self, complete: bool) -> None:
         """End the files; they hold every image so far whether the run is complete or not."""

@@ -1,7 +1,7 @@
 """What a run looks like: recorded to a Rerun file, or shown live; the only place that knows Rerun."""
 
-from localiser.view.context import Context, Image, Matches
+from localiser.view.context import Context
 from localiser.view.file import RrdFile
 from localiser.view.live import LiveView
 
-__all__ = ["Context", "Image", "LiveView", "Matches", "RrdFile"]
+__all__ = ["Context", "LiveView", "RrdFile"]

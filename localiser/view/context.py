@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-
-Image = NDArray[np.uint8] | bytes
-"""Pixels (height, width) grey or (height, width, 3) BGR as OpenCV has them, or the bytes of a JPEG or PNG file."""
-
-
-class Matches(Protocol):
-    """Which landmark each of E edges shows, and which of L landmarks the camera should see."""
-
-    @property
-    def landmark(self) -> NDArray[np.int64]:
-        """Index (E,) of the landmark, -1 where the edge is clutter."""
-
-    @property
-    def visible(self) -> NDArray[np.bool_]:
-        """Whether each landmark (L,) should be in the image."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
     """What does not change while a run is shown.
 
-    name: of the log. associate: robot pose (3,) in the map and the edges of its image → `Matches`; a pure function.
-    truth: path of the robot in the map, where known. odometry: path by odometry alone, moved so that it starts at the
-    start pose; without it, `Located.odometry` is moved onto the first estimate. images: False leaves the image out of
-    the layout, for logs that have none.
+    name: of the log. truth: path of the robot in the map, where known. odometry: path by odometry alone, moved so that
+    it starts at the start pose; without it, `Located.odometry` is moved onto the first estimate. images: False leaves
+    the image out of the layout, for logs that have none.
     """
 
     name: str
     camera: Camera
     landmark_map: LandmarkMap
-    associate: Callable[[Array, Edges], Matches]
     truth: Trajectory | None = None
     odometry: Trajectory | None = None
     images: bool = True

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
-from localiser.errors import OutputError
-from localiser.geometry import Array
-from localiser.mcl import Located
-from localiser.view.context import Context, Image
+from localiser.frames import LocatedFrame
+from localiser.view.context import Context
 
 
 class RrdFile:
@@ -19,20 +16,15 @@ class RrdFile:
 
     def __init__(self, path: Path, context: Context) -> None:
         # Rerun takes most of a second to import: only who records pays for it.
-        from localiser.view.layout import blueprint
-        from localiser.view.recorder import Recorder, new_stream
+        from localiser.view.recorder import Recorder, stream_to_file
 
-        self._stream = new_stream(context)
-        try:
-            self._stream.save(path, default_blueprint=blueprint(context))
-        except (OSError, RuntimeError) as error:
-            raise OutputError(f"{path}: cannot be written: {error}") from error
+        self._stream = stream_to_file(path, context)
         self._recorder = Recorder(self._stream, context)
         self._frames = 0
 
-    def frame(self, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]) -> None:
-        """Write what the filter knows after one image; see `Recorder.frame`."""
-        self._recorder.frame(self._frames, located, image, truth, stage_ms)
+    def frame(self, frame: LocatedFrame) -> None:
+        """Write what the filter knows after one image."""
+        self._recorder.frame(self._frames, frame)
         self._frames += 1
 
     def message(self, t_ns: int, text: str, level: str = "INFO") -> None:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.frames import Image
 from localiser.geometry import Array
 from localiser.view import palette
-from localiser.view.context import Image
 
 JPEG_QUALITY = 80
 _FINE_STEPS = 129

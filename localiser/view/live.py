@@ -14,13 +14,12 @@ import socket
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Literal
 
-from localiser.geometry import Array
-from localiser.mcl import Located
-from localiser.view.context import Context, Image
+from localiser.frames import LocatedFrame
+from localiser.view.context import Context
 
 if TYPE_CHECKING:
     from localiser.view.recorder import Recorder
@@ -39,8 +38,8 @@ _LOCALHOST = "127.0.0.1"
 class LiveView:
     """Shows every frame in a viewer, and never waits for it: what the viewer is too slow for is dropped, oldest first.
 
-    Frames are drawn on a worker thread: the arrays handed over must not change afterwards, and `Context.associate`
-    must be a pure function. A viewer that is missing or closed ends the view, not the run.
+    Frames are drawn on a worker thread: the arrays handed over must not change afterwards. A viewer that is missing or
+    closed ends the view, not the run.
     kind: "native" leaves its window open after the run; "web" serves a page, on this machine alone, until the process
     ends. command: what to run instead; it gets the recording on its standard input.
     """
@@ -61,11 +60,11 @@ class LiveView:
         self._worker = Thread(target=self._work, name="live view", daemon=True)
         self._worker.start()
 
-    def frame(self, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]) -> None:
+    def frame(self, frame: LocatedFrame) -> None:
         """Show what the filter knows after one image; see `Recorder.frame`."""
         number = self._frames
         self._frames += 1
-        self._put(lambda recorder: recorder.frame(number, located, image, truth, stage_ms))
+        self._put(lambda recorder: recorder.frame(number, frame))
 
     def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
         """Show a line in the text log."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.errors import OutputError
+from localiser.frames import Image
 from localiser.geometry import Array, Trajectory
-from localiser.view.context import Context, Image, Matches
+from localiser.view.context import Context
 from localiser.view.paths import WORLD
 
 if TYPE_CHECKING:
@@ -34,14 +34,6 @@ class Growing:
     cov: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Nothing:
-    """Matches of a frame in which the map decides nothing."""
-
-    landmark: NDArray[np.int64]
-    visible: NDArray[np.bool_]
-
-
 class MapRecording:
     """Writes the building of a map to a `.rrd` file, frame by frame. Raises OutputError where it cannot be written."""
 
@@ -55,19 +47,14 @@ class MapRecording:
         *,
         images: bool,
     ) -> None:
-        from localiser.view import palette, world
-        from localiser.view.layout import blueprint
-        from localiser.view.recorder import new_stream
-
-        context = Context(name, camera, landmark_map, _nothing, truth=before, images=images)
-        self._camera, self._number = camera, 0
-        self._stream = new_stream(context)
-        try:
-            self._stream.save(path, default_blueprint=blueprint(context))
-        except (OSError, RuntimeError) as error:
-            raise OutputError(f"{path}: cannot be written: {error}") from error
         import rerun as rr
 
+        from localiser.view import palette, world
+        from localiser.view.recorder import stream_to_file
+
+        context = Context(name, camera, landmark_map, truth=before, images=images)
+        self._camera, self._number = camera, 0
+        self._stream = stream_to_file(path, context)
         log = self._stream.log
         log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         log(f"{WORLD}/camera", world.pinhole(camera), static=True)
@@ -109,10 +96,6 @@ class MapRecording:
         """End the file, which can be opened from now on."""
         self._stream.flush()
         self._stream.disconnect()
-
-
-def _nothing(pose: Array, edges: Edges) -> Matches:
-    return _Nothing(np.full(len(edges), -1), np.zeros(0, dtype=bool))
 
 
 def _ellipses(known: Growing) -> rr.LineStrips3D:

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from itertools import cycle, islice
+from pathlib import Path
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.errors import OutputError
+from localiser.frames import Image, LocatedFrame
 from localiser.geometry import Array
 from localiser.mcl import Located
 from localiser.view import image as image_view
 from localiser.view import palette, paths, world
-from localiser.view.context import Context, Image
+from localiser.view.context import Context
+from localiser.view.layout import blueprint
 
 CHUNK_BYTES = 1 << 20
 """What is gathered before it is passed on, about ten frames: what a crash would lose of a file."""
@@ -36,6 +40,16 @@ def new_stream(context: Context) -> rr.RecordingStream:
     return stream
 
 
+def stream_to_file(path: Path, context: Context) -> rr.RecordingStream:
+    """Return a stream into a new `.rrd` file, its layout with it. Raises OutputError where it cannot be written."""
+    stream = new_stream(context)
+    try:
+        stream.save(path, default_blueprint=blueprint(context))
+    except (OSError, RuntimeError) as error:
+        raise OutputError(f"{path}: cannot be written: {error}") from error
+    return stream
+
+
 _TEXT_LEVELS = {"WARNING": rr.TextLogLevel.WARN}
 
 
@@ -52,19 +66,16 @@ class Recorder:
         self._stages: tuple[str, ...] = ()
         self._log_static()
 
-    def frame(
-        self, number: int, located: Located, image: Image | None, truth: Array | None, stage_ms: Mapping[str, float]
-    ) -> None:
-        """Log one frame; truth (3,) is the robot's pose in the map where known, stage_ms what each stage took."""
-        pose, edges = located.estimate.pose, located.edges
-        matches = self._context.associate(pose, edges)
+    def frame(self, number: int, frame: LocatedFrame) -> None:
+        """Log one frame, the `number`th of its run."""
+        located, matches, truth = frame.located, frame.matches, frame.truth
         self._number = number
         self._set_time(located.t_ns)
-        self._log_map(pose, matches.landmark, matches.visible)
+        self._log_map(located.estimate.pose, matches.landmark, matches.visible)
         self._log_poses(located, truth)
         if self._context.images:
-            self._log_image(located, image, matches.landmark, matches.visible)
-        self._log_plots(located, truth, int((matches.landmark >= 0).sum()), stage_ms)
+            self._log_image(located, frame.image, matches.landmark, matches.visible)
+        self._log_plots(located, truth, int((matches.landmark >= 0).sum()), frame.stage_ms)
 
     def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
         """Log a line of text beside the last frame; level is one of Python's, such as INFO or WARNING."""
