@@ -22,6 +22,8 @@ _HEAD_BYTES = 2**12
 _LONG_HEAD_BYTES = 2**18  # what a camera writes before a JPEG's size: a thumbnail, a colour profile
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_COLOUR_TYPE = 25
+_PNG_COLOURS = frozenset((2, 3, 6))
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _JPEG_END = 0xD9
 _JPEG_SCAN = 0xDA
@@ -75,10 +77,15 @@ def load_image(path: Path, size: tuple[int, int]) -> Image:
 
 
 def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> Image:
-    """Return an image file that is known to be whole as (H, W) uint8 grey values. Raises InputError."""
-    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    """Return an image file that is known to be whole as (H, W) uint8 grey values. Raises InputError.
+
+    A PNG in colour becomes grey as a raw image does, not by the rounding of OpenCV's reader of PNG.
+    """
+    colour = data.startswith(_PNG_SIGNATURE) and data[_PNG_COLOUR_TYPE] in _PNG_COLOURS
+    flags = (cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour and image is not None else image
     except cv2.error:
         image = None
     if image is None or image.shape != (size[1], size[0]):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
 TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 METADATA_FILE = "metadata.yaml"
 ROS1_SUFFIX = ".bag"

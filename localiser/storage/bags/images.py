@@ -46,6 +46,17 @@ def image_file(message: Any) -> bytes:
     return encode_image(_pixels(message), ".png", 100)
 
 
+def grey_image(message: Any) -> Image | None:
+    """Return a raw image as (H, W) uint8 grey values, the same as those of its file; None for a compressed one.
+
+    Raises ValueError.
+    """
+    if not hasattr(message, "encoding"):
+        return None
+    pixels = _pixels(message)
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels, dtype=np.uint8)
+
+
 def _check_raw(message: Any) -> None:
     """Raise ValueError unless an Image has as many bytes as its size and encoding ask for."""
     encoding, width, height, step = message.encoding, message.width, message.height, message.step

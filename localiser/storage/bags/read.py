@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,20 +11,20 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.errors import InputError
-from localiser.geometry import Array, Trajectory, pose_from_ros, wrap_angle
+from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, Topic
 from localiser.storage.bags.cameras import camera_of
-from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame, rotation_from_quaternion
+from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame
 from localiser.storage.bags.images import stated_size
 from localiser.storage.bags.label import FORMAT, Label, label_of, map_of
 from localiser.storage.bags.playback import ImagePlace, Playback
+from localiser.storage.bags.poses import floor_pose
 from localiser.storage.bags.topics import MAP_TOPIC, Chosen, choose
 from localiser.storage.cameras import load_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.log import Log, require_overlap
 
-_LARGEST_M = 1e9
 _IN_RECTIFIED = "image_rect"  # what image_proc calls images with their lens distortion undone
 
 
@@ -64,13 +63,7 @@ class _Poses:
 
     def take(self, message: Message) -> None:
         """Add the floor part of a nav_msgs/Odometry. Raises ValueError."""
-        pose = message.content.pose.pose
-        at, turned = pose.position, pose.orientation
-        if not (math.hypot(at.x, at.y) <= _LARGEST_M):
-            raise ValueError(f"expected a position within {_LARGEST_M:.0e} m, found x = {at.x}, y = {at.y}")
-        rotation = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
-        yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-        self.rows.append((message.stamp_ns, *_rounded(pose_from_ros([at.x, at.y, yaw]))))
+        self.rows.append((message.stamp_ns, *floor_pose(message.content)))
         self.frame = plain_frame(message.content.child_frame_id)
 
     def trajectory(self, path: Path, topic: Topic) -> Trajectory:
@@ -79,15 +72,6 @@ class _Poses:
         times = np.array([row[0] for row in rows], dtype=np.int64)
         _require_distinct(path, topic, times)
         return Trajectory(times, np.array([row[1:] for row in rows]))
-
-
-def _rounded(pose: Array) -> tuple[float, float, float]:
-    """Return x, z, heading to 1e-9, as log folders have them, so that converting a log and back changes nothing.
-
-    Wrapped after rounding and rounded again: -3.141592654 is less than -π.
-    """
-    x, z, heading = np.round(pose, 9)
-    return float(x), float(z), float(np.round(wrap_angle(heading), 9))
 
 
 @dataclass(slots=True, eq=False)

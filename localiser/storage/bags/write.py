@@ -9,24 +9,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from localiser import mcl
 from localiser.errors import InputError, OutputError
-from localiser.geometry import ros_from_pose
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS, typestore
-from localiser.storage.bags.cameras import info_fields
-from localiser.storage.bags.frames import base_from_optical, quaternion_from_rotation
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text, map_text
+from localiser.storage.bags.messages import MAP, ODOM, Messages
 from localiser.storage.bags.topics import LOG_TOPIC, MAP_TOPIC
 from localiser.storage.files import output_errors
-from localiser.storage.images import ImageEvent, suffix_of
+from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log
 
 KINDS = ("mcap", "sqlite3", "ros1")
 FILE_KINDS = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 
-BASE, OPTICAL, ODOM, MAP = "base_link", "camera_optical_frame", "odom", "map"
 TOPICS = {
     "/tf_static": TRANSFORMS,
     "/camera/camera_info": CAMERA_INFO,
@@ -105,19 +100,17 @@ class _Bagger:
     """Turns what a log holds into messages of ROS 1 or ROS 2, and writes them."""
 
     def __init__(self, writer: Any, *, ros1: bool) -> None:
-        self._writer, self._ros1 = writer, ros1
-        self._store = typestore(ros1=ros1)
-        self._encode = self._store.serialize_ros1 if ros1 else self._store.serialize_cdr
+        self._writer = writer
+        self._messages = Messages(ros1=ros1)
         self._connections: dict[str, Any] = {}
 
     def write(self, log: Log, progress: Callable[[], None]) -> None:
         """Write everything in the order of time."""
-        first_ns = log.start_ns
-        self._send("/tf_static", first_ns, transforms=[self._mount(log, first_ns)])
-        self._send(LOG_TOPIC, first_ns, data=label_text(log))
+        make, first_ns = self._messages, log.start_ns
+        self._send("/tf_static", first_ns, make.mount(first_ns, log.camera))
+        self._send(LOG_TOPIC, first_ns, make.text(label_text(log)))
         if log.landmark_map is not None:
-            self._send(MAP_TOPIC, first_ns, data=map_text(log.landmark_map))
-        info = self._info(log)
+            self._send(MAP_TOPIC, first_ns, make.text(map_text(log.landmark_map)))
         truth = [] if log.groundtruth is None else list(zip(log.groundtruth.t_ns, log.groundtruth.poses, strict=True))
         truth.reverse()
         for event in log.events():
@@ -126,79 +119,18 @@ class _Bagger:
             if isinstance(event, mcl.Odometry):
                 self._pose("/odom", ODOM, event.t_ns, event.pose)
             elif isinstance(event, ImageEvent):
-                header = self._header(event.t_ns, OPTICAL)
-                self._send("/camera/camera_info", event.t_ns, header=header, **info)
-                self._image(event, header)
+                self._send("/camera/camera_info", event.t_ns, make.camera_info(event.t_ns, log.camera))
+                self._send("/camera/image_raw/compressed", event.t_ns, make.compressed(event.t_ns, event.encoded()))
                 progress()
         while truth:
             self._pose("/ground_truth/odom", MAP, *truth.pop())
 
-    def _image(self, event: ImageEvent, header: Any) -> None:
-        data = event.encoded()
-        name = "png" if suffix_of(data) == ".png" else "jpeg"
-        pixels = np.frombuffer(data, dtype=np.uint8)
-        self._send("/camera/image_raw/compressed", event.t_ns, header=header, format=name, data=pixels)
-
     def _pose(self, topic: str, frame: str, t_ns: int, pose: Any) -> None:
-        x, y, yaw = (float(value) for value in ros_from_pose(pose))
-        make = self._make
-        position = make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
-        turned = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
-        zero = make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        self._send(
-            topic,
-            int(t_ns),
-            header=self._header(int(t_ns), frame),
-            child_frame_id=BASE,
-            pose=make(
-                "geometry_msgs/msg/PoseWithCovariance",
-                pose=make("geometry_msgs/msg/Pose", position=position, orientation=turned),
-                covariance=np.zeros(36),
-            ),
-            twist=make(
-                "geometry_msgs/msg/TwistWithCovariance",
-                twist=make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
-                covariance=np.zeros(36),
-            ),
-        )
-
-    def _mount(self, log: Log, t_ns: int) -> Any:
-        transform = base_from_optical(log.camera.mount, log.camera.level_from_camera)
-        x, y, z = (float(value) for value in transform[:3, 3])
-        qx, qy, qz, qw = quaternion_from_rotation(transform[:3, :3])
-        make = self._make
-        return make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self._header(t_ns, BASE),
-            child_frame_id=OPTICAL,
-            transform=make(
-                "geometry_msgs/msg/Transform",
-                translation=make("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
-                rotation=make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
-            ),
-        )
-
-    def _info(self, log: Log) -> dict[str, Any]:
-        region = self._make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
-        fields: dict[str, Any] = {"binning_x": 0, "binning_y": 0, "roi": region}
-        for name, value in info_fields(log.camera).items():
-            numbers = np.array(value, dtype=np.float64) if isinstance(value, list) else value
-            fields[name.upper() if self._ros1 and len(name) == 1 else name] = numbers
-        return fields
-
-    def _header(self, t_ns: int, frame: str) -> Any:
-        seconds, nanoseconds = divmod(t_ns, _NS)
-        stamp = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self._ros1 else {}))
-
-    def _make(self, msgtype: str, **fields: Any) -> Any:
-        return self._store.types[msgtype](**fields)
+        self._send(topic, int(t_ns), self._messages.odometry(int(t_ns), frame, pose))
 
     def _latched(self) -> dict[str, Any]:
         """Return what makes a player of bags hold a message for those who subscribe later."""
-        if self._ros1:
+        if self._messages.ros1:
             return {"latching": 1}
         from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
@@ -216,9 +148,10 @@ class _Bagger:
         )
         return {"offered_qos_profiles": [qos]}
 
-    def _send(self, topic: str, t_ns: int, **fields: Any) -> None:
-        msgtype = TOPICS[topic]
+    def _send(self, topic: str, t_ns: int, message: Any) -> None:
         if topic not in self._connections:
             options = self._latched() if topic in LATCHED else {}
-            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store, **options)
-        self._writer.write(self._connections[topic], t_ns, self._encode(self._make(msgtype, **fields), msgtype))
+            self._connections[topic] = self._writer.add_connection(
+                topic, TOPICS[topic], typestore=self._messages.store, **options
+            )
+        self._writer.write(self._connections[topic], t_ns, self._messages.encode(message))
