@@ -26,6 +26,7 @@ class Log:
     odometry: poses in the odometry's own frame. frames: images, or edges that were measured already, in the order of
     time. landmark_map, start, groundtruth (in the map frame): where the log has them. path: what was read.
     settings: what it says about the robot, as settings of the configuration by name, such as `motion.alpha1`.
+    restarts: where the robot was said to be later on.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Log:
     start: mcl.Start | None = None
     groundtruth: Trajectory | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    restarts: Sequence[mcl.Start] = ()
 
     @property
     def start_ns(self) -> int:
@@ -63,7 +65,7 @@ class Log:
         wheels = (
             mcl.Odometry(int(t_ns), pose) for t_ns, pose in zip(self.odometry.t_ns, self.odometry.poses, strict=True)
         )
-        yield from heapq.merge(wheels, self.frames, key=lambda event: event.t_ns)
+        yield from heapq.merge(wheels, self.frames, self.restarts, key=lambda event: event.t_ns)
 
 
 class LogReader(Protocol):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.errors import InputError, LocaliserError
+from localiser.storage.bags.interrupted import restore
 from localiser.storage.bags.limits import bounded_decompression, check_chunks, check_metadata, message_unpacker
 
 if TYPE_CHECKING:
@@ -50,8 +51,13 @@ class Message:
     @property
     def stamp_ns(self) -> int:
         """When it was measured, by its header."""
-        stamp = self.content.header.stamp
-        return int(stamp.sec) * _NS + int(stamp.nanosec)
+        return stamp_of(self.content)
+
+
+def stamp_of(content: Any) -> int:
+    """Return the time (ns) in a message's header."""
+    stamp = content.header.stamp
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 class Bag:
@@ -64,6 +70,8 @@ class Bag:
         self._store = typestore(ros1=is_ros1)
         self._decode = self._store.deserialize_ros1 if is_ros1 else self._store.deserialize_cdr
         self._reader = _reader(path, is_ros1)
+        with bag_errors(path):
+            restore(path)
         bounded_decompression()
         check_metadata(path / METADATA_FILE)
         with bag_errors(path):

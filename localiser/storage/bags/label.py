@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
+from localiser.camera import Camera
 from localiser.documents import dump, parse, validate
 from localiser.documents.files import MAX_DOCUMENT_BYTES
 from localiser.landmarks import LandmarkMap
-from localiser.storage.cameras import FileModel
+from localiser.storage.cameras import FileModel, camera_from_document
 from localiser.storage.folder import StartFile, start_data
 from localiser.storage.log import Log
 from localiser.storage.maps import map_data, map_from_document
@@ -27,6 +29,7 @@ class Label(BaseModel):
     camera_name: Annotated[str, Field(max_length=200)] = ""
     start: StartFile | None = None
     motion: dict[str, Any] | None = None
+    settings: dict[str, Any] | None = None  # everything that a live run was set to, by names such as `mcl.particles`
 
 
 def label_of(text: str, source: str) -> Label:
@@ -39,6 +42,11 @@ def map_of(text: str, source: str) -> LandmarkMap:
     return map_from_document(parse(_bounded(text), source))
 
 
+def camera_of_text(text: str, source: str) -> Camera:
+    """Return the camera whose file the text of a message is. Raises InputError; ValueError when it is too long."""
+    return camera_from_document(parse(_bounded(text), source))
+
+
 def label_text(log: Log) -> str:
     """Return what `label_of` reads."""
     data: dict[str, Any] = {"format": FORMAT, "name": log.name, "camera_name": log.camera.name}
@@ -47,6 +55,11 @@ def label_text(log: Log) -> str:
     if motion := motion_settings(log):
         data["motion"] = motion
     return dump(data)
+
+
+def live_label_text(name: str, camera_name: str, settings: Mapping[str, Any]) -> str:
+    """Return what `label_of` reads of a live run: it starts where its decisions say, with these settings."""
+    return dump({"format": FORMAT, "name": name, "camera_name": camera_name, "settings": dict(settings)})
 
 
 def map_text(landmark_map: LandmarkMap) -> str:

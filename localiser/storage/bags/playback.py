@@ -18,12 +18,14 @@ class ImagePlace:
     """Where an image stands in a bag. stamp_ns: when it was taken. recorded_ns: when it was recorded.
 
     order: how many images of its topic were recorded before it. later: how many of those at the same time.
+    offset_ns: what was added to the stamp in its message, because the robot's clock had jumped.
     """
 
     stamp_ns: int
     recorded_ns: int
     order: int
     later: int
+    offset_ns: int = 0
 
 
 class Playback:
@@ -65,7 +67,7 @@ class Playback:
         if self._bag is None or place.order != self._next:
             self._messages = self._from(place)
         message = next(self._messages, None)
-        if message is None or message.stamp_ns != place.stamp_ns:
+        if message is None or message.stamp_ns + place.offset_ns != place.stamp_ns:
             raise InputError("expected the image that was here when the bag was opened", path=self._path)
         self._next = place.order + 1
         return message

@@ -15,12 +15,13 @@ from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, Topic
 from localiser.storage.bags.cameras import camera_of
+from localiser.storage.bags.decisions import Decisions
 from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame
 from localiser.storage.bags.images import stated_size
-from localiser.storage.bags.label import FORMAT, Label, label_of, map_of
+from localiser.storage.bags.label import FORMAT, Label, camera_of_text, label_of, map_of
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.poses import floor_pose
-from localiser.storage.bags.topics import MAP_TOPIC, Chosen, choose
+from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, MAP_TOPIC, Chosen, choose
 from localiser.storage.cameras import load_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.log import Log, require_overlap
@@ -61,9 +62,9 @@ class _Poses:
     rows: list[tuple[int, float, float, float]] = field(default_factory=list)
     frame: str = ""
 
-    def take(self, message: Message) -> None:
+    def take(self, message: Message, offset_ns: int = 0) -> None:
         """Add the floor part of a nav_msgs/Odometry. Raises ValueError."""
-        self.rows.append((message.stamp_ns, *floor_pose(message.content)))
+        self.rows.append((message.stamp_ns + offset_ns, *floor_pose(message.content)))
         self.frame = plain_frame(message.content.child_frame_id)
 
     def trajectory(self, path: Path, topic: Topic) -> Trajectory:
@@ -89,6 +90,8 @@ class _Content:
     tree: FrameTree = field(default_factory=FrameTree)
     label: Label | None = None
     landmark_map: LandmarkMap | None = None
+    camera: Camera | None = None
+    decisions: Decisions | None = None
 
     def take(self, message: Message) -> None:
         """Keep what a message says. Raises InputError."""
@@ -97,19 +100,41 @@ class _Content:
             if message.topic == chosen.image.name:
                 self._take_image(message)
             elif message.topic == chosen.odometry.name:
-                self.odometry.take(message)
+                self.odometry.take(message, self._offset_ns)
             elif chosen.groundtruth is not None and message.topic == chosen.groundtruth.name:
-                self.groundtruth.take(message)
+                self.groundtruth.take(message, self._offset_ns)
             elif chosen.camera_info is not None and message.topic == chosen.camera_info.name:
                 self._take_info(message.content)
             elif message.topic in {topic.name for topic in chosen.transforms}:
                 add_all(self.tree, message.content.transforms)
-            elif message.topic == MAP_TOPIC:
-                self.landmark_map = map_of(message.content.data, f"{self.path} {message.topic}")
             else:
-                self.label = label_of(message.content.data, f"{self.path} {message.topic}")
+                self._take_label(message.topic, message.content.data)
         except ValueError as error:
             raise self._error(message, error) from None
+
+    @property
+    def _offset_ns(self) -> int:
+        return self.decisions.offset_ns if self.decisions is not None else 0
+
+    def _take_label(self, topic: str, text: str) -> None:
+        source = f"{self.path} {topic}"
+        if topic == MAP_TOPIC:
+            self.landmark_map = map_of(text, source)
+        elif topic == CAMERA_TOPIC:
+            self.camera = camera_of_text(text, source)
+        elif topic == DECISIONS_TOPIC:
+            self.decisions = self.decisions or Decisions()
+            self.decisions.take(text)
+        else:
+            self.label = label_of(text, source)
+
+    def used(self) -> None:
+        """Leave out what a live run did not use, if this is the recording of one."""
+        if self.decisions is None:
+            return
+        rows = self.odometry.rows
+        self.odometry.rows = [row for k, row in enumerate(rows) if k not in self.decisions.unused_odometry]
+        self.images = [place for place in self.images if place.order in self.decisions.images]
 
     def _take_image(self, message: Message) -> None:
         size = stated_size(message.content)
@@ -119,7 +144,8 @@ class _Content:
         self.optical_frame = plain_frame(message.content.header.frame_id)
         last = self.images[-1] if self.images else None
         later = last.later + 1 if last is not None and last.recorded_ns == message.t_ns else 0
-        self.images.append(ImagePlace(message.stamp_ns, message.t_ns, len(self.images), later))
+        stamp_ns = message.stamp_ns + self._offset_ns
+        self.images.append(ImagePlace(stamp_ns, message.t_ns, len(self.images), later, self._offset_ns))
 
     def _take_info(self, info: Any) -> None:
         if self.info is not None and _intrinsics(self.info) != _intrinsics(info):
@@ -141,13 +167,17 @@ def _intrinsics(info: Any) -> tuple[bytes, int, int]:
 def _log(path: Path, content: _Content, given: Camera | None) -> Log:
     """Return the log that a bag holds. given: the camera in place of what the bag says of it."""
     chosen = content.chosen
+    content.used()
     if not content.images or not content.odometry.rows:
         raise InputError("expected images and odometry, found a bag that is cut off", path=path)
     places = sorted(content.images, key=lambda place: place.stamp_ns)
     _require_distinct(path, chosen.image, np.array([place.stamp_ns for place in places]))
     odometry = content.odometry.trajectory(path, chosen.odometry)
+    first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
     label = content.label or Label(format=FORMAT, name=path.resolve().stem)
-    camera = given or _camera(path, content, label.camera_name)
+    camera = given or content.camera or _camera(path, content, label.camera_name)
+    starts = content.decisions.starts if content.decisions is not None else []
+    start = start_from_file(label.start, first_ns) if label.start else None
     size = (camera.width, camera.height)
     if content.size != size:
         raise InputError(
@@ -157,7 +187,6 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
         )
     playback = Playback(path, chosen.image, size)
     truth = chosen.groundtruth
-    first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
     return require_overlap(
         Log(
             name=label.name,
@@ -166,9 +195,10 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
             odometry=odometry,
             frames=[playback.event(place) for place in places],
             landmark_map=content.landmark_map,
-            start=start_from_file(label.start, first_ns) if label.start else None,
+            start=starts[0] if starts else start,
+            restarts=starts[1:],
             groundtruth=content.groundtruth.trajectory(path, truth) if truth and content.groundtruth.rows else None,
-            settings={f"motion.{name}": value for name, value in (label.motion or {}).items()},
+            settings={f"motion.{name}": value for name, value in (label.motion or {}).items()} | (label.settings or {}),
         )
     )
 

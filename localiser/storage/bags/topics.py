@@ -12,6 +12,8 @@ from localiser.errors import InputError
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS, Topic
 
 LOG_TOPIC, MAP_TOPIC = "/localiser/log", "/localiser/map"
+CAMERA_TOPIC, DECISIONS_TOPIC = "/localiser/camera", "/localiser/decisions"
+LABEL_TOPICS = (LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC, DECISIONS_TOPIC)
 TYPES = {
     "image": (IMAGE, COMPRESSED),
     "camera_info": (CAMERA_INFO,),
@@ -62,7 +64,7 @@ def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> Cho
         transforms=tuple(
             topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf_static"
         ),
-        labels=tuple(topic for topic in topics if topic.msgtype == TEXT and topic.name in (LOG_TOPIC, MAP_TOPIC)),
+        labels=tuple(topic for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS),
     )
 
 

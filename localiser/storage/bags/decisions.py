@@ -1,0 +1,75 @@
+"""What a live run made of the messages that it recorded, so that a replay takes the same ones in the same way.
+
+Each decision is a line of JSON on a topic of std_msgs/String, recorded after the message that it is about. Messages are
+named by their number: how many of their topic were recorded before them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from localiser import mcl
+
+_LAST_NS = 2**62
+
+
+def image_decision(number: int, t_ns: int, unused: str = "") -> str:
+    """Return that an image was weighed, or why not. t_ns: its time, by which people find it."""
+    return json.dumps({"image": number, "t_ns": t_ns, "used": not unused} | ({"why": unused} if unused else {}))
+
+
+def odometry_decision(number: int, t_ns: int, why: str) -> str:
+    """Return why a pose of the wheels was not used; all others were."""
+    return json.dumps({"odometry": number, "t_ns": t_ns, "used": False, "why": why})
+
+
+def clock_decision(offset_ns: int) -> str:
+    """Return what is added to all stamps from here on, because the robot's clock has jumped."""
+    return json.dumps({"clock": offset_ns})
+
+
+def start_decision(start: mcl.Start) -> str:
+    """Return that the filter was started, exactly as it was."""
+    return json.dumps({"start": start.t_ns, "mean": start.mean.tolist(), "cov": start.cov.tolist()})
+
+
+@dataclass(slots=True, eq=False)
+class Decisions:
+    """The decisions of a recording, taken in their order. offset_ns: what to add to the stamps read now."""
+
+    images: set[int] = field(default_factory=set)
+    unused_odometry: set[int] = field(default_factory=set)
+    starts: list[mcl.Start] = field(default_factory=list)
+    offset_ns: int = 0
+
+    def take(self, text: str) -> None:
+        """Take one decision. Raises ValueError."""
+        try:
+            data = json.loads(text)
+        except RecursionError as error:
+            raise ValueError("expected a decision") from error
+        match data:
+            case {"image": int(number), "used": bool(used)}:
+                if used:
+                    self.images.add(number)
+            case {"odometry": int(number), "used": False}:
+                self.unused_odometry.add(number)
+            case {"clock": int(offset_ns)} if abs(offset_ns) < _LAST_NS:
+                self.offset_ns = offset_ns
+            case {"start": int(t_ns)} if 0 <= t_ns < _LAST_NS:
+                self.starts.append(_start(t_ns, data))
+            case _:
+                raise ValueError("expected a decision on an image, odometry, the clock or a start")
+
+
+def _start(t_ns: int, data: Mapping[str, Any]) -> mcl.Start:
+    mean = np.array(data.get("mean"), dtype=np.float64)
+    cov = np.array(data.get("cov"), dtype=np.float64)
+    if mean.shape != (3,) or cov.shape != (3, 3) or not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+        raise ValueError("expected a start of a pose and its covariance")
+    return mcl.Start(t_ns, mean, cov)

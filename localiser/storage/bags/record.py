@@ -1,0 +1,102 @@
+"""A bag that is written while it happens: whatever ends the program, all but what was not committed yet can be read."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+from localiser.errors import InputError, OutputError
+from localiser.storage.bags.bag import typestore
+
+SUFFIX = ".db3"
+
+_TABLES = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
+  offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+  data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'humble');
+"""
+
+
+class BagRecorder:
+    """Writes a ROS 2 bag of SQLite, message by message as they came.
+
+    Nothing is lost that `commit` was called for, also when the power fails: that is what a database promises, and what
+    MCAP, whose index is written at the end, does not.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the file. Raises InputError for a path that does not end in .db3, OutputError."""
+        if path.suffix != SUFFIX:
+            raise InputError(
+                f"expected a path that ends in {SUFFIX} (`localiser convert` makes other kinds of it), found {path}",
+                field="--record",
+            )
+        if path.exists():
+            raise OutputError(f"{path}: expected a path where nothing is, found something there")
+        self._path, self._store = path, typestore(ros1=False)
+        self._topics: dict[tuple[str, str], int] = {}
+        self._last_ns = 0
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self._database.executescript(f"BEGIN;{_TABLES}COMMIT;BEGIN;")
+        except (OSError, sqlite3.Error) as error:
+            raise self._error(error) from None
+
+    def write(self, topic: str, msgtype: str, t_ns: int, content: bytes) -> None:
+        """Add a message as it came at `t_ns`; recorded times increase, so that a reader has the order of calls.
+
+        Raises OutputError.
+        """
+        self._last_ns = max(t_ns, self._last_ns + 1)
+        try:
+            row = (self._topic(topic, msgtype), self._last_ns, content)
+            self._database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", row)
+        except sqlite3.Error as error:
+            raise self._error(error) from None
+
+    def commit(self) -> None:
+        """Make sure of all that was written. Raises OutputError."""
+        try:
+            self._database.execute("COMMIT")
+            self._database.execute("BEGIN")
+        except sqlite3.Error as error:
+            raise self._error(error) from None
+
+    def close(self) -> None:
+        """End the file; what could not be committed is taken back. Raises OutputError."""
+        try:
+            if self._database.in_transaction:
+                self._database.execute("COMMIT")
+        except sqlite3.Error as error:
+            raise self._error(error) from None
+        finally:
+            self._database.close()
+
+    def _topic(self, topic: str, msgtype: str) -> int:
+        key = topic, msgtype
+        if key not in self._topics:
+            digest = self._store.hash_rihs01(msgtype)
+            definition, _ = self._store.generate_msgdef(msgtype, ros_version=2)
+            self._database.execute(
+                "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition,"
+                " type_description_hash) VALUES(?, 'ros2msg', ?, ?)",
+                (msgtype, definition, digest),
+            )
+            cursor = self._database.execute(
+                "INSERT INTO topics(name, type, serialization_format, offered_qos_profiles, type_description_hash)"
+                " VALUES(?, ?, 'cdr', '', ?)",
+                (topic, msgtype, digest),
+            )
+            self._topics[key] = int(cursor.lastrowid or 0)
+        return self._topics[key]
+
+    def _error(self, error: Exception) -> OutputError:
+        return OutputError(f"{self._path}: cannot be written: {error}")
