@@ -61,6 +61,12 @@ def find_clusters(
     return _summarised(np.asarray(poses, dtype=np.float64), share, part[cell_of_pose])
 
 
+def poses_per_cell(poses: Array, cell_m: float = 0.25, cell_rad: float = np.pi / 18) -> Indices:
+    """Return for each of the poses (N, 3) how many of them, itself included, lie in its cell."""
+    cells, cell_of_pose, _ = _cells(poses, cell_m, cell_rad)
+    return np.bincount(cell_of_pose, minlength=len(cells))[cell_of_pose]
+
+
 def _cells(poses: Array, cell_m: float, cell_rad: float) -> tuple[Indices, Indices, int]:
     """Return the occupied cells (K, 3), the cell of each pose (N,), and how many cells close the heading's circle."""
     around = max(round(2 * np.pi / cell_rad), 1)

@@ -55,3 +55,7 @@ class InlierShare:
         joint = by_share + np.log(self.probability)[:, None]
         responsibility = np.exp(joint - np.logaddexp.reduce(joint, axis=0)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
+
+    def towards(self, other: InlierShare, share: float) -> InlierShare:
+        """Return the distribution a share, 0 … 1, of the way towards another."""
+        return replace(self, count=self.count + share * (other.count - self.count))

@@ -1,9 +1,8 @@
 """A quick score of many poses: a table over the image that says which edge explains a landmark expected there.
 
-A pose from which n landmarks are in view explains the edges by the mixture of `observation`, at even shares of
-landmarks and clutter,
+A pose from which n landmarks are in view explains the edges by the mixture of `observation`,
 
-    score = Σ_i log(½ + ½ a_i / n),   a_i = Σ_l span · N(b_i; b_l, σ) h_i(e_l)
+    score = Σ_i log(1 - w + w a_i / n),   a_i = Σ_l span · N(b_i; b_l, σ) h_i(e_l)
 
 where h_i compares the upright height e_l of the landmark's foot with where edge i ends. Each landmark counts for the
 one edge i that it fits best. That edge and the term are tabulated once a frame over tan(bearing) and e, so a landmark
@@ -91,11 +90,14 @@ def _likeliest(density: Array, ends: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 def score_poses(evidences: list[Evidence], places: Places, robot_poses: Array) -> Array:
-    """Return the score (N,) of robot poses (N, 3): the sum over the views."""
-    total = np.zeros(len(robot_poses))
-    for evidence in evidences:
-        total += _kernel()(*_arguments(evidence, places, robot_poses))
-    return total
+    """Return the score (N,) of robot poses (N, 3) at even shares of landmarks and clutter: the sum over the views."""
+    even = np.array([0.5])
+    return np.asarray(sum(score_by_share(evidence, places, robot_poses, even)[0] for evidence in evidences))
+
+
+def score_by_share(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
+    """Return the score (K, N) of robot poses (N, 3) if the share w_k (K,) of the edges belongs to landmarks."""
+    return np.asarray(_kernel()(*_arguments(evidence, places, robot_poses), shares))
 
 
 def warm_up(view: View, places: Places) -> None:
@@ -133,14 +135,15 @@ def score_loop(
     fit: NDArray[np.float32],
     edges: int,
     grid: Array,
+    shares: Array,
 ) -> Array:
-    """Return the score (N,) of camera poses (N, 3), one pose and one landmark in view after the other.
+    """Return the score (K, N) of camera poses (N, 3), one pose and one landmark in view after the other.
 
     landmarks: (L, 4) x, z, and the heights of both ends above the camera. sight: sine and cosine of the tilt, nearest
     and farthest range. floor, shape, start, item: the sectors, floor being corner and cell. grid: low and step of
-    tan(bearing), low and step of e. Plain loops, for numba to compile.
+    tan(bearing), low and step of e. shares: (K,) of edges that belong to landmarks. Plain loops, for numba to compile.
     """
-    result = np.zeros(len(poses))
+    result = np.zeros((len(shares), len(poses)))
     s, c = sight[0], sight[1]
     rows, columns = fit.shape
     explained = np.zeros(edges)
@@ -150,7 +153,9 @@ def score_loop(
     for n in range(len(poses)):
         x, z, heading = poses[n, 0], poses[n, 1], poses[n, 2]
         i, j = int(np.floor((x - floor[0]) / floor[2])), int(np.floor((z - floor[1]) / floor[2]))
-        if i < 0 or j < 0 or i >= shape[0] or j >= shape[1]:
+        if i < 0 or j < 0 or i >= shape[0] or j >= shape[1]:  # where nothing is in view, nothing is explained
+            for share in range(len(shares)):
+                result[share, n] = edges * np.log(1.0 - shares[share])
             continue
         sector = int(np.floor((heading + np.pi) * shape[2] / (2 * np.pi))) % shape[2]
         cell = (i * shape[1] + j) * shape[2] + sector
@@ -181,14 +186,15 @@ def score_loop(
             column = int((right * depth * inverse - low) * per_column)
             if edge[row, column] >= 0:
                 explained[edge[row, column]] += fit[row, column]
-        each = 0.5 / max(in_view, 1)
-        product, total = 1.0, 0.0  # one logarithm for many factors, as long as their product is a number
-        for k in range(edges):
-            product *= 0.5 + each * explained[k]
-            if product > 1e100:
-                total += np.log(product)
-                product = 1.0
-        result[n] = total + np.log(product)
+        for share in range(len(shares)):
+            clutter, each = 1.0 - shares[share], shares[share] / max(in_view, 1)
+            product, total = 1.0, 0.0  # one logarithm for many factors, as long as their product is a number
+            for k in range(edges):
+                product *= clutter + each * explained[k]
+                if product > 1e100 or product < 1e-100:
+                    total += np.log(product)
+                    product = 1.0
+            result[share, n] = total + np.log(product)
     return result
 
 

@@ -1,0 +1,150 @@
+"""Where else may the robot be? Poses made from one image join the particles of a robot that may be lost.
+
+The belief is a mixture: the truth is among the particles, or the robot may be anywhere, by the odds of `doubt`. Poses
+of the second kind are drawn from `proposals`, or evenly where an image shows too few edges, and weighed by the whole
+image, so
+
+    their weight : that of the particles = odds of being lost · mean of prior/q · p(edges | pose)
+
+Bayes decides, and next to nothing goes to them while the particles explain the edges. Several places stay until one
+has won; the number of particles follows from the cells that they occupy [Fox 2003].
+
+What tells places apart is more than what tells centimetres: beside the bearings, where the edges' feet are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from localiser import resampling
+from localiser.clusters import poses_per_cell
+from localiser.edges import Edges
+from localiser.geometry import Array, wrap_angle
+from localiser.inliers import INLIER_SHARES, InlierShare
+from localiser.landmarks import LandmarkMap
+from localiser.observation import EdgeObservation
+from localiser.particles import Particles
+from localiser.proposals import Places, View, propose, view_of
+from localiser.proposals.evidence import Evidence, evidence_of, score_by_share
+
+CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
+BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
+
+
+@dataclass(frozen=True, slots=True)
+class SearchParameters:
+    """When and how hard the robot is looked for elsewhere."""
+
+    carried: Annotated[
+        float, Field(ge=0, lt=1, description="chance of being carried away, or led astray, between independent images")
+    ] = 3e-4
+    doubt: Annotated[
+        float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
+    ] = 0.02
+    fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
+    particles_most: Annotated[
+        int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
+    ] = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clues:
+    """What one image says of places: the view of it and its table of evidence."""
+
+    view: View
+    evidence: Evidence
+    places: Places
+
+    def by_share(self, poses: Array) -> Array:
+        """Return log p(edges | pose, w_k) (K, N) of poses (N, 3), relative to all edges being clutter."""
+        return score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """Everything about the search for poses that stays the same during a run."""
+
+    observation: EdgeObservation
+    places: Places
+    parameters: SearchParameters
+
+    @classmethod
+    def of(
+        cls, observation: EdgeObservation, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
+    ) -> Search:
+        """Return a search on this map; its tables take a second on a large one."""
+        sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m
+        places = Places.of(landmark_map, observation.camera, sight, sigma_m=sigma_m)
+        return cls(observation, places, parameters or SearchParameters())
+
+    def warm_up(self) -> None:
+        """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
+        angle = np.zeros(1)
+        edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
+        self.clues(edges).by_share(np.zeros((1, 3)))
+
+    def clues(self, edges: Edges) -> Clues:
+        """Return what an image says of places."""
+        view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
+        return Clues(view, evidence_of(view, BLUR_RAD, BLUR_RAD), self.places)
+
+    def fresh(
+        self, like: Particles, clues: Clues, inliers: InlierShare, count: int, rng: np.random.Generator
+    ) -> tuple[Particles, float]:
+        """Return `count` particles drawn over the whole region, weighed by all of the edges, and their log-evidence.
+
+        like: particles whose other columns, biases that a robot keeps wherever it is, are drawn for the new ones.
+        log-evidence: log of the mean of p(edges | pose) over the region, relative to all edges being clutter.
+        """
+
+        def log_likelihood(poses: Array) -> Array:
+            return inliers.log_mean(clues.by_share(poses))
+
+        poses, log_prior_over_q = propose([clues.view], self.places, log_likelihood, rng).drawn(count, rng)
+        log_weight = log_prior_over_q + log_likelihood(poses)
+        others = resampling.multinomial_resample(like.weight, count, rng)
+        drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
+        return placed(drawn, poses), float(np.logaddexp.reduce(log_weight) - np.log(count))
+
+
+def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
+    """Return the chosen (N,) of the particles, with their weights."""
+    return replace(particles, columns=particles.columns[:, chosen], log_weight=particles.log_weight[chosen])
+
+
+def placed(particles: Particles, poses: Array) -> Particles:
+    """Return the particles at other poses (N, 3); their other columns stay."""
+    columns = particles.columns.copy()
+    columns[:3] = poses.T
+    return replace(particles, columns=columns)
+
+
+def joined(particles: Particles, others: Particles, log_odds: float) -> Particles:
+    """Return both as one cloud, in which the others as a whole have exp(log_odds) times the weight of the first."""
+    log_weight = particles.log_weight - np.logaddexp.reduce(particles.log_weight)
+    log_others = others.log_weight - np.logaddexp.reduce(others.log_weight) + log_odds
+    columns = np.concatenate([particles.columns, others.columns], axis=1)
+    return replace(particles, columns=columns, log_weight=np.concatenate([log_weight, log_others]))
+
+
+def resampled(particles: Particles, fewest: int, most: int, rng: np.random.Generator) -> Particles:
+    """Return equally weighted particles, as many as the places they occupy need, each moved a little.
+
+    A particle moves by its share of the cell that it lies in: the more there are in a cell, the less. So copies part,
+    and a cloud far sparser than the edges are sharp is made as even as its number allows.
+    """
+    weight = particles.weight
+    index = resampling.systematic_resample(weight, most, rng)
+    enough = resampling.enough_particles(particles.poses[index], CELL_M, CELL_RAD)
+    count = int(np.clip(enough, fewest, most))
+    index = resampling.systematic_resample(weight, count, rng)
+    poses = particles.poses[index]
+    step = poses_per_cell(poses, CELL_M, CELL_RAD)[:, None] ** (-1.0 / 3.0) / np.sqrt(12.0)
+    poses += rng.standard_normal(poses.shape) * step * [CELL_M, CELL_M, CELL_RAD]
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return placed(replace(particles, columns=particles.columns[:, index], log_weight=np.zeros(count)), poses)
