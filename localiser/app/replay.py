@@ -3,41 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from localiser import evaluate, mcl, motion, view
+from localiser import mcl, view
+from localiser.app.checkpoints import STAGES, Checkpoints, Progress, Running, resumed
+from localiser.app.outputs import require_new_file
+from localiser.app.run_figures import write_figures
+from localiser.app.run_inputs import RunInputs, map_of
 from localiser.app.sinks import History, Sink, close_all
 from localiser.app.start import start_of
 from localiser.app.stop import stop_request
-from localiser.app.tilt import mount_figures
 from localiser.config import Config, in_force, to_yaml
-from localiser.edges import Edges, find_edges
+from localiser.edges import find_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.frames import Image, LocatedFrame
-from localiser.geometry import Array
 from localiser.increments import Odometer
-from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
 from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter, camera_error
 from localiser.view import LiveView
 
-STAGES = ("load", "edges", "filter", "sinks")
 SIGINT_EXIT_CODE = 130
 
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """What a replay writes and shows. results: folder of all results. view: a live viewer."""
+    """What a replay writes and shows.
+
+    results: folder of all results. view: a live viewer. checkpoints: where to save what it takes to resume the run.
+    """
 
     results: Path
     rrd: bool = True
     view: Literal["native", "web", "none"] = "none"
+    checkpoints: Checkpoints | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -52,17 +56,14 @@ class Pending:
 class Replay:
     """One run of the filter over a log, and where its results go."""
 
-    log: Log
-    landmark_map: LandmarkMap
-    config: Config
-    start: mcl.Start
-    rng: np.random.Generator
+    inputs: RunInputs
     observation: EdgeObservation
+    running: Running
     folder: RunFolder
     history: History
     sinks: Sequence[Sink]
     live: LiveView | None
-    timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
+    checkpoints: Checkpoints | None
 
     def run(self, progress: Callable[[], None]) -> dict[str, Any]:
         """Replay the log, call `progress` after every frame, and return the metrics.
@@ -70,8 +71,9 @@ class Replay:
         Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
         """
         try:
-            self._write_config()
+            self._write_inputs()
             with stop_request() as stop_if_asked:
+                self._repeat(progress)
                 self._replay(progress, stop_if_asked)
         except KeyboardInterrupt as stop:
             raise self._end_early("stopped", SIGINT_EXIT_CODE) from stop
@@ -82,25 +84,37 @@ class Replay:
             raise
         close_all(self.sinks, complete=True)
         with stop_request():  # the run is done: Ctrl-C does not take its figures away
-            return self._write_figures(complete=True)
+            figures = self._write_figures(complete=True)
+            self._save_checkpoint()
+            return figures
+
+    def _repeat(self, progress: Callable[[], None]) -> None:
+        """Hand over what was located before the run was resumed."""
+        for frame in self.running.done.frames:
+            for sink in self.sinks:
+                sink.frame(frame)
+            progress()
 
     def _replay(self, progress: Callable[[], None], stop_if_asked: Callable[[], None]) -> None:
+        config, done = self.inputs.config, self.running.done
         filter_ = mcl.Mcl(
-            self.landmark_map,
+            self.inputs.landmark_map,
             self.observation,
-            self.config.mcl,
-            self.config.motion,
-            self.config.observation,
-            odometer=Odometer(self.log.camera, self.config.increments),
+            config.mcl,
+            config.motion,
+            config.observation,
+            odometer=Odometer(self.inputs.log.camera, config.increments),
         )
-        state = mcl.FilterState()
-        pending: dict[int, Pending] = {}
+        state, rng = self.running.state, self.running.rng
+        events = self.inputs.log.events(self.inputs.start)
+        pending = self._still_waiting(islice(events, done.events))
 
         def steps() -> Iterator[Iterator[mcl.Located]]:
-            for event in self.log.events(self.start):
+            for event in events:
                 measured = self._measure(event, pending)
-                yield mcl.step(filter_, state, measured, self.rng)
-            yield mcl.finish(filter_, state, self.rng)
+                done.events += 1
+                yield mcl.step(filter_, state, measured, rng)
+            yield mcl.finish(filter_, state, rng)
 
         for located_frames in steps():
             for located, milliseconds in timed(located_frames):
@@ -108,7 +122,18 @@ class Replay:
                 frame.stage_ms["filter"] = milliseconds
                 self._hand_over(located, frame)
                 progress()
+                if self.checkpoints is not None and self.checkpoints.is_due(len(self.history.frames)):
+                    self._save_checkpoint()
                 stop_if_asked()
+
+    def _still_waiting(self, taken: Iterator[Event]) -> dict[int, Pending]:
+        """Pass over events that were taken before; return the images among them that still wait for odometry."""
+        waiting = {sighting.t_ns for sighting in self.running.state.waiting}
+        images = (event for event in taken if isinstance(event, (ImageEvent, mcl.Sighting)) and event.t_ns in waiting)
+        return {
+            event.t_ns: Pending(event.encoded() if isinstance(event, ImageEvent) else None, {"load": 0.0, "edges": 0.0})
+            for event in images
+        }
 
     def _measure(self, event: Event, pending: dict[int, Pending]) -> mcl.Event:
         """Return the event with its image turned into edges."""
@@ -119,102 +144,86 @@ class Replay:
         begin = perf_counter()
         image, encoded = event.load(), event.encoded()
         loaded = perf_counter()
-        edges = find_edges(image, self.log.camera, self.config.edges)
+        edges = find_edges(image, self.inputs.log.camera, self.inputs.config.edges)
         found = perf_counter()
         pending[event.t_ns] = Pending(encoded, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
         return mcl.Sighting(event.t_ns, edges)
 
     def _hand_over(self, located: mcl.Located, pending: Pending) -> None:
-        truth = self.log.groundtruth
+        truth = self.inputs.log.groundtruth
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
-        matches = self.observation.associate(located.estimate.pose, located.edges, self.landmark_map)
+        matches = self.observation.associate(located.estimate.pose, located.edges, self.inputs.landmark_map)
         begin = perf_counter()
         for sink in self.sinks:
             sink.frame(LocatedFrame(located, matches, pending.image, true_pose, pending.stage_ms))
         stage_ms = pending.stage_ms | {"sinks": 1e3 * (perf_counter() - begin)}
         for stage in STAGES:
-            self.timing[stage].append(stage_ms[stage])
+            self.running.done.timing[stage].append(stage_ms[stage])
 
     def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
         """Save what was done and return the error that says how much that is and where."""
         close_all(self.sinks, complete=False)
-        done, frames = len(self.history.frames), len(self.log.frames)
+        done, frames = len(self.history.frames), len(self.inputs.log.frames)
         if done:
             self._write_figures(complete=False)
+            self._save_checkpoint()
+        resume = f"; go on with --resume {self.checkpoints.path}" if done and self.checkpoints else ""
         return RunEndedEarlyError(
-            f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}",
+            f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}{resume}",
             exit_code,
         )
 
-    def _write_config(self) -> None:
-        self.folder.write_text("config.yaml", to_yaml(in_force(self.config)))
+    def _save_checkpoint(self) -> None:
+        if self.checkpoints is not None:
+            self.running.done.frames = self.history.frames
+            self.checkpoints.save(self.inputs, self.running)
+
+    def _write_inputs(self) -> None:
+        self.folder.write_text("config.yaml", to_yaml(in_force(self.inputs.config)))
+        self.folder.write_text("run.yaml", self.inputs.described())
 
     def _write_figures(self, complete: bool) -> dict[str, Any]:
-        from localiser.evaluate.report import save_report
-
-        track = self.history.track
-        truth = self.log.groundtruth
-        if truth is not None and not any(truth.covers(int(t_ns)) for t_ns in track.t_ns):
-            truth = None  # a run that ended before the truth begins
-        edges = [frame.located.edges for frame in self.history.frames]
-        bound = self._bound(track)
-        figures = evaluate.metrics(
-            track,
-            truth,
-            log=self.log.name,
-            observation=self.config.observation.kind,
-            seed=self.config.seed,
-            particles=self.config.mcl.particles,
-            bound=bound,
-            sighted=_sighted(edges),
-        )
-        figures["complete"] = complete
-        figures |= mount_figures(self.log, edges, track.odometry, self.config)
-        timing = evaluate.timing_metrics(self.timing)
-        self.folder.write_json("metrics.json", figures | timing)
-        self.folder.write_json("timing.json", timing)
-        save_report(
-            self.folder.path / "report.png",
-            track,
-            figures,
-            truth=truth,
-            landmark_map=self.landmark_map,
-            bound=bound,
-        )
-        return figures | timing
-
-    def _bound(self, track: evaluate.Track) -> Array | None:
-        """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
-        truth, config = self.log.groundtruth, self.config
-        located = [frame.located for frame in self.history.frames]
-        if truth is None or _sighted([result.edges for result in located]) is None:
-            return None
-        if self.landmark_map is not self.log.landmark_map:
-            return None  # the log's associations are those of its own map
-        poses = truth.sampled(track.t_ns).poses
-        steps = zip(poses[:-1], located[1:], strict=True)
-        moves = [motion.linearised(pose, result.increment, config.motion) for pose, result in steps]
-        informations = [
-            evaluate.bearing_information(
-                pose, self.log.camera, self.landmark_map.points, result.edges, config.observation.kind
-            )
-            for pose, result in zip(poses, located, strict=True)
-        ]
-        return evaluate.posterior_bound(
-            self.start.cov,
-            np.array([jac for jac, _ in moves]).reshape(-1, 3, 3),
-            np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
-            np.array(informations),
-        )
+        return write_figures(self.inputs, self.folder, self.history, self.running.done.timing, complete=complete)
 
 
 def prepare(
-    log: Log, landmark_map: LandmarkMap, config: Config, outputs: Outputs, start_option: str | None = None
+    log: Log,
+    config: Config,
+    outputs: Outputs,
+    start_option: str | None = None,
+    *,
+    map_file: Path | None = None,
+    resume: Path | None = None,
 ) -> Replay:
-    """Return a replay of `log` on the map, its folder made and its sinks open. start_option: see `start_of`.
+    """Return a replay of `log`, its folder made and its sinks open.
 
-    Raises InputError when camera and observation do not fit, OutputError when results cannot be written.
+    start_option: see `start_of`. map_file: of a map in place of the log's own. resume: checkpoint of a run to go on
+    with. Raises InputError when the map is missing, camera and observation do not fit or the checkpoint is another
+    run's, OutputError when results cannot be written.
     """
+    landmark_map = map_of(log, map_file)
+    _require_fitting(log, config)
+    if outputs.checkpoints is not None and outputs.checkpoints.path != resume:
+        require_new_file(outputs.checkpoints.path)
+    rng = np.random.default_rng(config.seed)
+    inputs = RunInputs(log, landmark_map, map_file, config, start_of(log, start_option, rng))
+    running = Running(mcl.FilterState(), rng, Progress()) if resume is None else resumed(resume, inputs)
+    observation = EdgeObservation(log.camera, config.observation)
+    observation.warm_up()
+
+    folder = RunFolder.create(outputs.results, log.name)
+    history = History()
+    sinks: list[Sink] = [history, TrackWriter(folder.path)]
+    context = view.Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
+    if outputs.rrd:
+        sinks.append(view.RrdFile(folder.path / "run.rrd", context))
+    live = view.LiveView(outputs.view, context) if outputs.view != "none" else None
+    if live is not None:
+        sinks.append(live)
+    return Replay(inputs, observation, running, folder, history, sinks, live, outputs.checkpoints)
+
+
+def _require_fitting(log: Log, config: Config) -> None:
     if config.observation.kind == "slope" and abs(np.sin(log.camera.mount.tilt_rad)) < np.sin(np.deg2rad(0.1)):
         raise camera_error(
             log.path,
@@ -230,27 +239,6 @@ def prepare(
             path=log.path,
             field="images",
         )
-    rng = np.random.default_rng(config.seed)
-    start = start_of(log, start_option, rng)
-    observation = EdgeObservation(log.camera, config.observation)
-    observation.warm_up()
-    folder = RunFolder.create(outputs.results, log.name)
-    history = History()
-    sinks: list[Sink] = [history, TrackWriter(folder.path)]
-    context = view.Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-    if outputs.rrd:
-        sinks.append(view.RrdFile(folder.path / "run.rrd", context))
-    live = view.LiveView(outputs.view, context) if outputs.view != "none" else None
-    if live is not None:
-        sinks.append(live)
-    return Replay(log, landmark_map, config, start, rng, observation, folder, history, sinks, live)
-
-
-def _sighted(all_edges: Sequence[Edges]) -> NDArray[np.bool_] | None:
-    """Return whether (T,) a landmark was seen, where the log tells which; None where it does not."""
-    if not any((edges.landmark_id >= 0).any() for edges in all_edges):
-        return None
-    return np.array([(edges.landmark_id >= 0).any() for edges in all_edges])
 
 
 def timed(items: Iterator[mcl.Located]) -> Iterator[tuple[mcl.Located, float]]:

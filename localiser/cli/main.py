@@ -27,7 +27,7 @@ from localiser.cli.shared import (
     topics_by_role,
     working,
 )
-from localiser.errors import InputError, LocaliserError
+from localiser.errors import LocaliserError
 
 app = typer.Typer(
     name="localiser",
@@ -102,6 +102,8 @@ def _root(
 
 `localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`
 
+`localiser replay logs/corridor --checkpoint run.checkpoint --resume run.checkpoint`
+
 `localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
 )
 def replay(
@@ -134,22 +136,32 @@ def replay(
     ),
     rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
     view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = View.none,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Save what it takes to resume the run, when it ends or is stopped."),
+    ] = None,
+    checkpoint_every: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Save it after every N images too; 0: only then.")
+    ] = 0,
+    resume: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Go on from a checkpoint, with the same log, map and settings."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
+    from localiser.app.checkpoints import Checkpoints
     from localiser.app.replay import Outputs, prepare
-    from localiser.storage import load_map
 
     settings = [*(overrides or [])]
     settings += [f"seed={seed}"] if seed is not None else []
     settings += [f"observation.kind={observation}"] if observation is not None else []
     settings += [f"increments.source={odometry}"] if odometry is not None else []
     recorded, effective = opened(log, config, settings, format=log_format, topics=topics_by_role(topics), camera=camera)
-    landmark_map = load_map(map_file) if map_file else recorded.landmark_map
-    if landmark_map is None:
-        raise InputError("the log has no map; expected --map MAP", path=log, field="map")
+    checkpoints = Checkpoints(checkpoint, checkpoint_every) if checkpoint else None
     with working("Getting ready; the first run compiles …", quiet):
-        run = prepare(recorded, landmark_map, effective, Outputs(out, rrd, view.value), start)
+        outputs = Outputs(out, rrd, view.value, checkpoints)
+        run = prepare(recorded, effective, outputs, start, map_file=map_file, resume=resume)
     if run.live is not None and run.live.address:
         typer.echo(f"Watch at {run.live.address}", err=True)
     with progress("Localising", len(recorded.frames), quiet) as advance:

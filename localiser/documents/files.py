@@ -21,7 +21,7 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         if status.st_size > max_bytes:
             raise InputError(f"expected at most {max_bytes} bytes, found {status.st_size}", path=path)
         with path.open("rb") as file:
-            return file.read(max_bytes)
+            return file.read(status.st_size)  # a larger bound would be taken from memory at once
     except FileNotFoundError:
         raise InputError("no such file", path=path) from None
     except (OSError, ValueError) as error:

@@ -39,13 +39,20 @@ def write_text(path: Path, content: str) -> None:
     write_bytes(path, content.encode())
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: an interruption leaves what was there before. Raises OutputError."""
+def write_bytes(path: Path, content: bytes, *, durably: bool = False) -> None:
+    """Write a file whole or not at all: an interruption leaves what was there before. Raises OutputError.
+
+    durably: also when the power fails at any moment, at the cost of waiting for the disk.
+    """
     draft = path.with_name(f".{path.name}.part")
     with output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            draft.write_bytes(content)
+            with draft.open("wb") as file:
+                file.write(content)
+                if durably:
+                    file.flush()
+                    os.fsync(file.fileno())
             draft.replace(path)
         except BaseException:
             draft.unlink(missing_ok=True)

@@ -109,7 +109,8 @@ class Recorder:
 
     def _log_poses(self, located: Located, truth: Array | None) -> None:
         estimate = located.estimate
-        self._stream.log(paths.PARTICLES, world.particles(located.particles))
+        if len(located.particles):  # not of a frame that was located before the run was resumed
+            self._stream.log(paths.PARTICLES, world.particles(located.particles))
         self._stream.log(paths.ELLIPSE, world.ellipse(estimate))
         self._stream.log(paths.ESTIMATE, world.arrow(estimate.pose, palette.ESTIMATE, 4.0))
         self._stream.log(paths.CAMERA, world.camera_transform(self._context.camera, estimate.pose))
