@@ -7,14 +7,18 @@ that runs at one fixed rate, these are per metre and per radian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from localiser.geometry import Array, Increment, compose, wrap_angle
-from localiser.particles import Particles
+from localiser import geometry
+from localiser.biases import BIASES, BiasParameters, drawn_step, forgotten, projected, sensitivity
+from localiser.geometry import Array, Increment, wrap_angle
+from localiser.particles import CAMERA_YAW, Particles
+
+SLIP = 0.1  # sigma of slipping sideways, as a share of that along the way: no wheel is quite true
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,7 @@ class MotionParameters:
     alpha2: Annotated[float, Field(ge=0, description="heading variance from driving (rad² per m)")] = 7e-4
     alpha3: Annotated[float, Field(ge=0, description="distance variance from driving (m² per m)")] = 9e-4
     alpha4: Annotated[float, Field(ge=0, description="distance variance from turning (m² per rad)")] = 1e-4
+    bias: BiasParameters = field(default_factory=BiasParameters)
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
@@ -55,49 +60,75 @@ def direction_of_travel(increment: Increment) -> float:
 def predict(
     particles: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
 ) -> Particles:
-    """Return the particles moved by `increment`, each with its own draw of the noise.
+    """Return the particles moved by `increment`, each with its own draw of the noise and of what it knows of biases.
 
     Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
     correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own covariance
-    (vision) errs by a draw from that instead. Bias columns stay as they are.
+    (vision) errs by a draw from that instead, and tells nothing of the biases.
     """
-    count = len(particles)
+    direction, ahead = direction_of_travel(increment), _ahead_m(increment)
+    by_bias = _by_bias(particles.names[3:], increment)
+    (along, left, turn), learnt = drawn_step(particles, by_bias, step_noise(increment, parameters), rng)
+
+    way = particles["heading"] + direction  # of the camera, by which the biases are seen
+    if CAMERA_YAW in particles.names:
+        way = way + particles[CAMERA_YAW]
+    cos, sin = np.cos(way), np.sin(way)
+    columns = learnt.columns.copy()
+    columns[0] = particles["x"] - sin * (ahead + along) - cos * left
+    columns[1] = particles["z"] - cos * (ahead + along) + sin * left
+    columns[2] = wrap_angle(columns[2] + increment.mean[2] + turn)
+    moved = replace(learnt, columns=columns)
+    return forgotten(projected(moved) if by_bias.any() else moved, increment.path_m, parameters.bias)
+
+
+def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
+    """Return the covariance (3, 3) of a step's noise: along the way (m), to its left (m), of the turn (rad)."""
     distance_var, turn_var = noise_variances(increment, parameters)
-    draws = rng.standard_normal((3, count))
-    before, after = draws[:2] * np.sqrt(turn_var / 2)
-    along = draws[2] * np.sqrt(distance_var)
-
-    direction = direction_of_travel(increment)
-    motion = np.empty((count, 3))
-    motion[:, 0] = increment.mean[0] - along * np.sin(direction)
-    motion[:, 1] = increment.mean[1] - along * np.cos(direction)
-    motion[:, 2] = increment.mean[2] + after
-    if increment.cov.any():
-        variance, axes = np.linalg.eigh(increment.cov)
-        motion += (rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variance, 0.0))) @ axes.T
-
-    poses = particles.poses
-    poses[:, 2] += before
-    columns = particles.columns.copy()
-    columns[:3] = compose(poses, motion).T
-    columns[2] = wrap_angle(columns[2])
-    return Particles(particles.names, columns, particles.log_weight, particles.circular)
+    ahead = _ahead_m(increment)
+    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead**2 * turn_var / 2, turn_var])
+    noise[1, 2] = noise[2, 1] = ahead * turn_var / 2
+    cos, sin = np.cos(direction_of_travel(increment)), np.sin(direction_of_travel(increment))
+    from_robot = np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
 
 
 def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
     """Return F = ∂(next pose)/∂(pose) and Q, the covariance of the noise, both (3, 3) in the map, at `pose` (3,).
 
-    The first-order form of `predict`, for the posterior Cramér-Rao bound.
+    The first-order form of `predict` where no bias is in doubt, for the posterior Cramér-Rao bound.
     """
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     right, backward = increment.mean[:2]
-    by_heading = np.array([-sin * right + cos * backward, -cos * right - sin * backward])
     jac_pose = np.eye(3)
-    jac_pose[:2, 2] = by_heading
-    direction = pose[2] + direction_of_travel(increment)
-    distance_var, turn_var = noise_variances(increment, parameters)
-    # Columns: distance, turn before, turn after.
-    jac_noise = np.array([[-np.sin(direction), by_heading[0], 0], [-np.cos(direction), by_heading[1], 0], [0, 1, 1]])
-    noise = jac_noise @ np.diag([distance_var, turn_var / 2, turn_var / 2]) @ jac_noise.T
-    to_map = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return jac_pose, np.asarray(noise + to_map @ increment.cov @ to_map.T)
+    jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
+    to_map = _map_from_step(pose, increment)
+    return jac_pose, np.asarray(to_map @ step_noise(increment, parameters) @ to_map.T)
+
+
+def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
+    """Return the covariance (3, 3) of wheels' motion in the robot frame, biases included as far as the prior goes."""
+    to_robot = _map_from_step(np.zeros(3), increment)
+    by_bias = sensitivity(BIASES[:-1], _ahead_m(increment), float(increment.mean[2]))
+    doubt = by_bias @ parameters.bias.cov[:-1, :-1] @ by_bias.T
+    return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
+
+
+def _ahead_m(increment: Increment) -> float:
+    """Return the length of the chord along `direction_of_travel`, negative when backward."""
+    direction = direction_of_travel(increment)
+    return float(increment.mean[:2] @ geometry.forward(direction))
+
+
+def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
+    """Return ∂(along, left, turn)/∂(biases) (3, B): none of an increment that wheels alone did not measure."""
+    if increment.cov.any():
+        return np.zeros((3, len(names)))
+    return sensitivity(names, _ahead_m(increment), float(increment.mean[2]))
+
+
+def _map_from_step(pose: Array, increment: Increment) -> Array:
+    """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map."""
+    way = pose[2] + direction_of_travel(increment)
+    cos, sin = np.cos(way), np.sin(way)
+    return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])

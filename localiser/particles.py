@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,20 +10,31 @@ from numpy.typing import NDArray
 from localiser.geometry import Array, circular_mean, wrap_angle
 
 POSE = ("x", "z", "heading")
+CAMERA_YAW = "camera_yaw"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles:
     """N weighted hypotheses.
 
-    names: D column names, x, z, heading first, then biases. columns: (D, N), so that each column is contiguous.
+    names: D column names, x, z, heading first, then B biases. columns: (D, N), so that each column is contiguous.
     log_weight: (N,) natural logarithms, up to a common constant. circular: names of columns that are angles.
+    bias_cov: (B, B) what is not known of the biases, and with the camera's yaw of the heading, even where the particle
+    is: its columns are the mean of a normal density, whose covariance all particles share.
     """
 
     names: tuple[str, ...]
     columns: Array
     log_weight: Array
     circular: frozenset[str] = frozenset({"heading"})
+    bias_cov: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        biases = len(self.names) - len(POSE)
+        if len(self.bias_cov) != biases:
+            if self.bias_cov.any():
+                raise ValueError(f"expected a covariance of {biases} biases, found {self.bias_cov.shape}")
+            object.__setattr__(self, "bias_cov", np.zeros((biases, biases)))
 
     def __len__(self) -> int:
         return int(self.columns.shape[1])
@@ -105,12 +116,12 @@ def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest:
 
 
 def kernel_width(particles: Particles) -> float:
-    """Return the width h of each particle's kernel, as a share of the cloud's: N^(-1/(D+4)).
+    """Return the width h of each particle's kernel, as a share of the cloud's: N^(-1/7).
 
-    About what is best for a normal density [Silverman 1986; Musso, Oudjane, Le Gland 2001].
+    About what is best for a normal density of three dimensions: poses, whose biases follow from their paths [Silverman
+    1986; Musso, Oudjane, Le Gland 2001].
     """
-    dimensions, count = particles.columns.shape
-    return float(count ** (-1.0 / (dimensions + 4)))
+    return float(len(particles) ** (-1.0 / (len(POSE) + 4)))
 
 
 def spread(particles: Particles, rng: np.random.Generator) -> Particles:
@@ -119,28 +130,33 @@ def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     The kernel's covariance is h² times the cloud's, h from `kernel_width`. The cloud is first drawn together by
     √(1 - h²), so that its mean and covariance stay as they are [Liu, West 2001].
     """
-    dimensions, count = particles.columns.shape
     width = kernel_width(particles)
-    cloud = estimate(particles)
-    variance, axes = np.linalg.eigh(cloud.cov)
-    draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal((dimensions, count)))
-    columns = np.empty_like(particles.columns)
+    mean, residual, weight = centred(particles)
+    variance, axes = np.linalg.eigh((residual * weight) @ residual.T)
+    draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal(residual.shape))
+    columns = mean[:, None] + np.sqrt(1.0 - width**2) * residual + width * draws
     for row, name in enumerate(particles.names):
-        circular = name in particles.circular
-        residual = particles.columns[row] - cloud.mean[row]
-        residual = wrap_angle(residual) if circular else residual
-        column = cloud.mean[row] + np.sqrt(1.0 - width**2) * residual + width * draws[row]
-        columns[row] = wrap_angle(column) if circular else column
+        if name in particles.circular:
+            columns[row] = wrap_angle(columns[row])
     return replace(particles, columns=columns)
 
 
 def take(particles: Particles, index: NDArray[np.int64]) -> Particles:
     """Return the particles at `index`, equally weighted."""
-    return Particles(particles.names, particles.columns[:, index], np.zeros(len(index)), particles.circular)
+    return replace(particles, columns=particles.columns[:, index], log_weight=np.zeros(len(index)))
 
 
 def estimate(particles: Particles) -> Estimate:
-    """Return the weighted mean and covariance over all columns; circular columns are averaged as directions."""
+    """Return the weighted mean and covariance over all columns; circular columns are averaged as directions.
+
+    The covariance is that between the particles and, of the biases, that within each.
+    """
+    mean, residual, weight = centred(particles)
+    return Estimate(particles.names, mean, np.asarray((residual * weight) @ residual.T) + _within(particles))
+
+
+def centred(particles: Particles) -> tuple[Array, Array, Array]:
+    """Return the weighted mean (D,), what each particle is off it (D, N), and the weights (N,)."""
     weight = particles.weight
     mean = np.empty(len(particles.names))
     residual = np.empty_like(particles.columns)
@@ -152,4 +168,12 @@ def estimate(particles: Particles) -> Estimate:
         else:
             mean[row] = weight @ column
             residual[row] = column - mean[row]
-    return Estimate(particles.names, mean, np.asarray((residual * weight) @ residual.T))
+    return mean, residual, weight
+
+
+def _within(particles: Particles) -> Array:
+    """Return the covariance (D, D) within each particle: the camera is where it is, not so the robot."""
+    by_bias = np.eye(len(particles.names))[:, len(POSE) :]
+    if CAMERA_YAW in particles.names:
+        by_bias[2] = -by_bias[particles.names.index(CAMERA_YAW)]
+    return np.asarray(by_bias @ particles.bias_cov @ by_bias.T)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localiser.geometry import Array, Increment, arc_motion, compose, wrap_angle
-from localiser.motion import MotionParameters, direction_of_travel, linearised, noise_variances, predict
+from localiser.motion import SLIP, MotionParameters, direction_of_travel, linearised, noise_variances, predict
 from localiser.particles import POSE, Particles
 
 PARAMETERS = MotionParameters(alpha1=1.2e-3, alpha2=7e-4, alpha3=9e-4, alpha4=1e-4)
@@ -74,7 +74,8 @@ def test_a_robot_that_drives_straight_errs_along_its_way_and_sideways_by_half_it
     increment = Increment.from_mean([0.0, -4.0, 0.0])
     _, cov = linearised(np.zeros(3), increment, PARAMETERS)
     turn = 4 * PARAMETERS.alpha2
-    expected = [[16 * turn / 2, 0, -4 * turn / 2], [0, 4 * PARAMETERS.alpha3, 0], [-4 * turn / 2, 0, turn]]
+    slip = SLIP**2 * 4 * PARAMETERS.alpha3
+    expected = [[16 * turn / 2 + slip, 0, -4 * turn / 2], [0, 4 * PARAMETERS.alpha3, 0], [-4 * turn / 2, 0, turn]]
     np.testing.assert_allclose(cov, expected, atol=1e-15)
 
 
@@ -126,7 +127,8 @@ def test_a_robot_that_went_to_and_fro_has_noise() -> None:
     """The path counts, not where it ended; the noise of distance then acts straight ahead."""
     increment = Increment(np.zeros(3), np.zeros((3, 3)), path_m=2.0, turned_rad=0.0, source="wheel")
     _, cov = linearised(np.zeros(3), increment, PARAMETERS)
-    np.testing.assert_allclose(np.diag(cov), [0, 2 * PARAMETERS.alpha3, 2 * PARAMETERS.alpha2], atol=1e-18)
+    distance = 2 * PARAMETERS.alpha3
+    np.testing.assert_allclose(np.diag(cov), [SLIP**2 * distance, distance, 2 * PARAMETERS.alpha2], atol=1e-18)
     after = predict(at(np.zeros(3)), increment, PARAMETERS, np.random.default_rng(4))
     assert_same_covariance(moments(after, np.zeros(3))[1], cov, slack=0.01)
 
@@ -163,7 +165,7 @@ def test_direction_of_travel_is_anticlockwise_from_straight_ahead(motion: list[f
     assert direction_of_travel(Increment.from_mean(motion)) == pytest.approx(expected)
 
 
-def test_bias_columns_and_weights_stay_as_they_are() -> None:
+def test_columns_that_are_no_biases_and_weights_stay_as_they_are() -> None:
     rng = np.random.default_rng(5)
     columns = rng.normal(size=(5, 40))
     particles = Particles((*POSE, "tilt", "scale"), columns.copy(), rng.normal(size=40), frozenset({"heading", "tilt"}))

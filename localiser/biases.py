@@ -1,0 +1,134 @@
+"""Constant errors of wheels and mount, estimated with the pose: a Kalman filter inside every particle.
+
+Four numbers are wrong on every robot and stay as they are while it drives: the scale of the wheels' distance, that of
+their turn, how far the robot veers while the wheels say straight on, and the camera's yaw. Given the path of the
+camera, they are seen through a linear model with Gaussian noise, so they need not be sampled: a particle carries
+their mean, and their covariance is the same for all particles, since it depends on nothing but the odometry
+(Rao-Blackwell) [Doucet, de Freitas, Murphy, Russell 2000; Schön, Gustafsson, Nordlund 2005].
+
+    step = (along, left, turn) = odometry + H β + noise,    β = (distance_scale, turn_scale, veer, camera_yaw)
+
+A particle's pose together with its mean yaw stands for one pose of the *camera*, which is what edges measure. The yaw
+enters as the direction in which the camera is carried, so that driving straight on tells it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from localiser.geometry import Array, wrap_angle
+from localiser.particles import CAMERA_YAW, Particles, centred, estimate
+
+BIASES = ("distance_scale", "turn_scale", "veer", CAMERA_YAW)
+
+
+@dataclass(frozen=True, slots=True)
+class BiasParameters:
+    """How far wheels and mount may be wrong for good (one sigma each); 0: not at all."""
+
+    distance_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' distance, as a share")] = 0.03
+    turn_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' turn, as a share")] = 0.03
+    veer_sigma_deg_per_m: Annotated[
+        float, Field(ge=0, le=90, description="turn of the robot while the wheels say straight on (degrees/m)")
+    ] = 0.5
+    yaw_sigma_deg: Annotated[float, Field(ge=0, le=90, description="of the camera's stated yaw (degrees)")] = 1.0
+    memory_m: Annotated[
+        float, Field(gt=0, description="way after which an estimate of them is forgotten: tyres, floors, loads (m)")
+    ] = 100.0
+
+    @property
+    def cov(self) -> Array:
+        """Prior covariance (4, 4) of `BIASES`: shares, rad/m, rad."""
+        veer, yaw = np.deg2rad([self.veer_sigma_deg_per_m, self.yaw_sigma_deg])
+        return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, yaw]))
+
+
+def with_biases(particles: Particles, parameters: BiasParameters, rng: np.random.Generator) -> Particles:
+    """Return particles of poses alone with columns of `BIASES` beside them, as the prior has them.
+
+    Each pose becomes one of the camera by a draw of the yaw. What is then known of the yaw follows from how wide the
+    headings were: all where they are certain, nothing where they go all around.
+    """
+    cov, cloud = parameters.cov, estimate(particles)
+    yaw_var = cov[-1, -1]
+    share = yaw_var / max(yaw_var + cloud.cov[2, 2], 1e-300)
+    camera_heading = particles["heading"] + np.sqrt(yaw_var) * rng.standard_normal(len(particles))
+    yaw = share * wrap_angle(camera_heading - cloud.mean[2])
+    heading = wrap_angle(camera_heading - yaw)
+    cov[-1, -1] = (1 - share) * yaw_var
+    columns = np.vstack([particles.columns[:2], heading, np.zeros((len(BIASES) - 1, len(particles))), yaw])
+    return replace(particles, names=(*particles.names, *BIASES), columns=columns, bias_cov=cov)
+
+
+def drawn_step(particles: Particles, by_bias: Array, noise: Array, rng: np.random.Generator) -> tuple[Array, Particles]:
+    """Return how each particle's step (along, left, turn) (3, N) deviates from odometry's, and what that told it.
+
+    by_bias: H (3, B). noise: covariance (3, 3). A step is drawn from N(H m, H P Hᵀ + noise), m being the particle's
+    mean of the biases and P their covariance; then both are updated by it as by a measurement, the camera's heading
+    staying where it is.
+    """
+    mean, cov = particles.columns[3:], particles.bias_cov
+    variance, axes = np.linalg.eigh(by_bias @ cov @ by_bias.T + noise)
+    root = axes * np.sqrt(np.maximum(variance, 0.0))
+    normal = rng.standard_normal((3, len(particles)))
+    # K S^½ = P Hᵀ S^(-½): nothing is learnt along directions in which nothing can happen.
+    whitened = axes / np.sqrt(np.where(variance > 1e-14 * variance[-1], variance, np.inf))
+    gain = cov @ by_bias.T @ whitened
+    learnt = _moved(particles, gain @ normal)
+    return by_bias @ mean + root @ normal, replace(learnt, bias_cov=cov - gain @ gain.T)
+
+
+def projected(particles: Particles) -> Particles:
+    """Return the particles with means of the biases that are linear in the camera's pose; what is lost widens bias_cov.
+
+    Mean and covariance of poses and biases together stay as they are, so nothing is lost where they are normal. It
+    keeps what is known of constants from depending on which of many past paths happened to survive resampling.
+    """
+    _, residual, weight = centred(particles)
+    pose, bias = residual[:3].copy(), residual[3:]
+    if CAMERA_YAW in particles.names:
+        pose[2] += residual[particles.names.index(CAMERA_YAW)]
+    pose_cov = (pose * weight) @ pose.T
+    # In units of their spread, so that metres and radians are cut off alike.
+    unit = np.sqrt(np.maximum(np.diag(pose_cov), 1e-300))
+    inverse = np.linalg.pinv(pose_cov / np.outer(unit, unit), rcond=1e-9, hermitian=True) / np.outer(unit, unit)
+    rest = (bias * weight) @ pose.T @ inverse @ pose - bias
+    lost = (rest * weight) @ rest.T
+    return replace(_moved(particles, rest), bias_cov=particles.bias_cov + lost)
+
+
+def forgotten(particles: Particles, path_m: float, parameters: BiasParameters) -> Particles:
+    """Return the particles after a way on which the biases drifted: an Ornstein-Uhlenbeck process about the prior."""
+    if particles.names[3:] != BIASES or path_m == 0:
+        return particles
+    kept = np.exp(-path_m / parameters.memory_m)
+    drifted = _moved(particles, (kept - 1) * particles.columns[3:])
+    return replace(drifted, bias_cov=kept**2 * particles.bias_cov + (1 - kept**2) * parameters.cov)
+
+
+def _moved(particles: Particles, change: Array) -> Particles:
+    """Return the particles with other biases (B, N), the camera's heading being as it was."""
+    columns = particles.columns.copy()
+    columns[3:] += change
+    if CAMERA_YAW in particles.names:
+        columns[2] = wrap_angle(columns[2] - change[particles.names.index(CAMERA_YAW) - 3])
+    return replace(particles, columns=columns)
+
+
+def sensitivity(names: tuple[str, ...], ahead_m: float, turn_rad: float) -> Array:
+    """Return H = ∂(along, left, turn)/∂(biases) (3, B) of a step that odometry has as (ahead_m, 0, turn_rad).
+
+    names: (B,) of the columns after the pose; those that are not of `BIASES` have no effect. Half of the turn comes
+    before the translation, which the camera's own yaw turns the other way.
+    """
+    effect = {
+        "distance_scale": (ahead_m, 0.0, 0.0),
+        "turn_scale": (0.0, ahead_m * turn_rad / 2, turn_rad),
+        "veer": (0.0, ahead_m * ahead_m / 2, ahead_m),
+        CAMERA_YAW: (0.0, -ahead_m, 0.0),
+    }
+    return np.array([effect.get(name, (0.0, 0.0, 0.0)) for name in names]).reshape(-1, 3).T
