@@ -26,7 +26,7 @@ def start_of(log: Log, option: str | None, rng: np.random.Generator) -> Start:
     cov = np.diag(START_SIGMA**2)
     if option is None or option == TRUTH:
         return Start(first_ns, _near_truth(log, option, first_ns, rng), cov)
-    return Start(first_ns, _given(option), cov)
+    return Start(first_ns, given_pose(option), cov)
 
 
 def _near_truth(log: Log, option: str | None, first_ns: int, rng: np.random.Generator) -> np.ndarray:
@@ -43,7 +43,8 @@ def _near_truth(log: Log, option: str | None, first_ns: int, rng: np.random.Gene
     return np.asarray(pose)
 
 
-def _given(option: str) -> np.ndarray:
+def given_pose(option: str) -> np.ndarray:
+    """Return the pose (3,) of `x,z,heading_deg`. Raises InputError."""
     problem = f"expected x,z,heading_deg (metres and degrees, such as 1.5,-2,90) or truth, found {option!r}"
     try:
         x, z, heading_deg = (float(part) for part in option.split(","))

@@ -11,8 +11,9 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.cli import convert, edges, paper
+from localiser.cli import convert, edges, paper, simulate
 from localiser.cli.camera import camera_app
+from localiser.cli.live import live_app
 from localiser.cli.maps import map_app
 from localiser.cli.shared import (
     BagCamera,
@@ -50,6 +51,7 @@ config_app = typer.Typer(no_args_is_help=True, help="Show what can be set.")
 app.add_typer(config_app, name="config")
 app.add_typer(camera_app, name="camera")
 app.add_typer(map_app, name="map")
+app.add_typer(live_app, name="live")
 
 
 class Kind(StrEnum):
@@ -181,23 +183,6 @@ def replay(
         run.live.wait()
 
 
-@app.command(epilog="Example: `localiser simulate configs/worlds/office.yaml -o logs/office`")
-def simulate(
-    world: Annotated[Path, typer.Argument(metavar="WORLD", help="World file, such as configs/worlds/corridor.yaml.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="LOG", help="New folder for the log.")],
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Same seed, same log.")] = 0,
-    quiet: Quiet = False,
-) -> None:
-    """Render a log from a WORLD: images, odometry with its errors, truth and map."""
-    from localiser.app import simulate as simulation
-
-    log = simulation.simulated(world, seed)
-    with progress("Rendering", len(log), quiet) as advance:
-        simulation.write(log, out, advance)
-    if not quiet:
-        typer.echo(f"{len(log)} images and {len(log.landmark_map)} landmarks in {out}")
-
-
 @app.command(
     epilog="""Examples:
 
@@ -244,6 +229,7 @@ def config_schema() -> None:
     typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))
 
 
+app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=convert.EPILOG)(convert.convert)
 app.command(epilog=edges.EPILOG)(edges.edges)
 app.command(epilog=paper.EPILOG)(paper.paper)

@@ -18,9 +18,14 @@ from localiser import mcl
 _LAST_NS = 2**62
 
 
-def image_decision(number: int, t_ns: int, unused: str = "") -> str:
-    """Return that an image was weighed, or why not. t_ns: its time, by which people find it."""
-    return json.dumps({"image": number, "t_ns": t_ns, "used": not unused} | ({"why": unused} if unused else {}))
+def image_decision(number: int, t_ns: int, unused: str = "", *, by_wheels: bool = True) -> str:
+    """Return that an image was weighed, or why not. t_ns: its time, by which people find it.
+
+    by_wheels: whether the wheels told how the robot came there, or its edges had to, because the wheels were silent.
+    """
+    data: dict[str, Any] = {"image": number, "t_ns": t_ns, "used": not unused}
+    data |= {"why": unused} if unused else {}
+    return json.dumps(data | ({} if by_wheels else {"by_wheels": False}))
 
 
 def odometry_decision(number: int, t_ns: int, why: str) -> str:
@@ -40,9 +45,14 @@ def start_decision(start: mcl.Start) -> str:
 
 @dataclass(slots=True, eq=False)
 class Decisions:
-    """The decisions of a recording, taken in their order. offset_ns: what to add to the stamps read now."""
+    """The decisions of a recording, taken in their order.
+
+    images, unused_odometry: by number. blind: images that were weighed without wheels. offset_ns: what to add to the
+    stamps that are read now.
+    """
 
     images: set[int] = field(default_factory=set)
+    blind: set[int] = field(default_factory=set)
     unused_odometry: set[int] = field(default_factory=set)
     starts: list[mcl.Start] = field(default_factory=list)
     offset_ns: int = 0
@@ -57,6 +67,8 @@ class Decisions:
             case {"image": int(number), "used": bool(used)}:
                 if used:
                     self.images.add(number)
+                if data.get("by_wheels") is False:
+                    self.blind.add(number)
             case {"odometry": int(number), "used": False}:
                 self.unused_odometry.add(number)
             case {"clock": int(offset_ns)} if abs(offset_ns) < _LAST_NS:

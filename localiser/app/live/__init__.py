@@ -1,0 +1,1 @@
+"""A running robot: messages in, poses out; the same filter as in a replay."""

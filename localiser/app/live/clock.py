@@ -1,0 +1,57 @@
+"""Whether a stamp can be true, and time that goes on when the robot's clock jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+LATE_NS = 1_000_000_000
+EARLY_NS = 250_000_000
+AGREEING = 5
+"""How far a stamp may lie behind the newest one, and ahead of what the time of its arrival allows; how many messages
+in a row must agree with each other, and with nothing before them, for the clock to have jumped."""
+
+_LEAD_DECAY = 1e-3  # of the time that passes: more than two clocks drift apart
+
+
+@dataclass(slots=True, eq=False)
+class RobotClock:
+    """Turns stamps into times that go on steadily. offset_ns: what is added to stamps now."""
+
+    offset_ns: int = 0
+    jumps: int = 0
+    _newest_ns: int = 0
+    _lead_ns: float = 0.0
+    _at_ns: int | None = None
+    _doubtful: list[tuple[int, int]] = field(default_factory=list)
+
+    def time_of(self, stamp_ns: int, at_ns: int) -> int | None:
+        """Return the time of a message, None when its stamp cannot be true. at_ns: when it came, by any steady clock.
+
+        A jump is believed after some messages that agree, and ends those it is made of: they return None too.
+        """
+        if self._at_ns is None:
+            self._newest_ns, self._lead_ns, self._at_ns = stamp_ns, float(stamp_ns - at_ns), at_ns
+            return stamp_ns
+        t_ns = stamp_ns + self.offset_ns
+        lead_ns = self._lead_ns - _LEAD_DECAY * (at_ns - self._at_ns)
+        if self._newest_ns - LATE_NS <= t_ns <= at_ns + lead_ns + EARLY_NS:
+            self._doubtful.clear()
+            self._newest_ns = max(self._newest_ns, t_ns)
+            self._lead_ns, self._at_ns = max(lead_ns, t_ns - at_ns), at_ns
+            return t_ns
+        return self._jumped(stamp_ns, at_ns, lead_ns)
+
+    def _jumped(self, stamp_ns: int, at_ns: int, lead_ns: float) -> int | None:
+        if self._doubtful:
+            last_ns, last_at_ns = self._doubtful[-1]
+            if not last_ns - LATE_NS <= stamp_ns <= last_ns + (at_ns - last_at_ns) + EARLY_NS:
+                self._doubtful.clear()
+        self._doubtful.append((stamp_ns, at_ns))
+        if len(self._doubtful) < AGREEING:
+            return None
+        self._doubtful.clear()
+        self.jumps += 1
+        t_ns = max(self._newest_ns + 1, round(at_ns + lead_ns))
+        self.offset_ns = t_ns - stamp_ns
+        self._newest_ns, self._lead_ns, self._at_ns = t_ns, float(t_ns - at_ns), at_ns
+        return t_ns
