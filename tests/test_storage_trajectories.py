@@ -83,10 +83,10 @@ def test_tum_of_a_tilted_body_gives_its_yaw(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ("", "t.tum: expected at least one pose, found none"),
-        ("0 1 2 3\n", "t.tum:1: expected 8 numbers (t x y z qx qy qz qw), found 4"),
+        ("", "t.tum: expected at least one row, found none"),
+        ("0 1 2 3\n", "t.tum:1: expected 8 columns (t, x, y, z, qx, qy, qz, qw), found 4"),
         ("# c\n0 1 nan 0 0 0 0 1\n", "t.tum:2: y: expected a finite number, found 'nan'"),
-        ("1 1 2 0 0 0 0 1\n0 1 2 0 0 0 0 1\n", "t.tum:2: t: expected a time after 1.000000000, found '0'"),
+        ("1 1 2 0 0 0 0 1\n0 1 2 0 0 0 0 1\n", "t.tum:2: t: expected a time after 1000000000 ns, found 0 ns"),
         ("0 1 2 0 0 0 0 0\n", "t.tum:1: qx qy qz qw: expected a quaternion of length 1, found length 0"),
     ],
 )

@@ -11,26 +11,26 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry, mcl
-from localiser.documents import read_text, shown
 from localiser.edges import Edges
 from localiser.edges.bearings import BearingSensor, complete
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.log import Log
-from localiser.storage.tables import MAX_TABLE_BYTES, integer, number
+from localiser.storage.tables import Column, integer, number, read_columns
 from localiser.storage.trajectories import nanoseconds
 
 ODOMETRY_QUALITY = {"motion.alpha1": 0.01, "motion.alpha2": 0.01, "motion.alpha3": 0.01, "motion.alpha4": 0.001}
 """Velocities are as commanded, not as driven: off by up to a tenth, and the heading by some degrees every 2 s."""
+
+_TIME = Column("time", nanoseconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,94 +105,50 @@ def integrated(t_ns: NDArray[np.int64], forward_m_s: Array, turn_rad_s: Array) -
 
 
 def _odometry(path: Path) -> Trajectory:
-    rows = _rows(path, "time", "forward velocity", "angular velocity")
-    _require_time_order(path, rows, strictly=False)
+    table = read_columns(path, (_TIME, Column("forward velocity", number), Column("angular velocity", number)))
+    table.require_time_order("time", strictly=False)
     # Of several commands at one time only the last is ever driven.
-    driven = [row for row, later in pairwise(rows) if row.values[0] != later.values[0]] + rows[-1:]
-    return integrated(_times(driven), *np.array([row.values[1:] for row in driven]).T)
+    t_ns = table.integers("time")
+    driven = np.append(np.diff(t_ns) > 0, True)
+    return integrated(t_ns[driven], *table.numbers("forward velocity", "angular velocity")[driven].T)
 
 
 def _groundtruth(path: Path) -> Trajectory:
-    rows = _rows(path, "time", "x", "y", "orientation")
-    _require_time_order(path, rows, strictly=True)
-    return Trajectory(_times(rows), geometry.pose_from_ros(np.array([row.values[1:] for row in rows])))
+    table = read_columns(path, (_TIME, *(Column(name, number) for name in ("x", "y", "orientation"))))
+    table.require_time_order("time", strictly=True)
+    return Trajectory(table.integers("time"), geometry.pose_from_ros(table.numbers("x", "y", "orientation")))
 
 
 def _landmarks(path: Path) -> LandmarkMap:
     """Return the map, in the order of the file; ids are the numbers of the subjects."""
-    rows = _rows(path, "subject", "x", "y", "x std-dev", "y std-dev")
-    ids = tuple(int(row.values[0]) for row in rows)
-    for row, number_of in zip(rows, ids, strict=True):
-        if ids.count(number_of) > 1:
-            raise InputError(f"landmark {number_of} given twice", path=path, line=row.line, field="subject")
-    values = np.array([row.values[1:] for row in rows])
-    points = values[:, :2] * [1.0, -1.0]
+    measured = (Column(name, number) for name in ("x", "y", "x std-dev", "y std-dev"))
+    table = read_columns(path, (Column("subject", integer), *measured))
+    ids = tuple(table.columns["subject"])
+    for row, subject in enumerate(ids):
+        if ids.count(subject) > 1:
+            raise table.error(row, "subject", f"landmark {subject} given twice")
+    points = table.numbers("x", "y") * [1.0, -1.0]
     landmark_map = LandmarkMap.from_points(points, name=path.parent.name, ids=ids, source="motion capture")
-    return replace(landmark_map, cov=values[:, 2:, None] ** 2 * np.eye(2))
+    return replace(landmark_map, cov=table.numbers("x std-dev", "y std-dev")[..., None] ** 2 * np.eye(2))
 
 
 def _sightings(folder: Path, robot: int, landmark_map: LandmarkMap, sensor: BearingSensor) -> Iterator[mcl.Sighting]:
     """Yield the bearings of each time as one frame; other robots and unknown barcodes have the landmark id -1."""
     path = folder / f"Robot{robot}_Measurement.dat"
-    rows = _rows(path, "time", "barcode", "range", "bearing")
-    _require_time_order(path, rows, strictly=False)
-    subjects = {row.values[1]: row.values[0] for row in _rows(folder / "Barcodes.dat", "subject", "barcode")}
+    table = read_columns(path, (_TIME, Column("barcode", integer), Column("range", number), Column("bearing", number)))
+    table.require_time_order("time", strictly=False)
+    for row, bearing in enumerate(table.columns["bearing"]):
+        if abs(bearing) >= np.pi / 2:
+            raise table.error(row, "bearing", f"expected a bearing within ±π/2, found {bearing}")
+    codes = read_columns(folder / "Barcodes.dat", (Column("subject", integer), Column("barcode", integer)))
+    subjects = dict(zip(codes.columns["barcode"], codes.columns["subject"], strict=True))
     index = {subject: place for place, subject in enumerate(landmark_map.ids)}
-    for row in rows:
-        if abs(row.values[3]) >= np.pi / 2:
-            problem = f"expected a bearing within ±π/2, found {row.values[3]}"
-            raise InputError(problem, path=path, line=row.line, field="bearing")
     sigma, tilt = math.radians(sensor.bearing_sigma_deg), math.radians(sensor.tilt_deg)
-    for t_ns, frame in groupby(rows, key=lambda row: int(row.values[0])):
-        seen = list(frame)
-        bearing = np.array([-row.values[3] for row in seen])  # positive to the left in the file
-        unknown = np.full(len(seen), np.nan)
-        landmark = [index.get(int(subjects.get(row.values[1], 0)), -1) for row in seen]
-        measured = complete(bearing, np.full(len(seen), sigma), unknown, unknown, tilt)
+    rows = zip(*(table.columns[name] for name in ("time", "barcode", "bearing")), strict=True)
+    for t_ns, frame in groupby(rows, key=lambda row: row[0]):
+        _, barcodes, bearings = zip(*frame, strict=True)
+        bearing = -np.array(bearings)  # positive to the left in the file
+        unknown = np.full(len(bearing), np.nan)
+        landmark = [index.get(subjects.get(barcode, 0), -1) for barcode in barcodes]
+        measured = complete(bearing, np.full(len(bearing), sigma), unknown, unknown, tilt)
         yield mcl.Sighting(t_ns, Edges.from_columns(*measured, landmark_id=np.array(landmark, dtype=np.int64)))
-
-
-# -- files: white space between columns, # before comments ------------------------------------------------------------
-
-
-class _Row(NamedTuple):
-    """One row of a table: its line in the file, and its values, a time being integer nanoseconds."""
-
-    line: int
-    values: list[Any]
-
-
-def _rows(path: Path, *names: str) -> list[_Row]:
-    """Return the rows, at least one, of a table whose columns are `names`."""
-    rows = []
-    for line, content in enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1):
-        cells = content.split()
-        if not cells or cells[0].startswith("#"):
-            continue
-        if len(cells) != len(names):
-            wanted = f"{len(names)} columns ({', '.join(names)})"
-            raise InputError(f"expected {wanted}, found {len(cells)}", path=path, line=line)
-        rows.append(_Row(line, [_cell(path, line, name, cell) for name, cell in zip(names, cells, strict=True)]))
-    if not rows:
-        raise InputError("expected at least one row, found none", path=path)
-    return rows
-
-
-def _cell(path: Path, line: int, name: str, cell: str) -> float:
-    read = {"time": nanoseconds, "subject": integer, "barcode": integer}.get(name, number)
-    try:
-        return read(cell)
-    except ValueError as error:
-        raise InputError(f"expected {error}, found {shown(cell)}", path=path, line=line, field=name) from None
-
-
-def _times(rows: list[_Row]) -> NDArray[np.int64]:
-    return np.array([row.values[0] for row in rows], dtype=np.int64)
-
-
-def _require_time_order(path: Path, rows: list[_Row], *, strictly: bool) -> None:
-    for earlier, later in pairwise(rows):
-        step_ns = later.values[0] - earlier.values[0]
-        if step_ns < 0 or (strictly and step_ns == 0):
-            problem = f"expected a time {'after' if strictly else 'not before'} the one above it"
-            raise InputError(f"{problem}, found a step of {step_ns} ns", path=path, line=later.line, field="time")

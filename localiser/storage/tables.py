@@ -1,4 +1,4 @@
-"""CSV tables of the log folder and of results: a header line, then one row of numbers or names a line."""
+"""Tables: CSV with a header line, in log folders and results; columns between white space, from other programs."""
 
 from __future__ import annotations
 
@@ -54,13 +54,15 @@ class Table:
         """Return the error that says what is wrong with a cell."""
         return InputError(problem, path=self.path, line=self.lines[row], field=name)
 
-    def require_time_order(self, *, strictly: bool) -> None:
-        """Raise InputError at the first row whose `t_ns` is before the one above it, or the same if `strictly`."""
-        times = self.columns["t_ns"]
+    def require_time_order(self, name: str = "t_ns", *, strictly: bool) -> None:
+        """Raise InputError at the first row whose time (ns) is before the one above it, or the same if `strictly`."""
+        times = self.columns[name]
+        unit = "" if name.endswith("_ns") else " ns"  # the file has another
         for row in range(1, len(times)):
             if times[row] < times[row - 1] or (strictly and times[row] == times[row - 1]):
                 then = "after" if strictly else "not before"
-                raise self.error(row, "t_ns", f"expected a time {then} {times[row - 1]}, found {times[row]}")
+                problem = f"expected a time {then} {times[row - 1]}{unit}, found {times[row]}{unit}"
+                raise self.error(row, name, problem)
 
 
 # -- cells: each returns the value or raises ValueError with what was expected -----------------------------------------
@@ -161,6 +163,29 @@ def read_table(path: Path, columns: Sequence[Column], *, rows_at_least: int = 0,
         for place, column in enumerate(found)
     }
     return Table(path, values, [line for line, _ in body])
+
+
+def read_columns(path: Path, columns: Sequence[Column]) -> Table:
+    """Return the table, at least one row, in a file of exactly these columns between white space, # before comments.
+
+    Raises InputError with file, line and field.
+    """
+    rows = []
+    for line, content in enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1):
+        cells = content.split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        if len(cells) != len(columns):
+            wanted = f"{len(columns)} columns ({', '.join(column.name for column in columns)})"
+            raise InputError(f"expected {wanted}, found {len(cells)}", path=path, line=line)
+        rows.append((line, cells))
+    if not rows:
+        raise InputError("expected at least one row, found none", path=path)
+    values = {
+        column.name: _column(path, column, [(line, cells[place]) for line, cells in rows])
+        for place, column in enumerate(columns)
+    }
+    return Table(path, values, [line for line, _ in rows])
 
 
 def _column(path: Path, column: Column, cells: list[tuple[int, str]]) -> list[Any]:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 
 from localiser import geometry
-from localiser.documents import read_text, shown
-from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.storage.files import write_text
-from localiser.storage.tables import MAX_TABLE_BYTES, Column, integer, number, plain, read_table
+from localiser.storage.tables import Column, integer, number, plain, read_columns, read_table
 
 POSE_COLUMNS = (Column("t_ns", integer), Column("x", number), Column("z", number), Column("heading", number))
 
 _NS = 1_000_000_000
-_TUM_FIELDS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def load_poses(path: Path) -> Trajectory:
@@ -68,48 +64,20 @@ def nanoseconds(text: str) -> int:
     return round(value * _NS)
 
 
+_TUM_COLUMNS = (Column("t", nanoseconds), *(Column(name, number) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")))
+
+
 def load_tum(path: Path) -> Trajectory:
     """Return the poses in our frame of a TUM file of any program; the floor part of each pose.
 
     Lines that start with # are comments. Raises InputError with file, line and field.
     """
-    times: list[int] = []
-    rows: list[list[float]] = []
-    for line, content in enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1):
-        cells = content.split()
-        if not cells or cells[0].startswith("#"):
-            continue
-        if len(cells) != len(_TUM_FIELDS):
-            wanted = f"{len(_TUM_FIELDS)} numbers ({' '.join(_TUM_FIELDS)})"
-            raise InputError(f"expected {wanted}, found {len(cells)}", path=path, line=line)
-        for field, cell in zip(_TUM_FIELDS, cells, strict=True):
-            try:
-                if field == "t":
-                    times.append(_time_after(cell, times))
-                    rows.append([])
-                else:
-                    rows[-1].append(number(cell))
-            except ValueError as error:
-                problem = f"expected {error}, found {shown(cell)}"
-                raise InputError(problem, path=path, line=line, field=field) from None
-        _check_quaternion(path, line, rows[-1][3:])
-    if not rows:
-        raise InputError("expected at least one pose, found none", path=path)
-    x, y, _, qx, qy, qz, qw = np.array(rows).T
+    table = read_columns(path, _TUM_COLUMNS)
+    table.require_time_order("t", strictly=True)
+    x, y, qx, qy, qz, qw = table.numbers("x", "y", "qx", "qy", "qz", "qw").T
+    length = np.sqrt(qx**2 + qy**2 + qz**2 + qw**2)
+    if (wrong := np.flatnonzero(np.abs(length - 1) > 0.01)).size:
+        row = int(wrong[0])
+        raise table.error(row, "qx qy qz qw", f"expected a quaternion of length 1, found length {length[row]:.4g}")
     yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    return Trajectory(np.array(times, dtype=np.int64), geometry.pose_from_ros(np.column_stack([x, y, yaw])))
-
-
-def _time_after(cell: str, times: list[int]) -> int:
-    t_ns = nanoseconds(cell)
-    if times and t_ns <= times[-1]:
-        raise ValueError(f"a time after {seconds(times[-1])}")
-    return t_ns
-
-
-def _check_quaternion(path: Path, line: int, quaternion: list[float]) -> None:
-    length = math.hypot(*quaternion)
-    if abs(length - 1) > 0.01:
-        raise InputError(
-            f"expected a quaternion of length 1, found length {length:.4g}", path=path, line=line, field="qx qy qz qw"
-        )
+    return Trajectory(table.integers("t"), geometry.pose_from_ros(np.column_stack([x, y, yaw])))
