@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import geometry
 from localiser.camera import Camera
+from localiser.edges.foot import FOOT_SIGMA_PX, foot_of_edges, foot_probability
 from localiser.edges.groups import Groups
 from localiser.edges.profile import profiles
 from localiser.edges.segments import Segments
@@ -14,10 +14,7 @@ from localiser.edges.types import CommonError, Edges
 from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
 
-_BORDER_PX = 3.0
-"""An edge that ends this close to the image border goes on outside."""
-FOOT_SIGMA_PX = 2.0
-"""Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""
+__all__ = ["FOOT_SIGMA_PX", "common_error", "edges_of_segments", "foot_of_edges"]
 
 
 def edges_of_segments(
@@ -49,6 +46,7 @@ def edges_of_segments(
         ends_px=ends_px,
         foot_range_m=foot_range,
         foot_range_sigma_m=foot_sigma,
+        foot_probability=foot_probability(ends_px[:, 0], foot_range, image, camera),
         profile=profiles(ideal_px, image, camera),
         common=common_error(bearing, middle_e, camera, mount_sigma_rad),
     )
@@ -85,22 +83,6 @@ def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[
     e = np.stack([points.lowest(end_e), points.highest(end_e)], axis=-1)
     a = fit.y[:, None] + fit.slope[:, None] * (e - fit.x[:, None])
     return lean, np.cos(lean) ** 2 / np.sqrt(fit.spread), np.stack([a, e], axis=-1), fit.x
-
-
-def foot_of_edges(bottom_px: Array, camera: Camera) -> tuple[Array, Array]:
-    """Return the floor range (E,) m of feet seen at pixels (E, 2), and its sigma; nan where no foot is seen.
-
-    A foot is where an edge ends inside the image and below the horizon; whether it is the floor that it ends at, a
-    single image cannot tell. Design equation 9.
-    """
-    size = np.array([camera.width, camera.height])
-    inside = np.all((bottom_px >= _BORDER_PX) & (bottom_px <= size - 1 - _BORDER_PX), axis=1)
-    rays = camera.level_rays(bottom_px)
-    depression = np.arctan2(-rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))
-    sigma_rad = FOOT_SIGMA_PX / camera.focal_px
-    seen = inside & (depression > sigma_rad)
-    range_m = geometry.floor_range(camera.mount.height_m, np.where(seen, depression, np.nan))
-    return range_m, geometry.floor_range_sigma(camera.mount.height_m, range_m, sigma_rad)
 
 
 def common_error(bearing: Array, middle_e: Array, camera: Camera, mount_sigma_rad: Array) -> CommonError:

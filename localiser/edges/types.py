@@ -33,7 +33,9 @@ class Edges:
     lean, lean_sigma: (E,) rad, of the free line in the upright image (observation `slope`).
     length_px: (E,) visible length. polarity: (E,) +1 dark to light from left to right, -1 light to dark, 0 unknown.
     ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included.
-    foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, nan where it is not seen.
+    foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
+        where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
+    foot_probability: (E,) how likely the lower end stands on the floor; 0 where foot_range_m is nan.
     profile: (E, P) grey values across the edge from left to right, P may be 0.
     landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
     common: errors shared by all edges of the frame.
@@ -49,6 +51,7 @@ class Edges:
     ends_px: Array
     foot_range_m: Array
     foot_range_sigma_m: Array
+    foot_probability: Array
     profile: Array
     landmark_id: NDArray[np.int64]
     common: CommonError
@@ -70,6 +73,7 @@ class Edges:
         ends_px: Array | None = None,
         foot_range_m: Array | None = None,
         foot_range_sigma_m: Array | None = None,
+        foot_probability: Array | None = None,
         profile: Array | None = None,
         landmark_id: NDArray[np.int64] | None = None,
         common: CommonError | None = None,
@@ -89,6 +93,7 @@ class Edges:
             ends_px=np.full((count, 2, 2), np.nan) if ends_px is None else ends_px,
             foot_range_m=unknown if foot_range_m is None else foot_range_m,
             foot_range_sigma_m=unknown if foot_range_sigma_m is None else foot_range_sigma_m,
+            foot_probability=unknown if foot_probability is None else foot_probability,
             profile=np.zeros((count, 0)) if profile is None else profile,
             landmark_id=np.full(count, -1, dtype=np.int64) if landmark_id is None else landmark_id,
             common=nothing_common if common is None else common,

@@ -26,7 +26,7 @@ class Tally:
     images: int = 0
     edges: int = 0
     rejected: int = 0
-    feet: int = 0
+    feet: float = 0.0
     length_px: list[float] = field(default_factory=list)
     sigma_rad: list[float] = field(default_factory=list)
     ms: list[float] = field(default_factory=list)
@@ -47,7 +47,7 @@ class Comparison:
             tally.images += 1
             tally.edges += len(edges)
             tally.rejected += len(edges.rejected_px)
-            tally.feet += int(np.isfinite(edges.foot_range_m).sum())
+            tally.feet += float(np.nansum(edges.foot_probability))
             tally.length_px += edges.length_px.tolist()
             tally.sigma_rad += edges.bearing_sigma.tolist()
             tally.ms.append(ms[name])

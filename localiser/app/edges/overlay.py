@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from localiser.app.edges.guides import bearings_shown, horizon, meridian
+from localiser.app.edges.records import FLOOR, foot_flag
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
@@ -128,10 +129,11 @@ def _draw_lines(axes: Axes, camera: Camera, edges: Edges) -> None:
 
 
 def _draw_rings(axes: Axes, edges: Edges) -> None:
-    """Ring every lower end that may stand on the floor."""
-    bottom = edges.ends_px[np.isfinite(edges.foot_range_m), 0]
-    axes.plot(*bottom.T, "o", color="none", markeredgecolor="black", markersize=9, markeredgewidth=3, zorder=6)
-    axes.plot(*bottom.T, "o", color="none", markeredgecolor=_INK, markersize=9, markeredgewidth=1.5, zorder=7)
+    """Ring every lower end that likely stands on the floor, and dot those that rather do not."""
+    on_floor, elsewhere = (edges.ends_px[foot_flag(edges) == flag, 0] for flag in ("floor", "hidden"))
+    axes.plot(*elsewhere.T, "o", color=_INK, markeredgecolor="black", markersize=4, markeredgewidth=1, zorder=6)
+    axes.plot(*on_floor.T, "o", color="none", markeredgecolor="black", markersize=9, markeredgewidth=3, zorder=6)
+    axes.plot(*on_floor.T, "o", color="none", markeredgecolor=_INK, markersize=9, markeredgewidth=1.5, zorder=7)
 
 
 def _annotate(axes: Axes, edges: Edges, zoom: int) -> None:
@@ -156,7 +158,8 @@ def _labels(edges: Edges, zoom: int) -> Iterator[tuple[Array, str]]:
     for index in order:
         yield edges.ends_px[index, 1] * zoom - [0, 11], str(index + 1)
     for index in order:
-        if edges.foot_range_sigma_m[index] < _SURE_SHARE * edges.foot_range_m[index]:
+        is_sure = edges.foot_range_sigma_m[index] < _SURE_SHARE * edges.foot_range_m[index]
+        if is_sure and not edges.foot_probability[index] < FLOOR:
             yield edges.ends_px[index, 0] * zoom + [0, 17], f"{edges.foot_range_m[index]:.1f} m"
 
 
@@ -212,7 +215,10 @@ def _draw_legend(figure: Figure, size: Array) -> None:
     ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.5}
     handles = [
         Line2D([], [], color=_INK, linestyle="none", marker=5, label="lighter side"),
-        Line2D([], [], color=_INK, linestyle="none", label="lower end, range if on the floor", **ring),
+        Line2D([], [], color=_INK, linestyle="none", label="lower end on the floor, with range", **ring),
+        Line2D(
+            [], [], color=_INK, linestyle="none", marker="o", markersize=4, label="lower end, rather not on the floor"
+        ),
         Line2D([], [], color=_REJECTED, alpha=0.7, linewidth=1, label="segment, not vertical"),
         Line2D([], [], color=_INK, alpha=0.6, linestyle=":", linewidth=1.2, label="bearing, to the nadir point"),
         Line2D([], [], color=_HORIZON, linestyle="--", linewidth=1.2, label="horizon"),

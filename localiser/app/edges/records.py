@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
@@ -16,6 +17,9 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.edges.mount import mount_error_of_edges
 
 Row = dict[str, Any]
+
+FLOOR = 0.5
+"""A lower end that is as likely as this stands on the floor."""
 
 COLUMNS = {
     "edge": "number in the picture, from left to right",
@@ -32,7 +36,9 @@ COLUMNS = {
     "top_u_px": "upper end",
     "top_v_px": "and below the top-left pixel's centre",
     "foot_range_m": "floor distance of the lower end from the camera, if it stands on the floor; empty if not seen",
-    "foot_range_sigma_m": "its standard deviation",
+    "foot_range_sigma_m": "its standard deviation, the mount's error left out",
+    "foot_probability": "how likely the lower end stands on the floor",
+    "foot": "floor: likely; hidden: likelier something else, such as what stands in front; outside: not in the image",
     "foot_right_m": "that floor point to the right of the camera",
     "foot_back_m": "and behind it, so negative ahead",
 }
@@ -55,11 +61,19 @@ def rows_of(edges: Edges) -> list[Row]:
         *top.T,
         edges.foot_range_m,
         edges.foot_range_sigma_m,
+        edges.foot_probability,
+        foot_flag(edges),
         edges.foot_range_m * np.sin(edges.bearing),
         -edges.foot_range_m * np.cos(edges.bearing),
     )
     values = [column.tolist() for column in columns]
     return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*values, strict=True)]
+
+
+def foot_flag(edges: Edges) -> NDArray[np.str_]:
+    """Return (E,) floor, hidden or outside: what the lower end most likely is; empty where that is not known."""
+    unseen = np.where(edges.foot_probability == 0, "outside", "")
+    return np.where(np.isnan(edges.foot_range_m), unseen, np.where(edges.foot_probability >= FLOOR, "floor", "hidden"))
 
 
 def slope_deg(edges: Edges) -> geometry.Array:

@@ -37,7 +37,19 @@ def _edge_table(rows: list[Row], image: str) -> Table:
     from rich.table import Table
 
     table = Table(title=f"{len(rows)} vertical edges in {image}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    titles = ("edge", "bearing °", "sigma °", "lean °", "sigma °", "slope °", "length px", "side", "foot m", "sigma m")
+    titles = (
+        "edge",
+        "bearing °",
+        "sigma °",
+        "lean °",
+        "sigma °",
+        "slope °",
+        "length px",
+        "side",
+        "foot m",
+        "± m",
+        "foot %",
+    )
     for title in titles:
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows[:_MOST_ROWS]:
@@ -46,6 +58,7 @@ def _edge_table(rows: list[Row], image: str) -> Table:
         angles = [format(angle, spec) for angle, spec in zip(degrees, specs, strict=True)]
         side = {1: "lighter right", -1: "lighter left"}.get(row["polarity"], UNKNOWN)
         foot = [_text(row[name], ".2f") for name in ("foot_range_m", "foot_range_sigma_m")]
+        foot.append(_text(100 * row["foot_probability"], ".0f"))
         table.add_row(str(row["edge"]), *angles, f"{row['slope_deg']:.2f}", f"{row['length_px']:.0f}", side, *foot)
     if len(rows) > _MOST_ROWS:
         table.add_row(f"{len(rows) - _MOST_ROWS} more in edges.csv")
@@ -73,7 +86,7 @@ def _detector_table(rows: list[dict[str, Any]]) -> Table:
         ("edges", "edges", "d"),
         ("an image", "edges_per_image", ".1f"),
         ("rejected", "rejected_per_image", ".1f"),
-        ("with foot", "feet_per_image", ".1f"),
+        ("on floor", "feet_per_image", ".1f"),
         ("length px", "length_median_px", ".0f"),
         ("sigma °", "bearing_sigma_median_deg", ".3f"),
         ("ms", "ms_median", ".1f"),
@@ -83,7 +96,9 @@ def _detector_table(rows: list[dict[str, Any]]) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(row["detector"], *(_text(row[key], spec) for _, key, spec in columns))
-    table.caption = "edges in all, then per image; medians of length, bearing's sigma and time"
+    table.caption = (
+        "edges in all, then per image, feet by their probability; medians of length, bearing's sigma and time"
+    )
     return table
 
 

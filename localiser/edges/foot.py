@@ -1,0 +1,136 @@
+"""Where an edge meets the floor, and how likely it is the floor that its lower end meets.
+
+A lower end tells a range only if it stands on the floor. One that hangs (a window, a pane over its rail) or that is
+hidden by something in front looks as if it stood farther away. One image cannot tell for sure, but:
+
+- at a foot the border of wall and floor meets the edge, and before it there is nothing but floor, right down to the
+  image's border. Below what hangs there is the foot of the wall, and below what is hidden the foot of what hides it: a
+  stronger change of grey than at the end itself;
+- rooms are some metres wide, and what hangs near the camera's own height looks as if it stood far away.
+
+These say how likely it is that the end stands on the floor; docs/edges.md tells how often it then does.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from localiser import geometry
+from localiser.camera import Camera
+from localiser.edges.undistort import Image
+from localiser.geometry import Array
+
+FOOT_SIGMA_PX = 2.0
+"""Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""
+BORDER_PX = 4.0 * FOOT_SIGMA_PX
+"""An edge that is found to end this close to the image border may as well be cut off by it."""
+
+_NEAR_PX, _NEAR_STEP_PX = np.arange(14.0, -42.0, -2.0), 2.0
+"""Places around the end, upwards along the edge, where junctions are looked for."""
+_AT_END_PX = 5.0
+_STEPS_DOWN = 120
+"""In how many steps the height of the image is searched for what lies before the foot."""
+_SIDES_PX = np.array([-8.0, -5.5, -3.0, 3.0, 5.5, 8.0], dtype=np.float32)
+_MEAN_OF_SIDES = np.repeat(np.eye(2, dtype=np.float32) / 3, 3, axis=0)
+"""Three samples on either side of the line, and what makes the mean of each side of them."""
+_NODES = 13
+_LEAST_DEPTH = 0.05
+_FAINT_GREY = 4.0
+"""Steps that are smaller than this are as good as none."""
+_TYPICAL_RANGE_M = 4.0
+_LOG_ODDS = {"always": 3.6, "range": -0.8, "junction": -0.7, "near": -2.3, "far": -1.5}
+"""Logistic regression on images of two simulated worlds and a rendered one, all weighing alike."""
+
+
+def foot_of_edges(bottom_px: Array, camera: Camera) -> tuple[Array, Array]:
+    """Return the floor range (E,) m of feet seen at pixels (E, 2), and its sigma; nan where no foot is seen.
+
+    A foot is where an edge ends inside the image and below the horizon. Design equation 9.
+    """
+    size = np.array([camera.width, camera.height])
+    inside = np.all((bottom_px >= BORDER_PX) & (bottom_px <= size - 1 - BORDER_PX), axis=1)
+    rays = camera.level_rays(bottom_px)
+    depression = np.arctan2(-rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))
+    sigma_rad = FOOT_SIGMA_PX / camera.focal_px
+    seen = inside & (depression > sigma_rad)
+    range_m = geometry.floor_range(camera.mount.height_m, np.where(seen, depression, np.nan))
+    return range_m, geometry.floor_range_sigma(camera.mount.height_m, range_m, sigma_rad)
+
+
+def foot_probability(bottom_px: Array, range_m: Array, image: Image, camera: Camera) -> Array:
+    """Return how likely (E,) it is that lower ends at pixels (E, 2) stand on the floor, within `FOOT_SIGMA_PX`.
+
+    range_m: (E,) where they would stand, nan where no foot is seen; 0 is returned there. image: (H, W) as taken.
+    """
+    seen = np.isfinite(range_m)
+    probability = np.zeros(len(range_m))
+    if seen.any():
+        evidence = _evidence(bottom_px[seen], range_m[seen], image, camera)
+        probability[seen] = 1 / (1 + np.exp(-sum(_LOG_ODDS[name] * value for name, value in evidence.items())))
+    return probability
+
+
+def _evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) -> dict[str, Array]:
+    """Return what speaks for and against feet (E,) at pixels (E, 2), by the names of `_LOG_ODDS`."""
+    far_step = camera.height / _STEPS_DOWN
+    far_px = np.arange(_NEAR_PX[-1], -float(camera.height), -far_step)
+    grey = _sides(bottom_px, np.concatenate([_NEAR_PX, far_px]), image, camera)
+    near, far = _steps(grey[:, : len(_NEAR_PX)]), _steps(grey[:, len(_NEAR_PX) :])
+    middle = _NEAR_PX[2:-1] + _NEAR_STEP_PX / 2
+    at_end = _size(near[:, np.abs(middle) <= _AT_END_PX].max(axis=1))
+    junction = at_end.min(axis=1)
+    below = _size(near[:, middle < -_AT_END_PX].max(axis=(1, 2)))
+    return {
+        "always": np.ones(len(range_m)),
+        "range": np.log(range_m / _TYPICAL_RANGE_M) ** 2,
+        "junction": junction,
+        "near": np.maximum(below - at_end.max(axis=1), 0),
+        "far": np.maximum(_size(far.max(axis=(1, 2), initial=0.0)) - junction, 0),
+    }
+
+
+def _size(step: Array) -> Array:
+    """Return the logarithm of steps, so that differences do not depend on exposure or light."""
+    return np.asarray(np.log(_FAINT_GREY + step), dtype=np.float64)
+
+
+def _steps(grey: Array) -> Array:
+    """Return by how much grey values (E, S, 2) change between every two places and the two after: (E, S - 3, 2)."""
+    change = np.abs(grey[:, :-3] + grey[:, 1:-2] - grey[:, 2:-1] - grey[:, 3:]) / 2
+    return np.asarray(np.nan_to_num(change))
+
+
+def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> Array:
+    """Return grey values (E, S, 2) left and right of edges that end at pixels (E, 2), `along_px` (S,) above the end.
+
+    Along the line to the nadir point; nan from where that leaves the image.
+    """
+    path = _path(bottom_px, along_px, camera).astype(np.float32)
+    u, v, reach = path[..., 0], path[..., 1], _SIDES_PX[-1]
+    inside = (u >= reach) & (u <= camera.width - 1 - reach) & (v >= 0) & (v <= camera.height - 1)
+    # A lens model may bend what is far outside back into the image.
+    inside = np.logical_and.accumulate(inside | (along_px > 0), axis=1) & inside
+    u, v = (u[..., None] + _SIDES_PX, v[..., None] + np.zeros_like(_SIDES_PX))
+    flat = (len(path), -1)  # a row an edge: OpenCV takes no more than 32767 rows
+    sampled = cv2.remap(image, u.reshape(flat), v.reshape(flat), cv2.INTER_LINEAR)
+    grey = sampled.reshape(-1, len(_SIDES_PX)) @ _MEAN_OF_SIDES
+    return np.where(inside[..., None], grey.reshape(*inside.shape, 2), np.nan)
+
+
+def _path(bottom_px: Array, along_px: Array, camera: Camera) -> Array:
+    """Return pixels (E, S, 2) of the lines to the nadir point; straight between few nodes, which no lens bends much."""
+    nodes_px = np.linspace(along_px[0], along_px[-1], _NODES)
+    a, e = np.moveaxis(camera.upright_from_pixels(bottom_px)[:, None], -1, 0)
+    heights = e + nodes_px / camera.focal_px
+    depth = _depth(heights, camera) / _depth(e, camera)
+    nodes = camera.pixels_from_upright(np.stack([a * depth, heights], axis=-1))
+    place = (along_px - nodes_px[0]) / (nodes_px[1] - nodes_px[0])
+    before = np.minimum(place.astype(np.int64), _NODES - 2)
+    share = (place - before)[:, None]
+    return np.asarray(nodes[:, before] * (1 - share) + nodes[:, before + 1] * share)
+
+
+def _depth(e: Array, camera: Camera) -> Array:
+    tilt = camera.mount.tilt_rad
+    return np.asarray(np.maximum(np.cos(tilt) + e * np.sin(tilt), _LEAST_DEPTH))
