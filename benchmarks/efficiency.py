@@ -20,6 +20,7 @@ import yaml
 from numpy.typing import NDArray
 
 from localiser import evaluate, geometry, motion
+from localiser.biases import EXACT
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, Trajectory
@@ -33,7 +34,7 @@ from localiser.simulate import simulated_edges, structure_of, truth_of, visible_
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
 START_COV = np.diag([0.1, 0.1, np.deg2rad(3.0)]) ** 2
 APART_M = 2.0  # landmarks of the map are at least this far from each other: which is which is hardly ever in doubt
-MOTION = MotionParameters()
+MOTION = MotionParameters(bias=EXACT)
 WORLD_DRAWS, FILTER_DRAWS = range(2)  # independent streams of random numbers
 
 

@@ -47,21 +47,30 @@ class BiasParameters:
         return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, yaw]))
 
 
-def with_biases(particles: Particles, parameters: BiasParameters, rng: np.random.Generator) -> Particles:
-    """Return particles of poses alone with columns of `BIASES` beside them, as the prior has them.
+EXACT = BiasParameters(distance_sigma=0.0, turn_sigma=0.0, veer_sigma_deg_per_m=0.0, yaw_sigma_deg=0.0)
+"""Of a robot without constant errors."""
+
+
+def with_biases(particles: Particles, parameters: BiasParameters) -> Particles:
+    """Return particles of poses alone, found by what a camera sees, with columns of `BIASES` as the prior has them."""
+    columns = np.concatenate([particles.columns, np.zeros((len(BIASES), len(particles)))])
+    return replace(particles, names=(*particles.names, *BIASES), columns=columns, bias_cov=parameters.cov)
+
+
+def at_start(particles: Particles, parameters: BiasParameters, rng: np.random.Generator) -> Particles:
+    """Return particles of poses alone, stated for the robot, with columns of `BIASES` as the prior has them.
 
     Each pose becomes one of the camera by a draw of the yaw. What is then known of the yaw follows from how wide the
     headings were: all where they are certain, nothing where they go all around.
     """
-    cov, cloud = parameters.cov, estimate(particles)
-    yaw_var = cov[-1, -1]
+    found, cloud = with_biases(particles, parameters), estimate(particles)
+    yaw_var = parameters.cov[-1, -1]
     share = yaw_var / max(yaw_var + cloud.cov[2, 2], 1e-300)
     camera_heading = particles["heading"] + np.sqrt(yaw_var) * rng.standard_normal(len(particles))
-    yaw = share * wrap_angle(camera_heading - cloud.mean[2])
-    heading = wrap_angle(camera_heading - yaw)
-    cov[-1, -1] = (1 - share) * yaw_var
-    columns = np.vstack([particles.columns[:2], heading, np.zeros((len(BIASES) - 1, len(particles))), yaw])
-    return replace(particles, names=(*particles.names, *BIASES), columns=columns, bias_cov=cov)
+    found.columns[-1] = share * wrap_angle(camera_heading - cloud.mean[2])
+    found.columns[2] = wrap_angle(camera_heading - found.columns[-1])
+    found.bias_cov[-1, -1] *= 1 - share
+    return found
 
 
 def drawn_step(particles: Particles, by_bias: Array, noise: Array, rng: np.random.Generator) -> tuple[Array, Particles]:

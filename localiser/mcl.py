@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from localiser import confidence, geometry, particles
+from localiser.biases import at_start, with_biases
 from localiser.clusters import Clusters
 from localiser.doubt import Doubt
 from localiser.edges import Edges
@@ -22,7 +24,7 @@ from localiser.geometry import Array, Increment
 from localiser.increments import Odometer
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MotionParameters, linearised, predict
+from localiser.motion import MotionParameters, predict, wheel_cov
 from localiser.observation import Observation, ObservationParameters, independent_share
 from localiser.particles import Estimate, Particles
 from localiser.resampling import systematic_resample
@@ -58,6 +60,8 @@ class Sighting:
 
 
 Event = Start | Odometry | Sighting
+
+MOVE_M, MOVE_RAD = 0.5, 0.3  # the longest way and turn that are taken as one step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +152,8 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
     """Take one event and yield what was located: nothing, or one result for every image that odometry now covers."""
     match event:
         case Start():
-            state.particles = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
+            cloud = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
+            state.particles = at_start(cloud, mcl.motion.bias, rng)
             state.at_ns, state.weighed, state.seen = event.t_ns, False, None
             state.doubt, state.searching = Doubt.of(STRAY_START), False
         case Odometry():
@@ -183,17 +188,19 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     edges = sighting.edges
 
     # Predict: move every particle by what wheels and edges say, each with its own error.
-    increment, odometry_pose = increment_until(state, sighting.t_ns)
+    moves, odometry_pose = moves_until(state, sighting.t_ns)
+    increment = wheels = reduce(Increment.then, moves)
     if mcl.odometer is not None:
-        _, wheel_cov = linearised(np.zeros(3), increment, mcl.motion)
         seconds = (sighting.t_ns - state.at_ns) / 1e9
-        increment = mcl.odometer.increment(increment, wheel_cov, state.seen, edges, seconds)
+        increment = mcl.odometer.increment(wheels, wheel_cov(wheels, mcl.motion), state.seen, edges, seconds)
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     if state.particles is None:
         weighed = _anywhere(mcl, state, edges, rng)
     else:
-        moved = predict(state.particles, increment, mcl.motion, rng)
+        moved = state.particles
+        for move in moves if increment is wheels else [increment]:
+            moved = predict(moved, move, mcl.motion, rng)
         share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
         weighed = _weighed(mcl, state, moved, edges, share, rng)
 
@@ -209,7 +216,7 @@ def _anywhere(mcl: Mcl, state: FilterState, edges: Edges, rng: np.random.Generat
     """Return particles wherever the edges fit, of a robot that may be anywhere."""
     assert mcl.search is not None
     count = mcl.search.parameters.particles_most
-    like = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), count, rng)
+    like = with_biases(particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), count, rng), mcl.motion.bias)
     state.doubt, state.searching = Doubt.of(MISSED), True
     return mcl.search.fresh(like, mcl.search.clues(edges), state.doubt.inliers, count, rng)[0]
 
@@ -287,22 +294,31 @@ def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Ge
     return weighed
 
 
-def increment_until(state: FilterState, t_ns: int) -> tuple[Increment, Array]:
+def moves_until(state: FilterState, t_ns: int) -> tuple[list[Increment], Array]:
     """Return the motion since the particles' time until `t_ns`, and the odometry's pose (3,) then; forget what is past.
 
-    Poses are interpolated at both ends, so the increment is exact whatever the rates of the two sensors.
+    Poses are interpolated at both ends, so the increments are exact whatever the rates of the two sensors. A long way
+    is cut into moves short enough for the motion model, which is linear in what it does not know.
     """
     start_ns = state.at_ns
     if not state.odometry:
-        return Increment.from_mean(np.zeros(3)), np.zeros(3)
+        return [Increment.from_mean(np.zeros(3))], np.zeros(3)
     times = np.array([event.t_ns for event in state.odometry])
     track = geometry.Trajectory(times, np.array([event.pose for event in state.odometry]))
     inside = times[(times > start_ns) & (times < t_ns)]
     knots = track.sampled([start_ns, *inside, t_ns]).poses
-    moves = geometry.between(knots[:-1], knots[1:])
-    path_m, turned_rad = np.hypot(moves[:, 0], moves[:, 1]).sum(), np.abs(moves[:, 2]).sum()
-    mean = geometry.between(knots[0], knots[-1])
+    steps = geometry.between(knots[:-1], knots[1:])
+    path_m, turned_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    move = np.floor(np.cumsum(path_m / MOVE_M + turned_rad / MOVE_RAD)).astype(np.int64)
+    first = np.flatnonzero(np.diff(move, prepend=-1))
+    ends = np.append(first, len(steps))
+    moves = [
+        Increment(geometry.between(knots[a], knots[b]), np.zeros((3, 3)), path, turned, "wheel")
+        for a, b, path, turned in zip(
+            ends[:-1], ends[1:], np.add.reduceat(path_m, first), np.add.reduceat(turned_rad, first), strict=True
+        )
+    ]
     # Keep the last pose at or before this image: the next increment starts between it and its successor.
     while len(state.odometry) > 1 and state.odometry[1].t_ns <= t_ns:
         state.odometry.popleft()
-    return Increment(mean, np.zeros((3, 3)), float(path_m), float(turned_rad), "wheel"), knots[-1]
+    return moves, knots[-1]

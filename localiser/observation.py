@@ -32,7 +32,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight, widest_tangent
-from localiser.particles import POSE, Particles, take
+from localiser.particles import CAMERA_YAW, POSE, Particles, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
@@ -111,7 +111,7 @@ class EdgeObservation:
         """
         if len(edges) == 0:
             return np.zeros((len(INLIER_SHARES), len(particles)))
-        camera_poses = self.camera.pose_in_map(particles.poses)
+        camera_poses = self.camera_poses(particles)
         return likelihood.by_share(self._scene(edges, landmark_map, blur_rad), camera_poses, INLIER_SHARES)
 
     def by_share_plain(
@@ -121,13 +121,20 @@ class EdgeObservation:
         count = len(particles)
         if len(edges) == 0:
             return np.zeros((len(INLIER_SHARES), count))
-        seen = sight(self.camera, self.camera.pose_in_map(particles.poses), landmark_map, self.parameters.sight)
+        seen = sight(self.camera, self.camera_poses(particles), landmark_map, self.parameters.sight)
         pair, edge, density = self._densities(edges, landmark_map, seen, blur_rad)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
         # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
         ratio = total.reshape(count, len(edges)) * (self._span() / visible)[:, None]
         return np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+
+    def camera_poses(self, particles: Particles) -> Array:
+        """Return the floor poses (N, 3) of the particles' cameras in the map, each with its own yaw on the mount."""
+        poses = self.camera.pose_in_map(particles.poses)
+        if CAMERA_YAW in particles.names:
+            poses[:, 2] += particles[CAMERA_YAW]
+        return poses
 
     def warm_up(self) -> None:
         """Compile what weighs particles, or load it from the disk, so that no frame has to wait for it."""
@@ -186,7 +193,7 @@ class EdgeObservation:
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
         few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
-        seen = sight(self.camera, self.camera.pose_in_map(few.poses), landmark_map, self.parameters.sight)
+        seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight)
         predicted, per_bearing = self._predicted(seen.tangent)
         times = np.bincount(seen.landmark, minlength=len(landmark_map))
         often = times >= _FEW / 2

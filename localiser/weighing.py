@@ -17,7 +17,7 @@ from localiser.geometry import Array
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import Observation
-from localiser.particles import Particles
+from localiser.particles import POSE, Particles
 from localiser.resampling import systematic_resample
 
 MOST_STAGES = 12  # so that a frame takes a bounded time whatever it shows
@@ -78,7 +78,7 @@ class Weighing:
         from twice the spread of the particles' predictions, halved until it is below the edges' sigma.
         """
         spread_rad, sigma_rad = self.observation.scales(moved, edges, self.landmark_map)
-        if len(moved) * sigma_rad ** len(moved.names) >= spread_rad ** len(moved.names):
+        if len(moved) * sigma_rad ** len(POSE) >= spread_rad ** len(POSE):
             return [0.0]
         return [*(b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad), 0.0]
 

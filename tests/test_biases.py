@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from localiser import particles
-from localiser.biases import BIASES, BiasParameters, forgotten, with_biases
+from localiser.biases import BIASES, BiasParameters, at_start, forgotten
 from localiser.geometry import Array, Increment, arc_motion, compose, wrap_angle
 from localiser.motion import MotionParameters, predict, wheel_cov
 from localiser.particles import POSE, Particles
@@ -21,7 +21,7 @@ SIGMA = np.sqrt(np.diag(WIDE.cov))
 
 def start(count: int, seed: int = 0, cov: Array = CERTAIN, mean: tuple[float, ...] = (0, 0, 0.3)) -> Particles:
     rng = np.random.default_rng(seed)
-    return with_biases(particles.from_gaussian(np.array(mean), cov, count, rng), WIDE, rng)
+    return at_start(particles.from_gaussian(np.array(mean), cov, count, rng), WIDE, rng)
 
 
 def drive(count: int) -> list[Increment]:
@@ -162,7 +162,7 @@ def test_the_covariance_of_wheels_alone_holds_what_their_biases_may_do() -> None
 def test_biases_that_cannot_be_wrong_stay_nought() -> None:
     sure = BiasParameters(0.0, 0.0, 0.0, 0.0)
     rng = np.random.default_rng(3)
-    cloud = with_biases(particles.from_gaussian(np.zeros(3), CERTAIN, 20, rng), sure, rng)
+    cloud = at_start(particles.from_gaussian(np.zeros(3), CERTAIN, 20, rng), sure, rng)
     for increment in drive(5):
         cloud = predict(cloud, increment, replace(NOISE, bias=sure), rng)
     np.testing.assert_allclose(cloud.columns[3:], 0, atol=1e-15)

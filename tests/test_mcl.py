@@ -12,6 +12,7 @@ from grid_filter import GridFilter, headings
 from numpy.typing import NDArray
 
 from localiser import geometry, particles
+from localiser.biases import EXACT
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
@@ -27,7 +28,8 @@ CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9,
 POINTS = np.array([[-1.2, -4.0], [-0.4, -5.5], [0.5, -4.5], [1.3, -5.0], [-2.0, -6.5], [2.0, -7.0]])
 MAP = LandmarkMap.from_points(POINTS)
 INDEPENDENT = ObservationParameters(kind="slope", landmark_sigma_m=0.0, decorrelation_m=0.0)
-NO_NOISE = MotionParameters(0.0, 0.0, 0.0, 0.0)
+NO_NOISE = MotionParameters(0.0, 0.0, 0.0, 0.0, bias=EXACT)
+NOISE = MotionParameters(bias=EXACT)
 PRIOR = np.diag([0.1, 0.1, 0.05]) ** 2
 START_POSE = np.array([0.1, 0.3, 0.05])
 SECOND = 1_000_000_000
@@ -125,7 +127,7 @@ def test_without_noise_particles_end_where_the_odometry_leads() -> None:
 
 def test_odometry_resampled_along_its_arcs_changes_nothing() -> None:
     """Same seed, odometry at 20 and at 40 Hz: the path along chords differs by 1e-5, the particles hardly at all."""
-    mcl = filter_of(200, MotionParameters())
+    mcl = filter_of(200, NOISE)
     results = [
         run(
             mcl,
@@ -252,7 +254,7 @@ def ahead(seconds: float, step_ns: int, speed: float = 0.3) -> Trajectory:
 def test_same_generator_same_arrays_another_differs() -> None:
     truth = ahead(2, 200_000_000)
     events = in_time([Start(0, START_POSE, PRIOR)], odometry(ahead(2.2, 70_000_000)), sighted(truth, 0))
-    first, again, other = (run(filter_of(300, MotionParameters()), events, seed) for seed in (3, 3, 4))
+    first, again, other = (run(filter_of(300, NOISE), events, seed) for seed in (3, 3, 4))
     assert any(located.ess < 150 for located in first), "resampling must be part of it"
     for a, b in zip(first, again, strict=True):
         np.testing.assert_array_equal(a.particles.columns, b.particles.columns)
@@ -264,7 +266,7 @@ def test_same_generator_same_arrays_another_differs() -> None:
 def test_edges_lead_from_a_wrong_start_to_the_truth() -> None:
     truth = ahead(3, 200_000_000)
     events = in_time([Start(0, START_POSE, PRIOR)], odometry(ahead(3.2, 70_000_000)), sighted(truth, 0))
-    found = run(filter_of(2000, MotionParameters()), events)
+    found = run(filter_of(2000, NOISE), events)
     error = found[-1].estimate.pose - truth.poses[-1]
     assert np.hypot(*START_POSE[:2]) > 0.3
     assert (np.abs(error) < 4 * np.sqrt(np.diag(found[-1].estimate.pose_cov))).all()
@@ -276,7 +278,7 @@ def test_edges_lead_from_a_wrong_start_to_the_truth() -> None:
 
 def test_means_and_spreads_agree_with_the_grid_filter() -> None:
     """Mean over 12 seeds within 4 standard errors and 3 mm (1 mrad) for the cells of 5 cm and 2°; sigmas within 5 %."""
-    motion = MotionParameters(alpha1=5e-3, alpha2=6e-3, alpha3=8e-3, alpha4=1e-3)
+    motion = MotionParameters(alpha1=5e-3, alpha2=6e-3, alpha3=8e-3, alpha4=1e-3, bias=EXACT)
     prior, seeds = np.diag([0.15, 0.15, 0.08]) ** 2, 12
     increment = Increment.from_mean([0.0, -0.3, 0.06])
     poses = [np.zeros(3)]
