@@ -1,6 +1,16 @@
 """`python -m localiser` and the command `localiser`."""
 
-from localiser.cli import main
+import signal
+import sys
+
+from localiser import cli
+
+
+def main() -> None:
+    """Run the command line; SIGTERM ends it as an error would, so that nothing half-written stays behind."""
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    cli.main()
+
 
 if __name__ == "__main__":
     main()

@@ -293,14 +293,15 @@ def test_run_without_a_display_says_so_and_goes_on(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
-def test_ctrl_c_leaves_what_was_done(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "localiser", "replay", CORRIDOR, "--out", tmp_path]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     run = tmp_path / "corridor" / "1"
     try:
         while process.poll() is None and lines_in(run / "trajectory.tum") < 5:
             time.sleep(0.005)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, err = process.communicate(timeout=60)
     finally:
         process.kill()

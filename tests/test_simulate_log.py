@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -177,3 +182,17 @@ def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
     )
     np.testing.assert_allclose(sorted(left), sorted(right))
     np.testing.assert_allclose(np.diff(sorted(left)), 3.3)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows ends a process without asking it")
+def test_simulation_that_is_terminated_leaves_nothing_behind(tmp_path: Path) -> None:
+    world = Path(__file__).resolve().parent.parent / "configs" / "worlds" / "corridor.yaml"
+    process = subprocess.Popen([sys.executable, "-m", "localiser", "simulate", world, "-q", "-o", tmp_path / "log"])
+    try:
+        while process.poll() is None and not any(tmp_path.glob(".log.part/images/*")):
+            time.sleep(0.01)
+        process.terminate()
+        assert process.wait(60) == 128 + signal.SIGTERM
+    finally:
+        process.kill()
+    assert list(tmp_path.iterdir()) == []

@@ -25,14 +25,16 @@ class Sink(Protocol):
 
 @dataclass(slots=True, eq=False)
 class History:
-    """Keeps the frames of a run, without images and particles, for its metrics and its report: some kilobytes each."""
+    """Keeps the frames of a run for its metrics and its report, without what grows with pixels or particles."""
 
     frames: list[LocatedFrame] = field(default_factory=list)
 
     def frame(self, frame: LocatedFrame) -> None:
         """Keep one frame."""
-        none = particles.take(frame.located.particles, np.zeros(0, dtype=np.int64))
-        self.frames.append(replace(frame, located=replace(frame.located, particles=none), image=None))
+        located = frame.located
+        none = particles.take(located.particles, np.zeros(0, dtype=np.int64))
+        clusters = located.clusters and replace(located.clusters, label=np.zeros(0, dtype=np.int64))
+        self.frames.append(replace(frame, located=replace(located, particles=none, clusters=clusters), image=None))
 
     def close(self, complete: bool) -> None:
         """Nothing to end."""

@@ -1,4 +1,4 @@
-"""Ctrl-C stops a run between two frames, so that every output ends with the same one."""
+"""Ctrl-C or SIGTERM stops a run between two frames, so that every output ends with the same one."""
 
 from __future__ import annotations
 
@@ -11,15 +11,19 @@ from types import FrameType
 
 @contextmanager
 def stop_request() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back; yields what to call where stopping is right, which raises KeyboardInterrupt if asked to.
+    """Hold Ctrl-C and SIGTERM back; yields what to call where stopping is right, which raises KeyboardInterrupt then.
 
-    A second Ctrl-C is not held back. In other threads than the main one, which get no signals, nothing is changed.
+    A second one is not held back. In other threads than the main one, which get no signals, nothing is changed.
     """
     asked = threading.Event()
 
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
     def ask(_signal: int, _frame: FrameType | None) -> None:
         asked.set()
-        signal.signal(signal.SIGINT, before)
+        restore()
 
     def stop_if_asked() -> None:
         if asked.is_set():
@@ -28,8 +32,8 @@ def stop_request() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield stop_if_asked
         return
-    before = signal.signal(signal.SIGINT, ask)
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield stop_if_asked
     finally:
-        signal.signal(signal.SIGINT, before)
+        restore()
