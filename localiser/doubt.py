@@ -6,6 +6,10 @@ the odds of being lost by 1 / p(edges | particles). A right pose gives far more 
 clutter; an image in which no landmark is found gives a little less than 1, as rarely as `inliers` has learnt that such
 images come. An image that is only partly new counts for that part. Before each image there is a small chance that the
 robot was carried away.
+
+A wrong place may look like the right one: the other end of a corridor does. That its particles fit says nothing then;
+what counts is whether the right place would have been found had it been another. So the robot stays lost with the
+probability that all looks around have `overlooked` its place.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from localiser.geometry import Array
 from localiser.inliers import InlierShare
 from localiser.particles import normalised
 
+OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
 SUREST = float(np.log(999.0))  # log-odds that are never exceeded: a model is never that right
 
 
@@ -25,33 +30,64 @@ SUREST = float(np.log(999.0))  # log-odds that are never exceeded: a model is ne
 class Doubt:
     """log_odds: logarithm of the odds that the robot is lost, that is, that the truth is not among the particles.
 
-    inliers: what share of the edges belongs to landmarks, as far as images tell that were seen while not lost.
+    overlooked: probability that the true place was never among those that the particles were chosen from. inliers: what
+    share of the edges belongs to landmarks, as far as images tell that were seen while not lost.
     """
 
     log_odds: float
+    overlooked: float = 0.0
     inliers: InlierShare = field(default_factory=InlierShare.unknown)
 
     @classmethod
     def of(cls, probability: float) -> Doubt:
-        """Return the doubt of a robot that is lost with this probability, between 0 and 1."""
-        return cls(float(np.log(probability) - np.log1p(-probability)))
+        """Return the doubt of a robot that is lost with this probability, between 0 and 1, and was never looked for."""
+        return cls(_log_odds(probability))
+
+    @classmethod
+    def of_anywhere(cls) -> Doubt:
+        """Return the doubt of a robot whose particles are where the first image fits."""
+        return cls(_log_odds(OVERLOOKED), OVERLOOKED)
 
     @property
     def probability(self) -> float:
         """The probability that the robot is lost."""
-        return float(np.exp(-np.logaddexp(0.0, -self.log_odds)))
+        return _probability(self.log_odds)
+
+    def log_evidence(self, by_share: Array, log_weight: Array) -> float:
+        """Return log p(edges | particles), their weighted mean, relative to all edges being clutter.
+
+        by_share: (K, N) log p(edges | particle, w_k), relative to the same. log_weight: (N,) of the particles before.
+        """
+        log_likelihood = self.inliers.log_mean(by_share)
+        return float(np.logaddexp.reduce(log_weight + log_likelihood) - np.logaddexp.reduce(log_weight))
 
     def after(self, by_share: Array, log_weight: Array, share: float, carried: float) -> Doubt:
-        """Return the doubt after an image of which `share` (0 … 1) is new.
+        """Return the doubt after an image of which `share` (0 … 1) is new; the rest as for `log_evidence`.
 
-        by_share: (K, N) log p(edges | particle, w_k) relative to all edges being clutter. log_weight: (N,) of the
-        particles before. carried: probability of having been carried away since the last independent image.
+        carried: probability of having been carried away since the last independent image.
         """
-        inliers = self.inliers.after(share)
-        log_likelihood = inliers.log_mean(by_share)
-        log_evidence = np.logaddexp.reduce(log_weight + log_likelihood) - np.logaddexp.reduce(log_weight)
         lost = self.probability + carried * share * (1.0 - self.probability)
-        log_odds = np.log(lost) - np.log1p(-lost) - share * log_evidence if lost < 1.0 else SUREST
-        doubt = replace(self, log_odds=float(np.clip(log_odds, -SUREST * 5, SUREST)))
-        learnt = inliers.given(by_share, normalised(log_weight + log_likelihood), share)
-        return replace(doubt, inliers=inliers.towards(learnt, 1.0 - doubt.probability))
+        log_odds = _log_odds(lost) - share * self.log_evidence(by_share, log_weight)
+        log_odds = min(max(log_odds, _log_odds(self.overlooked)), SUREST)
+        inliers = self.inliers.after(share)
+        learnt = inliers.given(by_share, normalised(log_weight + inliers.log_mean(by_share)), share)
+        return Doubt(log_odds, self.overlooked, inliers.towards(learnt, 1.0 - _probability(log_odds)))
+
+    def looked(self, log_odds: float, share: float) -> Doubt:
+        """Return the doubt after a look around in an image of which `share` is new.
+
+        log_odds: of the places that it found, beside the particles. Where they win, it is them that may be wrong.
+        """
+        found = _probability(log_odds)
+        overlooked = OVERLOOKED * found + OVERLOOKED**share * self.overlooked * (1.0 - found)
+        left = self.log_odds + np.log(OVERLOOKED) - np.logaddexp(0.0, log_odds)
+        return replace(self, log_odds=float(max(left, _log_odds(overlooked))), overlooked=overlooked)
+
+
+def _log_odds(probability: float) -> float:
+    with np.errstate(divide="ignore"):
+        return float(np.log(probability) - np.log1p(-probability))
+
+
+def _probability(log_odds: float) -> float:
+    return float(np.exp(-np.logaddexp(0.0, -log_odds)))

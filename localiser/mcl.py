@@ -89,7 +89,6 @@ class Located:
 STRAY_START = 0.01  # probability that a start that was stated is wrong
 FRESH_SHARE = 0.1  # of an image that must be new for another look elsewhere
 NEGLIGIBLE = 1e-3  # odds of the places that an image proposes, below which none of them joins
-MISSED = 0.3  # how often the true place is not among them
 FEW = 512  # particles that tell how well all of them fit
 WON = 0.98  # weight of a place from which on the others are forgotten
 
@@ -217,7 +216,7 @@ def _anywhere(mcl: Mcl, state: FilterState, edges: Edges, rng: np.random.Generat
     assert mcl.search is not None
     count = mcl.search.parameters.particles_most
     like = with_biases(particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), count, rng), mcl.motion.bias)
-    state.doubt, state.searching = Doubt.of(MISSED), True
+    state.doubt, state.searching = Doubt.of_anywhere(), True
     return mcl.search.fresh(like, mcl.search.clues(edges), state.doubt.inliers, count, rng)[0]
 
 
@@ -230,8 +229,9 @@ def _weighed(
         return _tracked(mcl, state, moved, edges, share, rng)
     clues = search.clues(edges)
     some = moved if state.searching else only(moved, slice(None, None, max(len(moved) // FEW, 1)))
-    by_share = clues.by_share(some.poses)
+    by_share = clues.by_share(some)
     log_likelihood = state.doubt.inliers.log_mean(by_share)
+    log_odds = state.doubt.log_odds - state.doubt.log_evidence(by_share, some.log_weight)
     state.doubt = state.doubt.after(by_share, some.log_weight, share, search.parameters.carried)
     if state.searching:
         weighed = replace(moved, log_weight=moved.log_weight + share * log_likelihood)
@@ -241,12 +241,11 @@ def _weighed(
     if len(edges) == 0 or share < FRESH_SHARE or state.doubt.probability < search.parameters.doubt:
         return weighed
     fresh, log_evidence = search.fresh(weighed, clues, state.doubt.inliers, search.parameters.fresh, rng)
-    log_odds = state.doubt.log_odds + log_evidence
+    log_odds += log_evidence  # both sides weighed by all of the image
+    state.doubt = state.doubt.looked(log_odds, share)
     if log_odds < np.log(NEGLIGIBLE):
         return weighed
     state.searching = True
-    missed = state.doubt.log_odds + np.log(MISSED) - np.logaddexp(0.0, log_odds)
-    state.doubt = replace(state.doubt, log_odds=float(missed))
     return joined(weighed, fresh, log_odds)
 
 

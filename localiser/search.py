@@ -28,11 +28,12 @@ from localiser.geometry import Array, wrap_angle
 from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.particles import Particles
-from localiser.proposals import Places, View, propose, view_of
+from localiser.particles import CAMERA_YAW, Particles
+from localiser.proposals import Places, Region, View, propose, view_of
 from localiser.proposals.evidence import Evidence, evidence_of, score_by_share
 
 CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
+BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
 
 
@@ -45,7 +46,7 @@ class SearchParameters:
     ] = 3e-4
     doubt: Annotated[
         float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
-    ] = 0.02
+    ] = 0.005
     fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
@@ -60,8 +61,12 @@ class Clues:
     evidence: Evidence
     places: Places
 
-    def by_share(self, poses: Array) -> Array:
-        """Return log p(edges | pose, w_k) (K, N) of poses (N, 3), relative to all edges being clutter."""
+    def by_share(self, particles: Particles) -> Array:
+        """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter."""
+        return self.by_pose(seen_from(particles))
+
+    def by_pose(self, poses: Array) -> Array:
+        """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
         return score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
 
 
@@ -79,14 +84,15 @@ class Search:
     ) -> Search:
         """Return a search on this map; its tables take a second on a large one."""
         sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m
-        places = Places.of(landmark_map, observation.camera, sight, sigma_m=sigma_m)
+        region = Region.around(landmark_map.points, BESIDE_MAP_M)
+        places = Places.of(landmark_map, observation.camera, sight, region, sigma_m)
         return cls(observation, places, parameters or SearchParameters())
 
     def warm_up(self) -> None:
         """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
         angle = np.zeros(1)
         edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
-        self.clues(edges).by_share(np.zeros((1, 3)))
+        self.clues(edges).by_pose(np.zeros((1, 3)))
 
     def clues(self, edges: Edges) -> Clues:
         """Return what an image says of places."""
@@ -103,13 +109,26 @@ class Search:
         """
 
         def log_likelihood(poses: Array) -> Array:
-            return inliers.log_mean(clues.by_share(poses))
+            return inliers.log_mean(clues.by_pose(poses))
 
         poses, log_prior_over_q = propose([clues.view], self.places, log_likelihood, rng).drawn(count, rng)
         log_weight = log_prior_over_q + log_likelihood(poses)
         others = resampling.multinomial_resample(like.weight, count, rng)
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
+        poses[:, 2] = wrap_angle(poses[:, 2] - yaw_of(drawn))
         return placed(drawn, poses), float(np.logaddexp.reduce(log_weight) - np.log(count))
+
+
+def yaw_of(particles: Particles) -> Array:
+    """Return how far (N,) each particle has the camera turned from where it is stated to look."""
+    return particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
+
+
+def seen_from(particles: Particles) -> Array:
+    """Return the poses (N, 3) of robots that see the same with a camera that looks where it is stated to."""
+    poses = particles.poses
+    poses[:, 2] += yaw_of(particles)
+    return poses
 
 
 def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
