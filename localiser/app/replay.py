@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
@@ -13,6 +13,7 @@ import numpy as np
 
 from localiser import mcl, view
 from localiser.app.checkpoints import STAGES, Checkpoints, Progress, Running, resumed
+from localiser.app.filter import filter_of
 from localiser.app.outputs import require_new_file
 from localiser.app.run_figures import write_figures
 from localiser.app.run_inputs import RunInputs, map_of
@@ -58,6 +59,7 @@ class Replay:
 
     inputs: RunInputs
     observation: EdgeObservation
+    filter: mcl.Mcl
     running: Running
     folder: RunFolder
     history: History
@@ -97,23 +99,19 @@ class Replay:
 
     def _replay(self, progress: Callable[[], None], stop_if_asked: Callable[[], None]) -> None:
         config, done = self.inputs.config, self.running.done
-        filter_ = mcl.Mcl(
-            self.inputs.landmark_map,
-            self.observation,
-            config.mcl,
-            config.motion,
-            config.observation,
-            odometer=Odometer(self.inputs.log.camera, config.increments),
-        )
+        filter_ = self.filter
+        by_edges = Odometer(self.inputs.log.camera, replace(config.increments, source="vision"))
+        blind = replace(filter_, odometer=by_edges)  # for images of a live run whose wheels were silent
         state, rng = self.running.state, self.running.rng
-        events = self.inputs.log.events(self.inputs.start)
+        events = self.inputs.log.events(self.inputs.start, anywhere=self.inputs.start is None)
         pending = self._still_waiting(islice(events, done.events))
 
         def steps() -> Iterator[Iterator[mcl.Located]]:
             for event in events:
                 measured = self._measure(event, pending)
                 done.events += 1
-                yield mcl.step(filter_, state, measured, rng)
+                sees_wheels = not isinstance(event, ImageEvent) or event.by_wheels
+                yield mcl.step(filter_ if sees_wheels else blind, state, measured, rng)
             yield mcl.finish(filter_, state, rng)
 
         for located_frames in steps():
@@ -209,7 +207,7 @@ def prepare(
     inputs = RunInputs(log, landmark_map, map_file, config, start_of(log, start_option, rng))
     running = Running(mcl.FilterState(), rng, Progress()) if resume is None else resumed(resume, inputs)
     observation = EdgeObservation(log.camera, config.observation)
-    observation.warm_up()
+    filter_ = filter_of(log.camera, landmark_map, observation, config)
 
     folder = RunFolder.create(outputs.results, log.name)
     history = History()
@@ -220,7 +218,7 @@ def prepare(
     live = view.LiveView(outputs.view, context) if outputs.view != "none" else None
     if live is not None:
         sinks.append(live)
-    return Replay(inputs, observation, running, folder, history, sinks, live, outputs.checkpoints)
+    return Replay(inputs, observation, filter_, running, folder, history, sinks, live, outputs.checkpoints)
 
 
 def _require_fitting(log: Log, config: Config) -> None:

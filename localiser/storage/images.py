@@ -37,12 +37,14 @@ class ImageEvent:
 
     load: returns the image as (H, W) uint8 grey values. encoded: returns the file as it is (JPEG or PNG), in colour if
     it has any, for the view. Both raise InputError when the file is not an image of the size that the camera has.
+    by_wheels: False where a live run did without the wheels, because they were silent.
     """
 
     t_ns: int
     name: str
     load: Callable[[], Image]
     encoded: Callable[[], bytes]
+    by_wheels: bool = True
 
 
 def image_event(t_ns: int, name: str, path: Path, size: tuple[int, int]) -> ImageEvent:

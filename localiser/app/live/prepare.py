@@ -100,7 +100,9 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
 
     with ExitStack() as stack:
         inbox, monitor = Inbox(), Monitor(tell)
-        recording = _recording(options, stack, lambda why: tell(why, "WARNING"))
+        recording = begun_recording(options, lambda why: tell(why, "WARNING"))
+        if recording is not None:
+            stack.callback(recording.close)
         network = stack.enter_context(Network(options.connect, options.listen))
         publish: list[Callable[[Published], bytes | None]] = [PosePublisher(network).publish]
         if options.json is not None:
@@ -126,12 +128,11 @@ def _topics(asked: Mapping[str, str]) -> dict[str, str]:
     return {**TOPICS, **asked}
 
 
-def _recording(options: LiveOptions, stack: ExitStack, failed: Callable[[str], None]) -> Recording | None:
-    """Return the recording with what it needs to be replayed: settings, map, camera file."""
+def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
+    """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None
     recording = Recording(options.record, failed)
-    stack.callback(recording.close)
     texts = {
         LOG_TOPIC: live_label_text(options.record.stem, "", _changed_settings(options.config)),
         MAP_TOPIC: read_text(options.map_file),

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any
 
 import numpy as np
 
 from localiser import mcl
-from localiser.app.live.clock import RobotClock
+from localiser.app.live.clock import LATE_NS, RobotClock
 from localiser.app.live.inbound import CameraFinder, message_of, type_of
 from localiser.app.live.located import Filter
 from localiser.app.live.monitor import Monitor
@@ -37,7 +37,7 @@ Publish = Callable[[Published], bytes | None]
 class LiveRun:
     """A live run. publish: sends a result, returns its message. filter_of: makes the filter once the camera is known.
 
-    start: given by the user, without its time; None waits for a message with a pose.
+    start: given by the user, without its time; None waits for a message with a pose. now_ns: the clock of arrivals.
     """
 
     inbox: Inbox
@@ -47,6 +47,7 @@ class LiveRun:
     publish: Sequence[Publish]
     recording: Recording | None = None
     start: mcl.Start | None = None
+    now_ns: Callable[[], int] = time.monotonic_ns
     filter: Filter | None = None
     clock: RobotClock = field(default_factory=RobotClock)
     timeline: Timeline = field(init=False)
@@ -63,10 +64,14 @@ class LiveRun:
     def run(self, ended: Callable[[], bool]) -> None:
         """Run until `ended` says so."""
         while not ended():
-            for arrival in self.inbox.take(_IDLE_S if self._is_idle() else 0.0):
-                self._take(arrival)
-            self._weigh_next()
+            self.turn(self.inbox.take(_IDLE_S if self._is_idle() else 0.0))
             self.monitor.watch(_EXPECTED)
+
+    def turn(self, arrivals: Iterable[Arrival]) -> None:
+        """Take in what has arrived, then weigh one image, or find the edges of one that waits for the wheels."""
+        for arrival in arrivals:
+            self._take(arrival)
+        self._weigh_next()
 
     def _is_idle(self) -> bool:
         waiting = self.timeline.waiting
@@ -101,7 +106,7 @@ class LiveRun:
         if self.finder.camera is None:
             self.monitor.warn("no camera", f"images wait for the camera: {self.finder.problem}")
             return
-        self._begin()
+        self._begin(t_ns)
         frame = Frame(number, t_ns, stamp_of(message), arrival.at_ns, message)
         if self.filter is None or not self.filter.has_start:
             self.timeline.skip(frame, "no start")
@@ -122,7 +127,6 @@ class LiveRun:
             return
         if self._newest_odometry is not None:
             self._intervals_s.append((t_ns - self._newest_odometry[0]) / 1e9)
-        self._begin()
         self.timeline.add_odometry(t_ns, number, pose, arrival.at_ns)
         if self._newest_odometry is None or t_ns > self._newest_odometry[0]:
             self._newest_odometry = t_ns, pose
@@ -139,7 +143,10 @@ class LiveRun:
         if self.filter is None:
             self.start = mcl.Start(0, mean, cov)
         else:
-            self._restart(mcl.Start(stamp_of(message) + self.clock.offset_ns, mean, cov))
+            newest_ns = max(self.timeline.newest_ns, self.timeline.weighed_ns)
+            t_ns = stamp_of(message) + self.clock.offset_ns
+            # Whoever states a pose may have another clock; then it is meant for now.
+            self._restart(mcl.Start(t_ns if newest_ns - LATE_NS <= t_ns <= newest_ns else newest_ns, mean, cov))
 
     def _time(self, arrival: Arrival, message: Any) -> int | None:
         """Return the time of a message by its stamp, None when that cannot be true."""
@@ -173,14 +180,14 @@ class LiveRun:
 
     # -- the filter ---------------------------------------------------------------------------------------------------
 
-    def _begin(self) -> None:
-        """Make the filter as soon as the camera and the time are known, and start it if it is known where."""
+    def _begin(self, t_ns: int) -> None:
+        """Make the filter with the first image since the camera is known, and start it if it is known where."""
         if self.filter is None and self.finder.camera is not None:
             self.filter = self.filter_of(self.finder.camera)
             self.timeline.needs_wheels = self.filter.needs_wheels
             self.monitor.inform("the camera is known")
             if self.start is not None:
-                self._restart(self.start)
+                self._restart(replace(self.start, t_ns=t_ns))
 
     def _restart(self, start: mcl.Start) -> None:
         assert self.filter is not None
@@ -193,7 +200,7 @@ class LiveRun:
     def _weigh_next(self) -> None:
         if self.filter is None:
             return
-        frame = self.timeline.next(self._affordable(), time.monotonic_ns())
+        frame = self.timeline.next(self._affordable(), self.now_ns())
         if frame is not None:
             self._weigh(frame)
             return

@@ -84,7 +84,8 @@ class Timeline:
         else:
             bisect.insort(self._frames, frame, key=lambda waiting: waiting.t_ns)
             if len(self._frames) > MOST_WAITING:
-                self.skip(self._frames.pop(0), "waited for odometry" if self.needs_wheels else "newer image")
+                oldest = self._frames.pop(0)
+                self.skip(oldest, "waited for odometry" if oldest.t_ns > self.newest_ns else "newer image")
 
     def next(self, most: int, now_ns: int) -> Frame | None:
         """Return the image to weigh now, if odometry has reached any; of those it has reached all but `most` are old.
@@ -143,7 +144,7 @@ class Timeline:
 
     def restart(self, t_ns: int) -> int:
         """Return the time from which on a start holds that was stated for `t_ns`: not before what is settled."""
-        start_ns = max(min(t_ns, self.newest_ns), self.settled_ns + 1, self.weighed_ns + 1)
+        start_ns = max(t_ns, self.settled_ns + 1, self.weighed_ns + 1)
         while self._frames and self._frames[0].t_ns < start_ns:
             self.skip(self._frames.pop(0), "before the start")
         self.weighed_ns = start_ns - 1

@@ -39,15 +39,15 @@ class Playback:
         self._next = 0
         self._last: tuple[int, bytes] | None = None
 
-    def event(self, place: ImagePlace) -> ImageEvent:
-        """Return the image as an event of a log."""
+    def event(self, place: ImagePlace, *, by_wheels: bool = True) -> ImageEvent:
+        """Return the image as an event of a log; by_wheels: see there."""
         name = f"{self._topic.name}/{place.order:06d}"
         field = self._field(place)
 
         def load() -> Image:
             return decoded(self._file(place), self._size, path=self._path, field=field)
 
-        return ImageEvent(place.stamp_ns, name, load, lambda: self._file(place))
+        return ImageEvent(place.stamp_ns, name, load, lambda: self._file(place), by_wheels)
 
     def _field(self, place: ImagePlace) -> str:
         return f"{self._topic.name} at {place.stamp_ns} ns"

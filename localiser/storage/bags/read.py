@@ -177,6 +177,7 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
     label = content.label or Label(format=FORMAT, name=path.resolve().stem)
     camera = given or content.camera or _camera(path, content, label.camera_name)
     starts = content.decisions.starts if content.decisions is not None else []
+    blind = content.decisions.blind if content.decisions is not None else set()
     start = start_from_file(label.start, first_ns) if label.start else None
     size = (camera.width, camera.height)
     if content.size != size:
@@ -193,7 +194,7 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
             path=path,
             camera=camera,
             odometry=odometry,
-            frames=[playback.event(place) for place in places],
+            frames=[playback.event(place, by_wheels=place.order not in blind) for place in places],
             landmark_map=content.landmark_map,
             start=starts[0] if starts else start,
             restarts=starts[1:],
