@@ -24,6 +24,7 @@ from localiser.mapping import MappingParameters
 from localiser.mcl import MclParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
+from localiser.search import SearchParameters
 
 _LIBRARIES = ("numpy", "numba", "scipy", "opencv-python-headless", "pydantic", "rerun-sdk")
 _BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
@@ -36,6 +37,7 @@ class Config(BaseModel):
 
     seed: Annotated[int, Field(ge=0, lt=2**32, description="of the one random generator; same seed, same result")] = 0
     mcl: MclParameters = MclParameters()
+    search: SearchParameters = SearchParameters()
     motion: MotionParameters = MotionParameters()
     increments: IncrementParameters = IncrementParameters()
     observation: ObservationParameters = ObservationParameters()

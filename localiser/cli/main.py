@@ -121,9 +121,9 @@ def replay(
     start: Annotated[
         str | None,
         typer.Option(
-            metavar="x,z,heading_deg|truth",
-            help="Where the robot starts, to 0.1 m and 3°. `truth`: the true pose plus such an error. "
-            "By default what the log states, else truth.",
+            metavar="x,z,heading_deg|global|truth",
+            help="Where the robot starts, to 0.1 m and 3°. `global`: anywhere on the map. `truth`: the true pose plus "
+            "such an error. By default what the log states, else global.",
         ),
     ] = None,
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
@@ -166,6 +166,8 @@ def replay(
         run = prepare(recorded, effective, outputs, start, map_file=map_file, resume=resume)
     if run.live is not None and run.live.address:
         typer.echo(f"Watch at {run.live.address}", err=True)
+    if start is None and run.inputs.start is None and not quiet:
+        typer.echo("The log states no start: the robot is looked for on the whole map.", err=True)
     with progress("Localising", len(recorded.frames), quiet) as advance:
         figures = run.run(advance)
     if not quiet:

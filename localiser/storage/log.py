@@ -55,12 +55,12 @@ class Log:
         """Whether the frames are images, not edges."""
         return isinstance(self.frames[0], ImageEvent)
 
-    def events(self, start: mcl.Start | None = None) -> Iterator[Event]:
+    def events(self, start: mcl.Start | None = None, *, anywhere: bool = False) -> Iterator[Event]:
         """Yield everything in the order of time: the start first, odometry before an image of the same time.
 
-        start: used in place of the log's own.
+        start: used in place of the log's own. anywhere: whether the log's own is passed over.
         """
-        if first := start or self.start:
+        if first := start or (None if anywhere else self.start):
             yield first
         wheels = (
             mcl.Odometry(int(t_ns), pose) for t_ns, pose in zip(self.odometry.t_ns, self.odometry.poses, strict=True)

@@ -1,0 +1,27 @@
+"""The filter that replay and live share, made from the configuration."""
+
+from __future__ import annotations
+
+from localiser import mcl
+from localiser.camera import Camera
+from localiser.config import Config
+from localiser.increments import Odometer
+from localiser.landmarks import LandmarkMap
+from localiser.observation import EdgeObservation
+from localiser.search import Search
+
+
+def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> mcl.Mcl:
+    """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
+    observation.warm_up()
+    search = Search.of(observation, landmark_map, config.search)
+    search.warm_up()
+    return mcl.Mcl(
+        landmark_map,
+        observation,
+        config.mcl,
+        config.motion,
+        config.observation,
+        odometer=Odometer(camera, config.increments),
+        search=search,
+    )
