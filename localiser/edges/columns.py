@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.edges.loops import compiled, links_loop, peaks_loop
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
@@ -130,17 +131,8 @@ def peaks_of(field: GradientField) -> Peaks:
 
     None beside what is not seen: a slope that the border cuts off has no top there.
     """
-    size = np.where(field.unseen, np.float32(np.inf), np.abs(field.smooth))
-    middle = size[:, 1:-1]
-    is_peak = (middle > PEAK_SIGMA * field.smooth_sigma) & (middle > size[:, :-2]) & (middle >= size[:, 2:])
-    is_peak &= np.isfinite(middle)
-    row, column = np.nonzero(is_peak)
-    column += 1
-    sign = np.sign(field.smooth[row, column])
-    left, right = field.smooth[row, column - 1] * sign, field.smooth[row, column + 1] * sign
-    offset = (right - left) / (2 * (2 * size[row, column] - left - right))
-    position = column.astype(np.float64) + offset
-    return Peaks(row, column, position, sign.astype(np.int8))
+    least = PEAK_SIGMA * field.smooth_sigma
+    return Peaks(*compiled(peaks_loop)(field.smooth, field.unseen, least))
 
 
 def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
@@ -148,20 +140,5 @@ def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
 
     A peak goes on from one in the block above when each is the other's nearest of its polarity, at most a column off.
     """
-    count = len(peaks.row)
-    everyone, nobody = np.arange(count), count
-    who = np.full((shape[0] + 2, shape[1] + 2), nobody)
-    who[peaks.row + 1, peaks.column + 1] = everyone
-    position, polarity = np.append(peaks.position, np.inf), np.append(peaks.polarity, 0)
-
-    def nearest(rows_down: int) -> NDArray[np.int64]:
-        near = np.stack([who[peaks.row + 1 + rows_down, peaks.column + 1 + by] for by in (-1, 0, 1)])
-        apart = np.where(polarity[near] == peaks.polarity, np.abs(position[near] - peaks.position), np.inf)
-        best = np.argmin(apart, axis=0)
-        return np.where(np.isfinite(apart[best, everyone]), near[best, everyone], nobody)
-
-    above, below = nearest(-1), np.append(nearest(1), nobody)
-    top = np.where(below[above] == everyone, above, everyone)
-    while not np.array_equal(top, top[top]):
-        top = top[top]
-    return np.asarray(np.cumsum(top == everyone)[top] - 1)
+    who = np.full((shape[0] + 2, shape[1] + 2), -1, dtype=np.int32)
+    return compiled(links_loop)(peaks.row, peaks.column, peaks.position, peaks.polarity, who)

@@ -13,11 +13,11 @@ These say how likely it is that the end stands on the floor; docs/edges.md tells
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
+from localiser.edges.loops import compiled, sides_loop
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
 
@@ -31,9 +31,8 @@ _NEAR_PX, _NEAR_STEP_PX = np.arange(14.0, -42.0, -2.0), 2.0
 _AT_END_PX = 5.0
 _STEPS_DOWN = 120
 """In how many steps the height of the image is searched for what lies before the foot."""
-_SIDES_PX = np.array([-8.0, -5.5, -3.0, 3.0, 5.5, 8.0], dtype=np.float32)
-_MEAN_OF_SIDES = np.repeat(np.eye(2, dtype=np.float32) / 3, 3, axis=0)
-"""Three samples on either side of the line, and what makes the mean of each side of them."""
+_SIDES_PX = np.array([-8.0, -5.5, -3.0, 3.0, 5.5, 8.0])
+"""Three samples on either side of the line."""
 _NODES = 13
 _LEAST_DEPTH = 0.05
 _FAINT_GREY = 4.0
@@ -104,22 +103,9 @@ def _steps(grey: Array) -> Array:
 def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> Array:
     """Return grey values (E, S, 2) left and right of edges that end at pixels (E, 2), `along_px` (S,) above the end.
 
-    Along the line to the nadir point; nan from where that leaves the image.
+    Along the line to the nadir point, taken as straight between few nodes, which no lens bends much; nan from where it
+    leaves the image.
     """
-    path = _path(bottom_px, along_px, camera).astype(np.float32)
-    u, v, reach = path[..., 0], path[..., 1], _SIDES_PX[-1]
-    inside = (u >= reach) & (u <= camera.width - 1 - reach) & (v >= 0) & (v <= camera.height - 1)
-    # A lens model may bend what is far outside back into the image.
-    inside = np.logical_and.accumulate(inside | (along_px > 0), axis=1) & inside
-    u, v = (u[..., None] + _SIDES_PX, v[..., None] + np.zeros_like(_SIDES_PX))
-    flat = (len(path), -1)  # a row an edge: OpenCV takes no more than 32767 rows
-    sampled = cv2.remap(image, u.reshape(flat), v.reshape(flat), cv2.INTER_LINEAR)
-    grey = sampled.reshape(-1, len(_SIDES_PX)) @ _MEAN_OF_SIDES
-    return np.where(inside[..., None], grey.reshape(*inside.shape, 2), np.nan)
-
-
-def _path(bottom_px: Array, along_px: Array, camera: Camera) -> Array:
-    """Return pixels (E, S, 2) of the lines to the nadir point; straight between few nodes, which no lens bends much."""
     nodes_px = np.linspace(along_px[0], along_px[-1], _NODES)
     a, e = np.moveaxis(camera.upright_from_pixels(bottom_px)[:, None], -1, 0)
     heights = e + nodes_px / camera.focal_px
@@ -127,8 +113,8 @@ def _path(bottom_px: Array, along_px: Array, camera: Camera) -> Array:
     nodes = camera.pixels_from_upright(np.stack([a * depth, heights], axis=-1))
     place = (along_px - nodes_px[0]) / (nodes_px[1] - nodes_px[0])
     before = np.minimum(place.astype(np.int64), _NODES - 2)
-    share = (place - before)[:, None]
-    return np.asarray(nodes[:, before] * (1 - share) + nodes[:, before + 1] * share)
+    below_end = int(np.argmax(along_px <= 0))
+    return compiled(sides_loop)(image, nodes, before, place - before, _SIDES_PX, below_end)
 
 
 def _depth(e: Array, camera: Camera) -> Array:

@@ -19,6 +19,7 @@ from localiser.edges.columns import (
     gradient_kernel,
 )
 from localiser.edges.groups import Groups, LineFit
+from localiser.edges.loops import compiled, samples_loop
 from localiser.geometry import Array
 
 LEAST_BLOCKS = 3
@@ -31,7 +32,6 @@ _SAMPLING_SIGMA_PX = {1: 0.03, 2: 0.01}
 than a pixel has none of its own scale to be interpolated."""
 _MARGIN_BLOCKS = 2
 
-_AROUND = np.arange(-1, 3)[:, None]
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
 _FIRST, _SECOND = np.array([0.5, 0.0, -0.5]), np.array([-1.0, 2.0, -1.0])
 _WIDER = cv2.getGaussianKernel(15, np.sqrt(3.0) * SCALE_PX).ravel()
@@ -114,14 +114,7 @@ def cells_of(lines: Lines, field: GradientField) -> Cells:
 
 def sampled(values: NDArray[np.float32], cells: Cells, column: Array) -> tuple[Array, Array, Array]:
     """Return a field's height, steepness and negative curvature along its row (K,) at cells, positive at the peak."""
-    width = values.shape[1]
-    whole = column.astype(np.int64).clip(1, width - 3)
-    share = (column - whole).clip(0, 1)
-    before, here, there, after = values.ravel()[cells.row * width + whole + _AROUND] * cells.polarity
-    height = here + share * (there - here)
-    steepness = (there - before + share * (after - here - there + before)) / 2
-    curvature = 2 * here - before - there + share * (3 * (there - here) + before - after)
-    return height, steepness, curvature
+    return compiled(samples_loop)(values, cells.row, column, cells.polarity)
 
 
 def _steady(curvature: Array, noise: float, cells: Cells) -> Array:

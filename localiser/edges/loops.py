@@ -1,0 +1,140 @@
+"""The inner loops of the detector, for numba to compile: where numpy's cost is that of its calls, not of the work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+
+_Loop = TypeVar("_Loop", bound=Callable[..., object])
+
+
+def compiled(loop: _Loop) -> _Loop:
+    """Return a loop of this module, compiled when it is first called; numba takes long to import."""
+    return cast(_Loop, _compiled(loop))
+
+
+@cache
+def _compiled(loop: Callable[..., object]) -> object:
+    import numba
+
+    return numba.njit(cache=True, error_model="numpy")(loop)
+
+
+def peaks_loop(
+    smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:
+    """Return row, column, sub-pixel position and sign (P,) of the peaks along rows (B, W) that are higher than `least`.
+
+    None beside what is not seen.
+    """
+    rows, width = smooth.shape
+    most = rows * (width // 2)
+    row, column = np.empty(most, np.int64), np.empty(most, np.int64)
+    position, sign = np.empty(most, np.float64), np.empty(most, np.int8)
+    count = 0
+    for r in range(rows):
+        for c in range(1, width - 1):
+            here = abs(smooth[r, c])
+            if here <= least or here <= abs(smooth[r, c - 1]) or here < abs(smooth[r, c + 1]):
+                continue
+            if unseen[r, c - 1] or unseen[r, c] or unseen[r, c + 1]:
+                continue
+            polarity = 1 if smooth[r, c] > 0 else -1
+            left, right = smooth[r, c - 1] * polarity, smooth[r, c + 1] * polarity
+            row[count], column[count], sign[count] = r, c, polarity
+            position[count] = c + (right - left) / (2 * (2 * here - left - right))
+            count += 1
+    return row[:count], column[:count], position[:count], sign[:count]
+
+
+def links_loop(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    position: Array,
+    polarity: NDArray[np.int8],
+    who: NDArray[np.int32],
+) -> NDArray[np.int64]:
+    """Return the chain (P,) of each peak, sorted by row; who: (B + 2, W + 2) of -1 to work in."""
+    count = len(row)
+    nearest = np.full((2, count), -1, np.int64)  # in the row above, and below
+    for p in range(count):
+        who[row[p] + 1, column[p] + 1] = p
+    for p in range(count):
+        for side in range(2):
+            least = np.inf
+            for by in range(-1, 2):
+                other = who[row[p] + 2 * side, column[p] + 1 + by]
+                if other < 0 or polarity[other] != polarity[p]:
+                    continue
+                apart = abs(position[other] - position[p])
+                if apart < least:
+                    least, nearest[side, p] = apart, other
+    chain = np.empty(count, np.int64)
+    chains = 0
+    for p in range(count):
+        above = nearest[0, p]
+        if above >= 0 and nearest[1, above] == p:
+            chain[p] = chain[above]
+        else:
+            chain[p] = chains
+            chains += 1
+    return chain
+
+
+def samples_loop(
+    values: NDArray[np.float32], row: NDArray[np.int64], column: Array, sign: NDArray[np.int8]
+) -> tuple[Array, Array, Array]:
+    """Return height, steepness and negative curvature (K,) of values (B, W) along their row, at places (K,)."""
+    count, width = len(row), values.shape[1]
+    height, steepness, curvature = np.empty(count), np.empty(count), np.empty(count)
+    for k in range(count):
+        whole = min(max(int(column[k]), 1), width - 3)
+        share = min(max(column[k] - whole, 0.0), 1.0)
+        s = float(sign[k])
+        before, here = s * values[row[k], whole - 1], s * values[row[k], whole]
+        there, after = s * values[row[k], whole + 1], s * values[row[k], whole + 2]
+        height[k] = here + share * (there - here)
+        steepness[k] = (there - before + share * (after - here - there + before)) / 2
+        curvature[k] = 2 * here - before - there + share * (3 * (there - here) + before - after)
+    return height, steepness, curvature
+
+
+def sides_loop(
+    image: NDArray[np.uint8], nodes: Array, before: NDArray[np.int64], share: Array, sides_px: Array, outwards: int
+) -> Array:
+    """Return mean grey values (E, S, 2) left and right of polylines (E, N, 2), nan from where they leave the image.
+
+    before, share: (S,) which node each place lies behind, and how far on the way to the next. sides_px: (K,) offsets
+    along u, the first half of them to the left. outwards: the first place that may follow on from one outside.
+    """
+    lines, places, half = len(nodes), len(before), len(sides_px) // 2
+    last_u, last_v, reach = image.shape[1] - 1, image.shape[0] - 1, np.abs(sides_px).max()
+    grey = np.full((lines, places, 2), np.nan)
+    for line in range(lines):
+        for place in range(places):
+            n, part = before[place], share[place]
+            u = nodes[line, n, 0] * (1 - part) + nodes[line, n + 1, 0] * part
+            v = nodes[line, n, 1] * (1 - part) + nodes[line, n + 1, 1] * part
+            if not (reach <= u <= last_u - reach and 0 <= v <= last_v):
+                if place >= outwards:  # a lens model may bend what is far outside back into the image
+                    break
+                continue
+            top = min(int(v), last_v - 1)
+            down = v - top
+            for side in range(2):
+                total = 0.0
+                for k in range(half):
+                    at = u + sides_px[side * half + k]
+                    left = min(int(at), last_u - 1)
+                    right = at - left
+                    upper = image[top, left] * (1 - right) + image[top, left + 1] * right
+                    lower = image[top + 1, left] * (1 - right) + image[top + 1, left + 1] * right
+                    total += upper * (1 - down) + lower * down
+                grey[line, place, side] = total / half
+    return grey
