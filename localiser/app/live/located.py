@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from localiser import mcl
+from localiser.app.filter import filter_of
 from localiser.app.live.timeline import Frame
 from localiser.app.sinks import Sink
 from localiser.camera import Camera
@@ -42,23 +43,14 @@ class Filter:
     _by_edges: mcl.Mcl = field(init=False)
 
     def __post_init__(self) -> None:
-        config = self.config
-        odometer = Odometer(self.camera, config.increments)
-        self._by_wheels = mcl.Mcl(
-            self.landmark_map, self.observation, config.mcl, config.motion, config.observation, odometer=odometer
-        )
-        by_edges = Odometer(self.camera, replace(config.increments, source="vision"))
+        self._by_wheels = filter_of(self.camera, self.landmark_map, self.observation, self.config)
+        by_edges = Odometer(self.camera, replace(self.config.increments, source="vision"))
         self._by_edges = replace(self._by_wheels, odometer=by_edges)
 
     @property
     def needs_wheels(self) -> bool:
         """Whether an image waits for the wheels."""
         return self.config.increments.source != "vision"
-
-    @property
-    def has_start(self) -> bool:
-        """Whether images can be weighed."""
-        return self.state.particles is not None
 
     def warm_up(self) -> None:
         """Make what finding edges needs once for a camera."""

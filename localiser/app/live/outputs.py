@@ -7,7 +7,6 @@ import os
 from collections import deque
 from dataclasses import dataclass
 from threading import Condition, Thread
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from localiser.storage.bags.messages import Messages
 
 POSE_TOPIC, TRANSFORM_TOPIC = "/localiser/pose", "/tf"
 MOST_LINES = 1000
+LEAST_SURE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class Published:
         located, estimate = self.located, self.located.estimate
         x, z, heading = estimate.pose.tolist()
         now_x, now_z, now_heading = self.now.tolist()
-        data: dict[str, Any] = {
+        data = {
             "stamp_ns": self.stamp_ns,
             "t_ns": located.t_ns,
             "x": x,
@@ -48,10 +48,9 @@ class Published:
             "cov": estimate.pose_cov[np.triu_indices(3)].tolist(),
             "now": {"stamp_ns": self.now_ns, "x": now_x, "z": now_z, "heading": now_heading},
             "edges": len(located.edges),
+            "p_correct": round(float(located.p_correct), 4),
             "latency_ms": round(self.latency_ms, 3),
         }
-        if hasattr(located, "p_correct"):
-            data["p_correct"] = float(located.p_correct)
         return json.dumps(data)
 
 
@@ -61,7 +60,10 @@ def pose_now(located: Located, odometry_now: Array) -> Array:
 
 
 class PosePublisher:
-    """Publishes the pose with its covariance, and the transform from the map to the odometry's frame (REP-105)."""
+    """Publishes the pose with its covariance, and the transform from the map to the odometry's frame (REP-105).
+
+    The transform, by which robots drive, is held back while the estimate is more likely wrong than right.
+    """
 
     def __init__(self, network: Network) -> None:
         """Publish on a network."""
@@ -73,8 +75,9 @@ class PosePublisher:
         estimate = located.estimate
         pose = make.encode(make.pose_in_map(published.stamp_ns, estimate.pose, estimate.pose_cov))
         self._network.publish(POSE_TOPIC, pose)
-        transform = make.map_from_odometry(published.now_ns, estimate.pose, located.odometry)
-        self._network.publish(TRANSFORM_TOPIC, make.encode(transform))
+        if located.p_correct >= LEAST_SURE:
+            transform = make.map_from_odometry(published.now_ns, estimate.pose, located.odometry)
+            self._network.publish(TRANSFORM_TOPIC, make.encode(transform))
         return pose
 
 

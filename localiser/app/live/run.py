@@ -23,7 +23,7 @@ from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.sources import Arrival, Inbox
 from localiser.storage.bags.bag import POSE, TEXT, stamp_of
-from localiser.storage.bags.decisions import clock_decision, start_decision
+from localiser.storage.bags.decisions import anywhere_decision, clock_decision, start_decision
 from localiser.storage.bags.messages import Messages
 from localiser.storage.bags.poses import floor_cov, floor_pose
 from localiser.storage.bags.topics import DECISIONS_TOPIC
@@ -37,7 +37,7 @@ Publish = Callable[[Published], bytes | None]
 class LiveRun:
     """A live run. publish: sends a result, returns its message. filter_of: makes the filter once the camera is known.
 
-    start: given by the user, without its time; None waits for a message with a pose. now_ns: the clock of arrivals.
+    start: given by the user, without its time; None looks for the robot everywhere. now_ns: the clock of arrivals.
     """
 
     inbox: Inbox
@@ -108,12 +108,6 @@ class LiveRun:
             return
         self._begin(t_ns)
         frame = Frame(number, t_ns, stamp_of(message), arrival.at_ns, message)
-        if self.filter is None or not self.filter.has_start:
-            self.timeline.skip(frame, "no start")
-            self.monitor.warn(
-                "no start", "no start is known: give --start, publish /initialpose, or `localiser pose set`"
-            )
-            return
         self.timeline.add_frame(frame)
 
     def _take_odometry(self, arrival: Arrival, message: Any) -> None:
@@ -188,6 +182,9 @@ class LiveRun:
             self.monitor.inform("the camera is known")
             if self.start is not None:
                 self._restart(replace(self.start, t_ns=t_ns))
+            else:
+                self._decide(anywhere_decision())
+                self.monitor.inform("no start is known: the robot is looked for on the whole map")
 
     def _restart(self, start: mcl.Start) -> None:
         assert self.filter is not None

@@ -43,18 +43,23 @@ def start_decision(start: mcl.Start) -> str:
     return json.dumps({"start": start.t_ns, "mean": start.mean.tolist(), "cov": start.cov.tolist()})
 
 
+def anywhere_decision() -> str:
+    """Return that the robot was looked for on the whole map."""
+    return json.dumps({"start": None})
+
+
 @dataclass(slots=True, eq=False)
 class Decisions:
     """The decisions of a recording, taken in their order.
 
-    images, unused_odometry: by number. blind: images that were weighed without wheels. offset_ns: what to add to the
-    stamps that are read now.
+    images, unused_odometry: by number. blind: images that were weighed without wheels. starts: the first is None where
+    the robot was looked for. offset_ns: what to add to the stamps that are read now.
     """
 
     images: set[int] = field(default_factory=set)
     blind: set[int] = field(default_factory=set)
     unused_odometry: set[int] = field(default_factory=set)
-    starts: list[mcl.Start] = field(default_factory=list)
+    starts: list[mcl.Start | None] = field(default_factory=list)
     offset_ns: int = 0
 
     def take(self, text: str) -> None:
@@ -75,6 +80,8 @@ class Decisions:
                 self.offset_ns = offset_ns
             case {"start": int(t_ns)} if 0 <= t_ns < _LAST_NS:
                 self.starts.append(_start(t_ns, data))
+            case {"start": None} if not self.starts:
+                self.starts.append(None)
             case _:
                 raise ValueError("expected a decision on an image, odometry, the clock or a start")
 

@@ -197,7 +197,7 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
             frames=[playback.event(place, by_wheels=place.order not in blind) for place in places],
             landmark_map=content.landmark_map,
             start=starts[0] if starts else start,
-            restarts=starts[1:],
+            restarts=[start for start in starts[1:] if start is not None],
             groundtruth=content.groundtruth.trajectory(path, truth) if truth and content.groundtruth.rows else None,
             settings={f"motion.{name}": value for name, value in (label.motion or {}).items()} | (label.settings or {}),
         )
