@@ -16,6 +16,7 @@ from localiser.app.live.monitor import Monitor
 from localiser.app.live.outputs import Published
 from localiser.app.live.prepare import LiveOptions, begun_recording
 from localiser.app.live.run import LiveRun
+from localiser.app.live.state import Resumed
 from localiser.config import Config, load_config
 from localiser.observation import EdgeObservation
 from localiser.sources import Arrival, Inbox
@@ -67,6 +68,7 @@ class Feed:
     config: Config = CONFIG
     record: Path | None = None
     start: mcl.Start | None = LOG.start
+    resumed: Resumed | None = None
     published: list[Published] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     now_ns: int = 0
@@ -88,6 +90,7 @@ class Feed:
             [self.published.append],
             self.recording,
             self.start,
+            self.resumed,
             now_ns=lambda: self.now_ns,
         )
 

@@ -12,6 +12,7 @@ from short_log import Localiser
 
 from localiser import mcl
 from localiser.app.live.outputs import PosePublisher
+from localiser.app.live.state import Checkpoints, Resumed
 from localiser.config import load_config
 from localiser.geometry import compose
 from localiser.storage import load_track, open_log
@@ -216,6 +217,34 @@ def test_a_recording_keeps_what_the_run_was_set_to(tmp_path: Path) -> None:
     log = open_log(tmp_path / "drive.db3")
     assert log.settings["mcl.particles"] == 300 and load_config(None, (), log.settings) == feed.config
     assert log.start is not None and log.start.t_ns == BEGIN_NS + LOG.frames[0].t_ns
+
+
+def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
+    """Without a start, after half a second without anything; the poses are those of a run that never stopped."""
+    whole = Feed()([*camera(), *drive(N + 4)])
+    first = Feed()([*camera(), *drive(N)])
+    checkpoints = Checkpoints(tmp_path / "state", first.said.append)
+    checkpoints.close(first.run.filter, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
+    rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    again([*camera(), *rest])
+    assert again.times == [frame.t_ns for frame in LOG.frames[N : N + 4]]
+    np.testing.assert_allclose(again.poses, whole.poses[N:], atol=0.05)
+    assert any("in between" in text for text in again.said)
+
+
+def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Path) -> None:
+    first = Feed()([*camera(), *drive(N)])
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.filter, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
+    rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    anew = [
+        odometry(m.at_ns, compose(np.array([50.0, 0.0, 1.0]), LOG.odometry.at(m.at_ns))) if m.role == "odometry" else m
+        for m in rest
+    ]
+    again([*camera(), *anew])
+    assert len(again.times) == 4 and again.worst_error_m() < 0.3
+    assert any("anew" in text for text in again.said)
 
 
 def test_what_is_published_is_what_ros_expects(undisturbed: Feed) -> None:

@@ -53,7 +53,9 @@ Listen = Annotated[
 ]
 Start = Annotated[
     str | None,
-    typer.Option(metavar="x,z,heading_deg", help="Where the robot is now; without it a pose is waited for."),
+    typer.Option(
+        metavar="x,z,heading_deg", help="Where the robot is now, to 0.1 m and 3°; by default it is looked for."
+    ),
 ]
 Record = Annotated[
     Path | None,
@@ -91,6 +93,12 @@ def live(
     record: Record = None,
     json: Json = False,
     view: LiveView = View.none,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save the state here every few seconds; replaces what is there.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the state in --checkpoint, if there is one.")
+    ] = False,
     seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
@@ -106,6 +114,8 @@ def live(
 
     if map_file is None:
         raise InputError("expected a map", field="--map")
+    if resume and checkpoint is None:
+        raise InputError("expected --checkpoint FILE to go on from", field="--resume")
     settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
     options = LiveOptions(
         map_file,
@@ -119,6 +129,8 @@ def live(
         record,
         sys.stdout.fileno() if json else None,
         view.value,
+        checkpoint,
+        resume,
     )
     _run(options, seconds)
 

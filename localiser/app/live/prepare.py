@@ -18,6 +18,7 @@ from localiser.app.live.monitor import Monitor
 from localiser.app.live.outputs import JsonLines, PosePublisher, Published
 from localiser.app.live.recording import Recording
 from localiser.app.live.run import LiveRun
+from localiser.app.live.state import Checkpoints, Resumed
 from localiser.app.live.warm_up import warm_up
 from localiser.app.sinks import Sink, close_all
 from localiser.app.start import START_SIGMA, given_pose
@@ -42,7 +43,8 @@ class LiveOptions:
     """What a live run is asked to do.
 
     topics: names by what they are for, in place of `TOPICS`. image: a camera or stream that OpenCV reads, in place of a
-    topic. json: a file descriptor for lines of JSON. view: where it is shown.
+    topic. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
+    resume: whether to go on from there, if it is there.
     """
 
     map_file: Path
@@ -56,6 +58,8 @@ class LiveOptions:
     record: Path | None = None
     json: int | None = None
     view: Literal["native", "web", "none"] = "none"
+    checkpoint: Path | None = None
+    resume: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +117,10 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         warm_up(landmark_map, options.config)
         finder = CameraFinder(given, topics["image"])
         run = LiveRun(inbox, finder, filter_of, monitor, publish, recording, start)
+        if options.checkpoint is not None:
+            run.checkpoints = Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why))
+            if options.resume and options.checkpoint.exists():
+                run.resumed = Resumed(options.checkpoint)
         for role, topic in topics.items():
             if role != "image" or options.image is None:
                 network.subscribe(role, topic, type_of(role, topic), inbox)

@@ -18,6 +18,7 @@ from localiser.app.live.located import Filter
 from localiser.app.live.monitor import Monitor
 from localiser.app.live.outputs import POSE_TOPIC, Published, pose_now
 from localiser.app.live.recording import Recording
+from localiser.app.live.state import Checkpoints, Resumed
 from localiser.app.live.timeline import Frame, Timeline
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
@@ -47,6 +48,8 @@ class LiveRun:
     publish: Sequence[Publish]
     recording: Recording | None = None
     start: mcl.Start | None = None
+    resumed: Resumed | None = None
+    checkpoints: Checkpoints | None = None
     now_ns: Callable[[], int] = time.monotonic_ns
     filter: Filter | None = None
     clock: RobotClock = field(default_factory=RobotClock)
@@ -66,6 +69,9 @@ class LiveRun:
         while not ended():
             self.turn(self.inbox.take(_IDLE_S if self._is_idle() else 0.0))
             self.monitor.watch(_EXPECTED)
+
+        if self.checkpoints is not None:
+            self.checkpoints.close(self.filter, self.clock.offset_ns)
 
     def turn(self, arrivals: Iterable[Arrival]) -> None:
         """Take in what has arrived, then weigh one image, or find the edges of one that waits for the wheels."""
@@ -180,7 +186,10 @@ class LiveRun:
             self.filter = self.filter_of(self.finder.camera)
             self.timeline.needs_wheels = self.filter.needs_wheels
             self.monitor.inform("the camera is known")
-            if self.start is not None:
+            if self.resumed is not None:
+                self._decide(start_decision(self.resumed.begin(self.filter, self.timeline, t_ns)))
+                self.monitor.inform(self.resumed.text)
+            elif self.start is not None:
                 self._restart(replace(self.start, t_ns=t_ns))
             else:
                 self._decide(anywhere_decision())
@@ -231,6 +240,8 @@ class LiveRun:
         self._costs_s.append(time.perf_counter() - begin)
         self._hand_out(frame, located_frame.located)
         self.filter.show(located_frame)
+        if self.checkpoints is not None:
+            self.checkpoints.save_if_due(self.filter, self.clock.offset_ns)
 
     def _hand_out(self, frame: Frame, located: mcl.Located) -> None:
         offset_ns = self.clock.offset_ns

@@ -150,6 +150,15 @@ class Timeline:
         self.weighed_ns = start_ns - 1
         return start_ns
 
+    @property
+    def first_odometry(self) -> mcl.Odometry | None:
+        """The first pose of the wheels that is not settled."""
+        return mcl.Odometry(self._odometry[0][0], self._odometry[0][2]) if self._odometry else None
+
+    def resume(self, settled_ns: int) -> None:
+        """Go on after what was settled in a run before, which is earlier than all that is here."""
+        self.settled_ns = self._released_ns = self.weighed_ns = settled_ns
+
     def skip(self, frame: Frame, why: str) -> None:
         """Leave an image out, and say why."""
         self.skipped[why] = self.skipped.get(why, 0) + 1
