@@ -234,7 +234,6 @@ def visits(drift: Array, repeats: bool) -> tuple[Array, Built, np.ndarray]:
     seen = np.zeros((120, count), dtype=bool)
     seen[:20, : len(first)] = True
     seen[100:, len(first) :] = True
-    empty = np.zeros((count, 0))
     fit = triangulate(np.zeros(0, dtype=np.int64), count, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     nothing = np.zeros(0, dtype=np.int64)
     built = Built(
@@ -245,7 +244,6 @@ def visits(drift: Array, repeats: bool) -> tuple[Array, Built, np.ndarray]:
         count=seen.sum(axis=0),
         side=np.full((count, 2), np.nan),
         polarity=np.zeros(count, dtype=np.int8),
-        profile=empty,
     )
     return np.concatenate([first, second]), built, seen
 

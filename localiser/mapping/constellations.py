@@ -7,12 +7,15 @@ falls on older landmarks that look alike, and that must explain clearly more of 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
+from localiser.mapping.align import fitted_motion
 from localiser.mapping.landmarks import Built
 from localiser.mapping.likeness import log_likeness
 from localiser.mapping.sightings import Index
@@ -22,6 +25,8 @@ _OLDER = 30  # frames that must have passed since an older landmark was last see
 _FARTHEST_M, _TURN_MOST_RAD = 4.0, np.deg2rad(20.0)  # drift beyond this is not looked for
 _CLOSE_M = 0.08  # so near a moved landmark must fall to the older one
 _BASELINE_M = 0.7  # two landmarks nearer to each other say little of a turn
+_REFINEMENTS = 3
+_MOST_MOVES = 3000  # that are tried for one group
 _FEWEST, _SHARE, _CLEARLY = 5, 0.5, 1.4
 _OTHER_M = 0.4  # moves that differ by more are other moves
 
@@ -65,30 +70,45 @@ def _same_by_move(points: Array, group: Index, older: Index, alike: NDArray[np.b
     moves = _moves(points[group], points[older], row, column)
     if len(moves) == 0:
         return nothing
-    count = np.array([_explained(points, group, older, alike, move)[0].size for move in moves])
+    explained = compiled_explained()
+    count = explained(points[group], points[older], row, column, moves, _CLOSE_M)[0]
     best = int(count.argmax())
     middle = points[group].mean(axis=0)
     away = np.linalg.norm(_moved(middle, moves) - _moved(middle, moves[best : best + 1]), axis=-1)
     rival = count[away > _OTHER_M].max(initial=0)
     if count[best] < max(_FEWEST, _SHARE * len(group), _CLEARLY * rival):
         return nothing
-    new, old = _explained(points, group, older, alike, moves[best])
-    return _Candidates(group[new], older[old])
+    move = moves[best : best + 1]
+    for _ in range(_REFINEMENTS):
+        match = explained(points[group], points[older], row, column, move, _CLOSE_M)[1]
+        new = np.flatnonzero(match >= 0)
+        pose, _ = fitted_motion(points[older[match[new]]], points[group[new]])
+        move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
+    new = new[_unrivalled(points, group, older, row, column, move)[new]]
+    return _Candidates(group[new], older[match[new]])
+
+
+def _unrivalled(points: Array, group: Index, older: Index, row: Index, column: Index, move: Array) -> NDArray[np.bool_]:
+    """Return which of the group (A,) a move brings near one older landmark only, which no other comes near.
+
+    What is ambiguous is left for when the loop is closed, and places are known better.
+    """
+    apart = np.linalg.norm(_moved(points[group], move)[row] - points[older][column], axis=-1)
+    near = apart < _CLOSE_M
+    by_new, by_old = np.bincount(row[near], minlength=len(group)), np.bincount(column[near], minlength=len(older))
+    single = near & (by_new[row] == 1) & (by_old[column] == 1)
+    return np.isin(np.arange(len(group)), row[single])
 
 
 def _moves(new: Array, old: Array, row: Index, column: Index) -> Array:
     """Return the rigid moves (M, 3), x, z and turn, that take two landmarks of the group onto two older ones."""
-    one, other = np.triu_indices(len(row), k=1)
-    differs = (row[one] != row[other]) & (column[one] != column[other])
-    one, other = one[differs], other[differs]
+    one, other = compiled_alike_pairs()(new, old, row, column, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
     baseline, older = new[row[other]] - new[row[one]], old[column[other]] - old[column[one]]
-    length, same = np.linalg.norm(baseline, axis=1), np.linalg.norm(older, axis=1)
     turn = wrap_angle(np.arctan2(older[:, 1], older[:, 0]) - np.arctan2(baseline[:, 1], baseline[:, 0]))
-    fit = (length > _BASELINE_M) & (np.abs(length - same) < _CLOSE_M) & (np.abs(turn) < _TURN_MOST_RAD)
-    index = np.flatnonzero(fit)[:: max(1, int(fit.sum()) // 1500)]
-    turn = turn[index]
-    middle = (new[row[one[index]]] + new[row[other[index]]]) / 2
-    target = (old[column[one[index]]] + old[column[other[index]]]) / 2
+    kept = np.abs(turn) < _TURN_MOST_RAD
+    one, other, turn = one[kept], other[kept], turn[kept]
+    middle = (new[row[one]] + new[row[other]]) / 2
+    target = (old[column[one]] + old[column[other]]) / 2
     cos, sin = np.cos(turn), np.sin(turn)
     shift = target - np.stack(
         [cos * middle[:, 0] - sin * middle[:, 1], sin * middle[:, 0] + cos * middle[:, 1]], axis=-1
@@ -103,13 +123,78 @@ def _moved(points: Array, moves: Array) -> Array:
     return np.stack([cos * x - sin * z, sin * x + cos * z], axis=-1) + moves[:, :2]
 
 
-def _explained(points: Array, group: Index, older: Index, alike: NDArray[np.bool_], move: Array) -> tuple[Index, Index]:
-    """Return which of the group (A,) a move brings onto which older landmarks (A,), each nearest to the other."""
-    cos, sin = np.cos(move[2]), np.sin(move[2])
-    at = points[group] @ np.array([[cos, sin], [-sin, cos]]) + move[:2]
-    apart = np.linalg.norm(at[:, None] - points[older][None], axis=-1)
-    apart = np.where(alike[np.ix_(group, older)], apart, np.inf)
-    nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
-    index = np.arange(len(group))
-    mutual = (back[nearest] == index) & (apart[index, nearest] < _CLOSE_M)
-    return index[mutual], nearest[mutual]
+def explained_loop(
+    new: Array, old: Array, row: Index, column: Index, moves: Array, close_m: float
+) -> tuple[Index, Index]:
+    """Return how many of the group (A, 2) each move (M, 3) brings onto older ones (B, 2), and the last one's match.
+
+    row, column: (P,) pairs that may be one. Two match that are each other's nearest and nearer than `close_m`. match:
+    (A,) the older landmark of each, -1 for none. Plain loops, for numba to compile.
+    """
+    count = np.zeros(len(moves), dtype=np.int64)
+    match, back = np.empty(len(new), dtype=np.int64), np.empty(len(old), dtype=np.int64)
+    nearest, nearest_back = np.empty(len(new)), np.empty(len(old))
+    for m in range(len(moves)):
+        cos, sin = np.cos(moves[m, 2]), np.sin(moves[m, 2])
+        match[:], back[:] = -1, -1
+        nearest[:], nearest_back[:] = close_m**2, close_m**2
+        for k in range(len(row)):
+            a, b = row[k], column[k]
+            x = cos * new[a, 0] - sin * new[a, 1] + moves[m, 0] - old[b, 0]
+            z = sin * new[a, 0] + cos * new[a, 1] + moves[m, 1] - old[b, 1]
+            apart = x * x + z * z
+            if apart < nearest[a]:
+                nearest[a], match[a] = apart, b
+            if apart < nearest_back[b]:
+                nearest_back[b], back[b] = apart, a
+        for a in range(len(new)):
+            if match[a] >= 0 and back[match[a]] == a:
+                count[m] += 1
+            else:
+                match[a] = -1
+    return count, match
+
+
+def alike_pairs_loop(
+    new: Array, old: Array, row: Index, column: Index, baseline_m: float, close_m: float, most: int
+) -> tuple[Index, Index]:
+    """Return two of the matches (P,) each (M,) whose landmarks are as far apart in the group as among the older ones.
+
+    Nearer than `baseline_m` they tell no turn. Of more than `most`, every second, third … one. Plain loops for numba.
+    """
+    one, other = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+    every, met, kept = 1, 0, 0
+    for i in range(len(row)):
+        for j in range(i + 1, len(row)):
+            if row[i] == row[j] or column[i] == column[j]:
+                continue
+            length = np.hypot(new[row[j], 0] - new[row[i], 0], new[row[j], 1] - new[row[i], 1])
+            same = np.hypot(old[column[j], 0] - old[column[i], 0], old[column[j], 1] - old[column[i], 1])
+            if length <= baseline_m or abs(length - same) >= close_m:
+                continue
+            if met % every == 0:
+                if kept == most:
+                    kept = most // 2
+                    one[:kept], other[:kept] = one[: 2 * kept : 2].copy(), other[: 2 * kept : 2].copy()
+                    every *= 2
+                if met % every == 0:
+                    one[kept], other[kept] = i, j
+                    kept += 1
+            met += 1
+    return one[:kept], other[:kept]
+
+
+@cache
+def compiled_alike_pairs() -> Callable[..., tuple[Index, Index]]:
+    """Return `alike_pairs_loop` as machine code."""
+    import numba
+
+    return numba.njit(cache=True)(alike_pairs_loop)
+
+
+@cache
+def compiled_explained() -> Callable[..., tuple[Index, Index]]:
+    """Return `explained_loop` as machine code."""
+    import numba
+
+    return numba.njit(cache=True)(explained_loop)

@@ -29,7 +29,7 @@ class Built:
     """Landmarks (L) and which sightings (S) show them.
 
     of: (S,) landmark of each sighting, -1 for none. used: (K,) the sightings that have one. fit: of those K.
-    parallax: (L,) rad. count: (L,) frames that show it. side, polarity, profile: (L, 2), (L,), (L, P) how it looks.
+    parallax: (L,) rad. count: (L,) frames that show it. side, polarity: (L, 2), (L,) how it looks.
     """
 
     of: Index
@@ -39,7 +39,6 @@ class Built:
     count: Index
     side: Array
     polarity: NDArray[np.int8]
-    profile: Array
 
     def __len__(self) -> int:
         return len(self.parallax)
@@ -92,9 +91,8 @@ def fitted(sightings: Sightings, of: Index, cameras: Array, sigma: Array) -> Bui
         fit=fit,
         parallax=_spread(landmark[good], count, heading[good]),
         count=np.bincount(frames, minlength=count),
-        side=_medians(landmark, count, sightings.side[used]),
+        side=medians(landmark, count, sightings.side[used]),
         polarity=np.sign(np.bincount(landmark, sightings.polarity[used], count)).astype(np.int8),
-        profile=_medians(landmark, count, sightings.profile[used]),
     )
 
 
@@ -161,7 +159,7 @@ def _spread(group: Index, count: int, heading: Array) -> Array:
     return np.where(np.isfinite(low), high - low, 0.0)
 
 
-def _medians(group: Index, count: int, values: Array) -> Array:
+def medians(group: Index, count: int, values: Array) -> Array:
     """Return the lower medians (L, C) of values (K, C) of each group, nan for none."""
     size = np.bincount(group, minlength=count)
     middle = np.cumsum(size) - size + np.maximum(size - 1, 0) // 2

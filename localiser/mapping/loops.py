@@ -19,6 +19,7 @@ _GATE = 11.8  # 99.7 % of a Gaussian in the plane
 _LEAST_SIGMA_M = 0.004  # no two sightings of one edge stand closer
 _FARTHEST_SIGMA_M = 0.25  # a difference less certain than this joins anything
 _UNLIKE = 0.0  # log-likelihood ratio of looks below which two are not one
+_OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
 _AMBIGUOUS = 2.0  # a rival this little worse (log-likelihood) forbids a choice
 
 
@@ -29,13 +30,10 @@ def same_landmarks(points: Array, joint_cov: Array, built: Built, seen: NDArray[
     two that are often seen in one frame are two.
     """
     count = len(points)
-    known = np.flatnonzero(built.parallax >= np.deg2rad(3.0))
-    one, other = (known[index] for index in np.triu_indices(len(known), k=1))
+    one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
+    apart_in_time = _together(seen, one, other) <= 1
+    one, other = one[apart_in_time], other[apart_in_time]
     apart = points[one] - points[other]
-    near = np.hypot(apart[:, 0], apart[:, 1]) < np.sqrt(_GATE) * _FARTHEST_SIGMA_M
-    together = (seen.T.astype(np.int32) @ seen.astype(np.int32))[one, other]
-    near &= together <= 1
-    one, other, apart = one[near], other[near], apart[near]
     cov = _difference_cov(joint_cov, one, other)
     chi2 = np.einsum("pi,pij,pj->p", apart, np.linalg.inv(cov), apart)
     sigma = np.sqrt(np.linalg.eigvalsh(cov)[:, 1])
@@ -44,16 +42,43 @@ def same_landmarks(points: Array, joint_cov: Array, built: Built, seen: NDArray[
     one, other, chi2, sigma, looks = one[fit], other[fit], chi2[fit], sigma[fit], looks[fit]
     # How much likelier it is that they are one than that the second is any other edge that happens to stand here.
     score = looks - 0.5 * chi2 - np.log(sigma)
-    clear = _clear(one, other, score, count)
-    one, other, sigma = one[clear], other[clear], sigma[clear]
-    number = np.arange(count)
-    taken = np.zeros(count, dtype=bool)
-    for index in np.argsort(sigma, kind="stable"):
-        i, j = one[index], other[index]
-        if not (taken[i] or taken[j]):
-            taken[i] = taken[j] = True
-            number[j] = i
-    return number
+    clear = np.flatnonzero(_clear(one, other, score, count))
+    clear = clear[np.argsort(sigma[clear], kind="stable")]
+    return _united(one, other, clear, count)
+
+
+def without_contradicted(built: Built, weight: Array, track: Index) -> Index:
+    """Return the landmarks (S,) of the sightings with the tracks that do not fit theirs as landmarks of their own.
+
+    weight: (K,) of the bearings used, by the robust cost: where a track as a whole is outvoted, it was joined wrongly.
+    track: (S,) as followed.
+    """
+    used, landmark = built.used, built.of[built.used]
+    part, index = np.unique(np.stack([landmark, track[used]]), axis=1, return_inverse=True)
+    count = np.bincount(index.ravel())
+    fits = np.bincount(index.ravel(), weight) > _OUTVOTED * count
+    several = np.bincount(part[0], minlength=len(built))[part[0]] > 1
+    leaves = (several & ~fits & (part[1] >= 0))[index.ravel()]
+    of = built.of.copy()
+    of[used[leaves]] = len(built) + index.ravel()[leaves]
+    return of
+
+
+def _near(points: Array, known: Index) -> tuple[Index, Index]:
+    """Return the pairs (P,) of known landmarks that are near enough to be one."""
+    from scipy.spatial import cKDTree
+
+    reach = np.sqrt(_GATE) * _FARTHEST_SIGMA_M
+    pairs = cKDTree(points[known]).query_pairs(reach, output_type="ndarray").reshape(-1, 2)
+    return known[pairs[:, 0]], known[pairs[:, 1]]
+
+
+def _together(seen: NDArray[np.bool_], one: Index, other: Index) -> Index:
+    """Return in how many frames (P,) both of a pair are seen."""
+    from scipy.sparse import csc_array
+
+    shown = csc_array(seen, dtype=np.int64)
+    return np.asarray((shown.T @ shown).tocsr()[one, other]).ravel()
 
 
 def _difference_cov(joint: Array, one: Index, other: Index) -> Array:
@@ -68,15 +93,42 @@ def _difference_cov(joint: Array, one: Index, other: Index) -> Array:
     return np.asarray(cov + _LEAST_SIGMA_M**2 * np.eye(2))
 
 
+def _partners(one: Index, other: Index, count: int) -> list[set[int]]:
+    """Return for each landmark (L) those that it may be one with."""
+    partners: list[set[int]] = [set() for _ in range(count)]
+    for i, j in zip(one.tolist(), other.tolist(), strict=True):
+        partners[i].add(j)
+        partners[j].add(i)
+    return partners
+
+
 def _clear(one: Index, other: Index, score: Array, count: int) -> NDArray[np.bool_]:
-    """Return which pairs (P,) have no rival: no other pair of either landmark is nearly as likely."""
-    best, second = np.full(count, -np.inf), np.full(count, -np.inf)
-    for landmark in (one, other):
-        for index, value in zip(landmark, score, strict=True):
-            if value > best[index]:
-                best[index], second[index] = value, best[index]
-            elif value > second[index]:
-                second[index] = value
-    unrivalled = score - _AMBIGUOUS
-    is_best = (score >= best[one]) & (score >= best[other])
-    return np.asarray(is_best & (second[one] < unrivalled) & (second[other] < unrivalled))
+    """Return which pairs (P,) have no rival: no other pair of either landmark is nearly as likely.
+
+    A third landmark that may be one with both is no rival: all three may be one.
+    """
+    partners = _partners(one, other, count)
+    value = {frozenset(pair): v for *pair, v in zip(one.tolist(), other.tolist(), score.tolist(), strict=True)}
+    clear = np.ones(len(one), dtype=bool)
+    for index, (i, j) in enumerate(zip(one.tolist(), other.tolist(), strict=True)):
+        least = score[index] - _AMBIGUOUS
+        rivals = [(i, k) for k in partners[i] - partners[j] - {j}] + [(j, k) for k in partners[j] - partners[i] - {i}]
+        clear[index] = all(value[frozenset(pair)] < least for pair in rivals)
+    return clear
+
+
+def _united(one: Index, other: Index, order: Index, count: int) -> Index:
+    """Return for each landmark (L) the first of those it is one with; all of which may be one with each other.
+
+    order: the pairs (P,) to unite, as long as that holds.
+    """
+    partners = _partners(one, other, count)
+    members = {index: {index} for index in range(count)}
+    number = np.arange(count)
+    for i, j in zip(one[order].tolist(), other[order].tolist(), strict=True):
+        first, second = sorted((int(number[i]), int(number[j])))
+        if first == second or not all(members[second] <= partners[k] for k in members[first]):
+            continue
+        members[first] |= members.pop(second)
+        number[list(members[first])] = first
+    return number

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
-from localiser.mapping.landmarks import Built
+from localiser.mapping.landmarks import Built, medians
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings, direction_of
 
@@ -140,7 +140,8 @@ def landmark_map_of(
     heights = height_span(sightings, built, cameras, camera)
     probability = existence(sightings, built, heights, cameras, sigma, camera, parameters)
     whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
-    quality = Quality(built.count.astype(np.float64), built.parallax, probability, built.profile)
+    profile = medians(built.of[built.used], len(built), sightings.profile[built.used])
+    quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
     whole = replace(whole, cov=built.cov, polarity=built.polarity, quality=quality)
     kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters)))
     return replace(kept, ids=tuple(range(len(kept))))

@@ -20,19 +20,23 @@ from localiser.geometry import Array, forward, wrap_angle
 from localiser.mapping.constellations import seen_before
 from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
 from localiser.mapping.feet import Scale, scale_by_feet
-from localiser.mapping.known import build_from_poses
+from localiser.mapping.known import with_leftovers
 from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered
-from localiser.mapping.loops import same_landmarks
+from localiser.mapping.loops import same_landmarks, without_contradicted
 from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.reassociate import reassociate
 from localiser.mapping.sightings import Index, Sightings
-from localiser.mapping.smooth import Smoothed, dead_reckoned, smooth
+from localiser.mapping.smooth import CONVERGED, Smoothed, dead_reckoned, smooth
 from localiser.mapping.tracks import follow
+from localiser.mapping.triangulate import misfit
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
 _TRUE_TURN_RAD = 7e-4  # how far turns of smoothed poses may be off between two frames
+_ROUGHLY = 2e-3  # fall of the cost that ends a solution which is only a step on the way
 _CONSTELLATION_ROUNDS = 4
 _LOOSE = (100.0, 20.0, 4.0, 1.0)  # bearings are taken to be so much worse while a large loop is pulled together
 _LOOP_ROUNDS = 12
+_PARTING_ROUNDS = 4
 _REPEATED = 2.0  # errors of an edge repeat from frame to frame: four sightings say what one independent one would
 _ASSOCIATION_ROUNDS = 3
 _POSE_BEARING_RAD = 5e-4  # what remains of pose errors in bearings, while associating anew
@@ -62,12 +66,13 @@ def build_from_log(
     """Return poses and landmarks of T frames from their edges and the wheels' motion between them."""
     sigma = _REPEATED * measured_sigma(sightings, camera.focal_px, parameters)
     solver = _Solver(sightings, wheels, camera, parameters, sigma)
-    state = _Estimate(dead_reckoned(wheels), np.zeros(4), Prior.of(parameters.smooth), camera)
+    nowhere = np.full((len(sightings), 2), np.nan)
+    state = _Estimate(dead_reckoned(wheels), np.zeros(4), Prior.of(parameters.smooth), camera, nowhere)
     turn = np.concatenate([[_TRUE_TURN_RAD], wheels.sigma[:, 2]])
     noise = _FIRST_BEARING_RAD
     for narrowing in _NARROWING:
         track = solver.follow(state, np.maximum(narrowing * turn, _TRUE_TURN_RAD))
-        state, built, smoothed = solver.solve(state, numbered(long_enough(track)), noise)
+        state, built, smoothed = solver.solve(state, numbered(long_enough(track)), noise, converged=_ROUGHLY)
         noise = _POSE_BEARING_RAD
     before = state.poses
     for _ in range(_CONSTELLATION_ROUNDS):
@@ -77,14 +82,15 @@ def build_from_log(
         of = numbered(np.where(built.of >= 0, joined[built.of], -1))
         # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
         for loose in _LOOSE:
-            state, built, smoothed = solver.solve(state, of, noise, loose)
-    state, built, smoothed = solver.close_loops(state, built, smoothed, _LOOP_ROUNDS)
+            state, built, smoothed = solver.solve(state, of, noise, loose, converged=_ROUGHLY)
+        state, built, smoothed = solver.open_wrong_loops(state, built, smoothed, track)
+    state, built, smoothed = solver.close_loops(state, built, smoothed, track, _LOOP_ROUNDS)
     for _ in range(_ASSOCIATION_ROUNDS):
         previous = built.of
         track = solver.follow(state, np.full(sightings.frames, _TRUE_TURN_RAD))
-        anew = build_from_poses(sightings, track, state.cameras, np.hypot(solver.sigma, _POSE_BEARING_RAD), parameters)
-        state, built, smoothed = solver.solve(state, anew.of, noise)
-        state, built, smoothed = solver.close_loops(state, built, smoothed, 1)
+        of = reassociate(sightings, built, state.cameras, np.hypot(solver.sigma, _POSE_BEARING_RAD), parameters)
+        state, built, smoothed = solver.solve(state, with_leftovers(of, track), noise)
+        state, built, smoothed = solver.close_loops(state, built, smoothed, track, 1)
         if (built.of == previous).all():
             break
     return _in_map(solver, state, built, smoothed, before, first_pose)
@@ -92,12 +98,16 @@ def build_from_log(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Estimate:
-    """What is believed so far: poses (T, 3) from the first one at the origin, constants, their prior, the camera."""
+    """What is believed so far: poses (T, 3) from the first one at the origin, constants, their prior, the camera.
+
+    places: (S, 2) where the landmark of each sighting stands; nan where it has none.
+    """
 
     poses: Array
     constants: Array
     prior: Prior
     camera: Camera
+    places: Array
 
     @property
     def cameras(self) -> Array:
@@ -119,7 +129,7 @@ class _Solver:
         return follow(self.sightings, state.cameras, turn_sigma, self.parameters.tracks)
 
     def solve(
-        self, state: _Estimate, of: Index, noise_rad: float, loose: float = 1.0
+        self, state: _Estimate, of: Index, noise_rad: float, loose: float = 1.0, converged: float = CONVERGED
     ) -> tuple[_Estimate, Built, Smoothed]:
         """Return the smoothed estimate when `of` (S,) says which landmark each sighting is of."""
         s = self.sightings
@@ -128,13 +138,16 @@ class _Solver:
             s.frame[built.used], built.of[built.used], s.bearing[built.used], loose * self.sigma[built.used]
         )
         problem = Problem(self.wheels, bearings, self.camera, state.prior)
-        smoothed = smooth(problem, state.poses, self._start(built, state), state.constants)
+        smoothed = smooth(problem, state.poses, self._start(built, state), state.constants, converged=converged)
         yaw = self.camera.mount.yaw_rad + float(smoothed.constants[3])
-        moved = _Estimate(smoothed.poses, smoothed.constants, state.prior, self.camera.with_mount(yaw_rad=yaw))
+        places = np.full((len(s), 2), np.nan)
+        places[built.used] = smoothed.points[built.of[built.used]]
+        camera = self.camera.with_mount(yaw_rad=yaw)
+        moved = _Estimate(smoothed.poses, smoothed.constants, state.prior, camera, places)
         return replace(moved, prior=self._prior(moved, built, smoothed)), built, smoothed
 
     def close_loops(
-        self, state: _Estimate, built: Built, smoothed: Smoothed, rounds: int
+        self, state: _Estimate, built: Built, smoothed: Smoothed, track: Index, rounds: int
     ) -> tuple[_Estimate, Built, Smoothed]:
         """Return the estimate after joining landmarks that are one, and solving again, until no more are."""
         for _ in range(rounds):
@@ -143,19 +156,41 @@ class _Solver:
                 break
             of = numbered(np.where(built.of >= 0, joined[built.of], -1))
             state, built, smoothed = self.solve(state, of, _POSE_BEARING_RAD)
+            state, built, smoothed = self.open_wrong_loops(state, built, smoothed, track)
+        return state, built, smoothed
+
+    def open_wrong_loops(
+        self, state: _Estimate, built: Built, smoothed: Smoothed, track: Index
+    ) -> tuple[_Estimate, Built, Smoothed]:
+        """Return the estimate after parting tracks from landmarks that they turn out not to fit, until all fit."""
+        for _ in range(_PARTING_ROUNDS):
+            parted = without_contradicted(built, smoothed.weight, track)
+            if (parted == built.of).all():
+                break
+            of = numbered(long_enough(parted))
+            state, built, smoothed = self.solve(state, of, _POSE_BEARING_RAD, converged=_ROUGHLY)
         return state, built, smoothed
 
     def _start(self, built: Built, state: _Estimate) -> Array:
-        """Return places (L, 2) to start from; along its first bearing for a landmark that rays do not place."""
+        """Return the places (L, 2) to start from, each the one that its bearings fit best.
+
+        Of where it was believed to be, where its rays meet, and a likely distance along the first of them.
+        """
         s, landmark = self.sightings, built.of[built.used]
-        depth = np.bincount(landmark, built.fit.depth_m, len(built)) / np.bincount(landmark, minlength=len(built))
-        placed = (built.parallax > np.deg2rad(2.0)) & (depth > _NEAR_M) & (depth < _FAR_M)
         first = np.zeros(len(built), dtype=np.int64)
         first[landmark[::-1]] = built.used[::-1]
         pose = state.cameras[s.frame[first]]
         guess = np.where(np.isfinite(s.foot_m[first]), np.clip(s.foot_m[first], 0.5, 8.0), _GUESS_M)
         ray = pose[:, :2] + guess[:, None] * forward(pose[:, 2] - s.bearing[first])
-        return np.where(placed[:, None], built.fit.points, ray)
+        depth = np.bincount(landmark, built.fit.depth_m, len(built)) / np.bincount(landmark, minlength=len(built))
+        placed = (built.parallax > np.deg2rad(2.0)) & (depth > _NEAR_M) & (depth < _FAR_M)
+        met = np.where(placed[:, None], built.fit.points, ray)
+        before = np.where(np.isfinite(state.places[first]), state.places[first], ray)
+        starts = np.stack([ray, met, before])
+        seen_from = state.cameras[s.frame[built.used]]
+        direction = wrap_angle(seen_from[:, 2] - s.bearing[built.used])
+        cost = [misfit(start, landmark, seen_from, direction, self.sigma[built.used]) for start in starts]
+        return np.asarray(starts[np.argmin(cost, axis=0), np.arange(len(built))])
 
     def _prior(self, state: _Estimate, built: Built, smoothed: Smoothed) -> Prior:
         """Return the prior of the constants with what feet say of the scale."""

@@ -14,9 +14,15 @@ import numpy as np
 
 from localiser.geometry import Array, compose
 from localiser.mapping.factors import CONSTANTS, Problem, State, Wheels, cost_of, linearise
+from localiser.mapping.sparse import Pattern
 
 _ITERATIONS = 25
-_CONVERGED = 1e-4  # relative fall of the cost below which nothing changes any more
+_POSE_BANDS = 5  # two neighbouring poses of three numbers
+_COLUMNS = 256  # of a long matrix, solved for at a time
+_REGULAR = 1e-9
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+CONVERGED = 1e-4
+"""Relative fall of the cost below which nothing changes any more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,61 +43,82 @@ class Smoothed:
     def landmark_cov(self) -> Array:
         """Return the joint covariance (2L, 2L) m² of all landmarks, in the frame of the first pose.
 
-        By eliminating the landmarks, whose own block of the system is block-diagonal: Σ = D⁻¹ + D⁻¹ Bᵀ S⁻¹ B D⁻¹ with
-        S = A - B D⁻¹ Bᵀ [Triggs et al. 1999].
+        By eliminating the poses, whose own block of the system is banded, because wheels join neighbours only:
+        Σ = (D - Bᵀ A⁻¹ B)⁻¹ [Triggs et al. 1999]. Time and memory grow with the log only in proportion.
         """
-        count = 2 * len(self.points)
-        first = self.hessian.shape[0] - count
-        hessian = self.hessian.tocsr()
-        poses, cross = hessian[:first, :first].toarray(), hessian[:first, first:].toarray()
-        own = hessian[first:, first:].tocsr()
-        blocks = np.stack([own.diagonal()[0::2], own.diagonal(1)[0::2], own.diagonal()[1::2]], axis=-1)
-        inverse = np.zeros((count // 2, 2, 2))
-        determinant = blocks[:, 0] * blocks[:, 2] - blocks[:, 1] ** 2
-        inverse[:, 0, 0], inverse[:, 1, 1] = blocks[:, 2] / determinant, blocks[:, 0] / determinant
-        inverse[:, 0, 1] = inverse[:, 1, 0] = -blocks[:, 1] / determinant
-        scaled = np.einsum("plj,ljk->plk", cross.reshape(first, -1, 2), inverse).reshape(first, count)
-        reduced = poses - scaled @ cross.T
-        cov = scaled.T @ np.linalg.solve(reduced, scaled)
-        for index in range(count // 2):
-            cov[2 * index : 2 * index + 2, 2 * index : 2 * index + 2] += inverse[index]
-        return np.asarray(cov)
+        from scipy.linalg import cho_solve_banded, cholesky_banded
+
+        free = 3 * (len(self.poses) - 1)
+        hessian = self.hessian.tocsc()
+        cross, rest = hessian[:free, free:].tocsc(), hessian[free:, free:].toarray()
+        chain = cholesky_banded(_upper_bands(hessian[:free, :free], _POSE_BANDS), check_finite=False)
+        transposed = cross.T.tocsr()
+        for first in range(0, rest.shape[1], _COLUMNS):
+            part = slice(first, first + _COLUMNS)
+            solved = cho_solve_banded((chain, False), cross[:, part].toarray(), check_finite=False)
+            rest[:, part] -= transposed @ solved
+        return np.asarray(_symmetric_inverse(rest)[len(CONSTANTS) :, len(CONSTANTS) :])
 
 
-def smooth(problem: Problem, poses: Array, points: Array, constants: Array, iterations: int = _ITERATIONS) -> Smoothed:
-    """Return the poses (T, 3), landmarks (L, 2) and constants (4,) that fit best, from a start near them."""
-    from scipy.sparse.linalg import splu
+def _upper_bands(matrix: Any, bands: int) -> Array:
+    """Return the diagonal and the `bands` above it of a sparse matrix (V, V), as LAPACK stores them."""
+    stored = np.zeros((bands + 1, matrix.shape[0]))
+    for above in range(min(bands + 1, matrix.shape[0])):
+        stored[bands - above, above:] = matrix.diagonal(above)
+    return stored
 
+
+def _symmetric_inverse(matrix: Array) -> Array:
+    """Return the inverse of a positive definite matrix (V, V)."""
+    from scipy.linalg import cho_factor, cho_solve
+
+    return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), np.eye(len(matrix)), check_finite=False))
+
+
+def smooth(
+    problem: Problem,
+    poses: Array,
+    points: Array,
+    constants: Array,
+    iterations: int = _ITERATIONS,
+    converged: float = CONVERGED,
+) -> Smoothed:
+    """Return the poses (T, 3), landmarks (L, 2) and constants (4,) that fit best, from a start near them.
+
+    converged: relative fall of the cost below which nothing changes any more. Levenberg-Marquardt; the damping follows
+    how much of the fall that the linear problem promised came true [Nielsen 1999].
+    """
     state = State(poses, points, constants, points)
     residual, weight, jacobian = linearise(problem, state)
     cost = cost_of(problem, state)
-    damping = 1e-4
+    damping, harder = 1e-4, 2.0
+    pattern: Pattern | None = None
     for _ in range(iterations):
-        weighted = jacobian.T.multiply(weight).tocsc()
-        hessian = (weighted @ jacobian).tocsc()
-        gradient = weighted @ residual
+        hessian, gradient = _normal(jacobian, weight, residual)
+        if pattern is None or not pattern.fits(hessian):
+            pattern = Pattern.of(hessian)
         diagonal = hessian.diagonal()
+        values = hessian.data.copy()
         while True:
-            damped = hessian.copy()
-            damped.setdiag(diagonal * (1 + damping) + 1e-9)
-            step = splu(
-                damped, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            ).solve(gradient)
+            values[pattern.diagonal] = diagonal * (1 + damping) + _REGULAR
+            step = pattern.solve(values, gradient)
             moved = state.moved(step)
             new_cost = cost_of(problem, moved)
-            if new_cost < cost or damping > 1e6:
+            if new_cost < cost or damping > _MOST_DAMPING:
                 break
-            damping *= 10
+            damping, harder = harder * damping, 2 * harder
         fell = cost - new_cost
-        if fell <= 0:
+        if not fell > 0:
             break
-        state, cost, damping = moved, new_cost, max(damping / 10, 1e-9)
+        promised = float(step @ (gradient + damping * diagonal * step))
+        easier = 1 - (2 * min(fell / promised, 1.0) - 1) ** 3
+        damping, harder = max(damping * max(easier, 0.1), _LEAST_DAMPING), 2.0
+        state, cost = moved, new_cost
         residual, weight, jacobian = linearise(problem, state)
-        if fell < _CONVERGED * cost:
+        if max(fell, promised) < converged * cost:
             break
-    weighted = jacobian.T.multiply(weight).tocsc()
-    hessian = (weighted @ jacobian).tocsc()
-    hessian.setdiag(hessian.diagonal() + 1e-9)
+    hessian, _ = _normal(jacobian, weight, residual)
+    hessian.setdiag(hessian.diagonal() + _REGULAR)
     first = 3 * (len(poses) - 1) + len(CONSTANTS)
     count = len(problem.bearings.bearing)
     return Smoothed(
@@ -103,6 +130,14 @@ def smooth(problem: Problem, poses: Array, points: Array, constants: Array, iter
         cost,
         hessian,
     )
+
+
+def _normal(jacobian: Any, weight: Array, residual: Array) -> tuple[Any, Array]:
+    """Return JᵀWJ (V, V), sparse with sorted columns, and JᵀW r (V,)."""
+    weighted = jacobian.T.multiply(weight).tocsc()
+    hessian = (weighted @ jacobian).tocsc()
+    hessian.sort_indices()
+    return hessian, weighted @ residual
 
 
 def dead_reckoned(wheels: Wheels) -> Array:

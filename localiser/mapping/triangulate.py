@@ -92,8 +92,7 @@ def _step(points: Array, damping: Array, rays: _Rays) -> tuple[Array, Array, NDA
     normal, gradient = _normal(rays.landmark, count, scaled, jacobian / rays.sigma[:, None], weight)
     step = _solve(normal + damping[:, None, None] * _diagonal(normal), gradient)
     moved = points + step
-    predicted, _ = direction_of(moved[rays.landmark], rays.cameras)
-    after = _cost(rays.landmark, count, wrap_angle(rays.direction - predicted) / rays.sigma)
+    after = misfit(moved, rays.landmark, rays.cameras, rays.direction, rays.sigma)
     better = after < _cost(rays.landmark, count, scaled)
     done = (np.hypot(step[:, 0], step[:, 1]) < _SMALL_M) | (~better & (damping > _MOST_DAMPING))
     return np.where(better[:, None], moved, points), np.where(better, damping / 10, damping * 10), done
@@ -121,6 +120,12 @@ def _linearised(
     predicted, _ = direction_of(at, cameras)
     residual = wrap_angle(direction - predicted)
     return residual, per_point(at, cameras), 1.0 / (1.0 + (residual / (CAUCHY * sigma)) ** 2)
+
+
+def misfit(points: Array, landmark: Index, cameras: Array, direction: Array, sigma: Array) -> Array:
+    """Return the robust cost (L,) of landmarks at `points` (L, 2); the bearings as in `triangulate`."""
+    predicted, _ = direction_of(points[landmark], cameras)
+    return _cost(landmark, len(points), wrap_angle(direction - predicted) / sigma)
 
 
 def _cost(landmark: Index, count: int, scaled: Array) -> Array:
