@@ -17,7 +17,7 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, sides_loop
+from localiser.edges.loops import changes_loop, compiled, sides_loop
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
 
@@ -26,9 +26,10 @@ FOOT_SIGMA_PX = 2.0
 BORDER_PX = 4.0 * FOOT_SIGMA_PX
 """An edge that is found to end this close to the image border may as well be cut off by it."""
 
-_NEAR_PX, _NEAR_STEP_PX = np.arange(14.0, -42.0, -2.0), 2.0
-"""Places around the end, upwards along the edge, where junctions are looked for."""
-_AT_END_PX = 5.0
+_PLACES_PX = np.arange(8.0, -42.0, -2.0)
+"""Places around the end, upwards along the edge, between which grey values change."""
+_END, _NEAR = (0, 9), (6, len(_PLACES_PX))
+"""First and last of the places of which changes are at the end (within 5 px), and below it."""
 _STEPS_DOWN = 120
 """In how many steps the height of the image is searched for what lies before the foot."""
 _SIDES_PX = np.array([-8.0, -5.5, -3.0, 3.0, 5.5, 8.0])
@@ -73,31 +74,24 @@ def foot_probability(bottom_px: Array, range_m: Array, image: Image, camera: Cam
 def _evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) -> dict[str, Array]:
     """Return what speaks for and against feet (E,) at pixels (E, 2), by the names of `_LOG_ODDS`."""
     far_step = camera.height / _STEPS_DOWN
-    far_px = np.arange(_NEAR_PX[-1], -float(camera.height), -far_step)
-    grey = _sides(bottom_px, np.concatenate([_NEAR_PX, far_px]), image, camera)
-    near, far = _steps(grey[:, : len(_NEAR_PX)]), _steps(grey[:, len(_NEAR_PX) :])
-    middle = _NEAR_PX[2:-1] + _NEAR_STEP_PX / 2
-    at_end = _size(near[:, np.abs(middle) <= _AT_END_PX].max(axis=1))
+    far_px = np.arange(_PLACES_PX[-1], -float(camera.height), -far_step)
+    grey = _sides(bottom_px, np.concatenate([_PLACES_PX, far_px]), image, camera)
+    change = compiled(changes_loop)
+    at_end, below = (_size(change(grey, *between)) for between in (_END, _NEAR))
+    far = _size(change(grey, len(_PLACES_PX), grey.shape[1]))
     junction = at_end.min(axis=1)
-    below = _size(near[:, middle < -_AT_END_PX].max(axis=(1, 2)))
     return {
         "always": np.ones(len(range_m)),
         "range": np.log(range_m / _TYPICAL_RANGE_M) ** 2,
         "junction": junction,
-        "near": np.maximum(below - at_end.max(axis=1), 0),
-        "far": np.maximum(_size(far.max(axis=(1, 2), initial=0.0)) - junction, 0),
+        "near": np.maximum(below.max(axis=1) - at_end.max(axis=1), 0),
+        "far": np.maximum(far.max(axis=1) - junction, 0),
     }
 
 
 def _size(step: Array) -> Array:
     """Return the logarithm of steps, so that differences do not depend on exposure or light."""
     return np.asarray(np.log(_FAINT_GREY + step), dtype=np.float64)
-
-
-def _steps(grey: Array) -> Array:
-    """Return by how much grey values (E, S, 2) change between every two places and the two after: (E, S - 3, 2)."""
-    change = np.abs(grey[:, :-3] + grey[:, 1:-2] - grey[:, 2:-1] - grey[:, 3:]) / 2
-    return np.asarray(np.nan_to_num(change))
 
 
 def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.edges.loops import compiled, line_loop
 from localiser.geometry import Array
 
 Values = Array | NDArray[np.int64]
@@ -62,9 +63,4 @@ class Groups:
 
     def line(self, x: Values, y: Array, weight: Array) -> LineFit:
         """Return the weighted least-squares line of each group through (x, y) (K,)."""
-        total = np.maximum(self.sum(weight), 1e-12)
-        mean_x, mean_y = self.sum(weight * x) / total, self.sum(weight * y) / total
-        from_mean = weight * (x - mean_x[self.of])
-        spread = self.sum(from_mean * (x - mean_x[self.of]))
-        slope = self.sum(from_mean * y) / np.maximum(spread, 1e-12)
-        return LineFit(mean_x, mean_y, slope, total, spread)
+        return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))

@@ -138,3 +138,38 @@ def sides_loop(
                     total += upper * (1 - down) + lower * down
                 grey[line, place, side] = total / half
     return grey
+
+
+def changes_loop(grey: Array, first: int, last: int) -> Array:
+    """Return by how much grey values (E, S, 2) change at most between two places and the next two: (E, 2).
+
+    From place `first` on up to, not including, `last`; 0 where nothing is seen.
+    """
+    changes = np.zeros((len(grey), 2))
+    for line in range(len(grey)):
+        for side in range(2):
+            for k in range(first, last - 3):
+                before = grey[line, k, side] + grey[line, k + 1, side]
+                change = abs(before - grey[line, k + 2, side] - grey[line, k + 3, side]) / 2
+                if change > changes[line, side]:  # noqa: PLR1730  (never for nan)
+                    changes[line, side] = change
+    return changes
+
+
+def line_loop(
+    of: NDArray[np.int64], count: int, x: Array, y: Array, weight: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return mean x, mean y, slope, total weight and spread of x (G,) of values (K,) in groups: `Groups.line`."""
+    mean_x, mean_y, total = np.zeros(count), np.zeros(count), np.zeros(count)
+    for k in range(len(of)):
+        total[of[k]] += weight[k]
+        mean_x[of[k]] += weight[k] * x[k]
+        mean_y[of[k]] += weight[k] * y[k]
+    total = np.maximum(total, 1e-12)
+    mean_x, mean_y = mean_x / total, mean_y / total
+    spread, slope = np.zeros(count), np.zeros(count)
+    for k in range(len(of)):
+        from_mean = weight[k] * (x[k] - mean_x[of[k]])
+        spread[of[k]] += from_mean * (x[k] - mean_x[of[k]])
+        slope[of[k]] += from_mean * y[k]
+    return mean_x, mean_y, slope / np.maximum(spread, 1e-12), total, spread

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
@@ -56,13 +57,14 @@ def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
     The nadir point moves by δθ / s² along e and by δρ c / s along a; seen from (a, e) it turns by a / q² δθ and
     c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when the tilt is 0.
     """
-    ideal = ideal_camera(camera)
-    length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
-    angle = ideal.nadir_miss_px(segments.support_px) / (length_px / 2)
-    a, e = np.moveaxis(ideal.upright_from_pixels(segments.support_px.mean(axis=1)), -1, 0)
+    support = ideal_camera(camera).upright_from_pixels(segments.support_px)
+    across, up = np.moveaxis(support[:, 1] - support[:, 0], -1, 0)
+    a, e = np.moveaxis(support.mean(axis=1), -1, 0)
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     depth = c + e * s
+    angle = np.sin(geometry.wrap_half_turn(np.arctan2(across, up) - np.arctan2(a * s, depth)))
     per_mount = np.stack([-a, c * depth], axis=-1) / ((a * s) ** 2 + depth**2)[:, None]
+    length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
     return NadirMiss(angle, per_mount, np.sqrt(2.0) * segments.end_sigma_px / length_px)
 
 

@@ -26,12 +26,11 @@ def profiles(ends_px: Array, image: Image, camera: Camera) -> Array:
     up = (top - bottom) / np.maximum(np.linalg.norm(top - bottom, axis=-1, keepdims=True), 1e-9)
     rightwards = up[..., ::-1] * [-1.0, 1.0]
     points = bottom + (top - bottom) * along + rightwards * PROFILE_OFFSETS_PX[:, None]
-    taken = camera.pixels_from_image(ideal_camera(camera).image_from_pixels(points)).astype(np.float32)
-    inside = np.all(
-        (taken >= 0) & (taken <= np.array([camera.width - 1, camera.height - 1], dtype=np.float32)), axis=-1
-    )
-    flat = taken.reshape(len(ends_px), -1, 2)
-    grey = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR).reshape(inside.shape)
+    bent = camera.is_distorted
+    taken = camera.pixels_from_image(ideal_camera(camera).image_from_pixels(points)) if bent else points
+    u, v = np.moveaxis(taken.astype(np.float32).reshape(len(ends_px), -1, 2), -1, 0)
+    inside = ((u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)).reshape(taken.shape[:-1])
+    grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(inside.shape)
     seen = inside.sum(axis=1)
     return np.where(seen > 0, (grey * inside).sum(axis=1) / np.maximum(seen, 1), np.nan)
 

@@ -53,8 +53,9 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
 
     The most certain segment gathers what agrees with it first, so that uncertain ones cannot chain two edges together.
     """
-    sigma_rad = _across_rad(segments, camera, segments.across_sigma_px)
-    agree = _agree(segments, sigma_rad, camera, mount, gate_sigma)
+    per_px = ideal_camera(camera).bearing_sigma_of_segments(segments.support_px, 1.0)
+    sigma_rad = per_px * segments.across_sigma_px
+    agree = _agree(segments, per_px, camera, mount, gate_sigma)
     edge = np.full(len(segments), -1, dtype=np.int64)
     count = 0
     for first in np.argsort(sigma_rad, kind="stable"):
@@ -65,9 +66,9 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
 
 
 def _agree(
-    segments: Segments, sigma_rad: Array, camera: Camera, mount: MountError, gate_sigma: float
+    segments: Segments, per_px: Array, camera: Camera, mount: MountError, gate_sigma: float
 ) -> NDArray[np.bool_]:
-    """Return (S, S) whether two segments may be parts of one edge.
+    """Return (S, S) whether two segments may be parts of one edge; per_px: (S,) bearing error per error of the support.
 
     They are when they look the same way (polarity) and their bearings agree within noise, however long the gap between
     them: what stands in front of an edge hides it. Segments beside each other are two edges unless they are too close
@@ -79,20 +80,16 @@ def _agree(
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
     apart = _differences(bearing + per_mount @ mount.mean)
     by_mount = sum(_differences(term) ** 2 for term in (per_mount @ np.linalg.cholesky(mount.cov)).T)
-    allowed = gate_sigma * np.sqrt(sigma_rad**2 + sigma_rad[:, None] ** 2 + by_mount)
-    scatter = gate_sigma * _across_rad(segments, camera, segments.sigma_px)
-    resolved = _across_rad(segments, camera, np.full(len(segments), _RESOLVED_PX * np.sqrt(2.0)))
+    variance = (per_px * segments.across_sigma_px) ** 2
+    allowed = gate_sigma * np.sqrt(variance + variance[:, None] + by_mount)
+    scatter = gate_sigma * per_px * segments.sigma_px
+    resolved = per_px * _RESOLVED_PX * np.sqrt(2.0)
     told_apart = np.maximum(resolved, np.hypot(scatter, scatter[:, None]))
     bottom, top = np.moveaxis(ideal.upright_from_pixels(segments.ends_px)[..., 1], -1, 0)
     common = np.minimum(top, top[:, None]) - np.maximum(bottom, bottom[:, None])
     beside = common > _BESIDE_SHARE * np.minimum(top - bottom, (top - bottom)[:, None])
     alike = segments.polarity == segments.polarity[:, None]
     return np.asarray(alike & (np.abs(apart) <= np.where(beside, np.minimum(allowed, told_apart), allowed)))
-
-
-def _across_rad(segments: Segments, camera: Camera, across_px: Array) -> Array:
-    """Return the bearing error (S,) that errors `across_px` (S,) of both support points make."""
-    return ideal_camera(camera).bearing_sigma_of_segments(segments.support_px, across_px)
 
 
 def _differences(values: Array) -> Array:
