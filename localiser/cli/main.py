@@ -11,10 +11,11 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.cli import convert, edges, paper, simulate
+from localiser.cli import convert, doctor, edges, paper, simulate
 from localiser.cli.camera import camera_app
 from localiser.cli.live import live_app
 from localiser.cli.maps import map_app
+from localiser.cli.pose import pose_app
 from localiser.cli.shared import (
     BagCamera,
     ConfigFile,
@@ -52,6 +53,7 @@ app.add_typer(config_app, name="config")
 app.add_typer(camera_app, name="camera")
 app.add_typer(map_app, name="map")
 app.add_typer(live_app, name="live")
+app.add_typer(pose_app, name="pose")
 
 
 class Kind(StrEnum):
@@ -233,6 +235,7 @@ def config_schema() -> None:
 
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=convert.EPILOG)(convert.convert)
+app.command(epilog=doctor.EPILOG)(doctor.doctor)
 app.command(epilog=edges.EPILOG)(edges.edges)
 app.command(epilog=paper.EPILOG)(paper.paper)
 

@@ -44,7 +44,7 @@ class Network:
             self._session: Any = zenoh.open(config)
         except zenoh.ZError as error:
             where = ", ".join([*connect, *listen])
-            reason = " ".join(str(error).split())[:200]
+            reason = str(error).split(" at /")[0]
             raise InputError(
                 f"expected endpoints such as {ENDPOINT} that can be reached, found {where}: {reason}", field="zenoh"
             ) from None
@@ -88,11 +88,18 @@ class Network:
 
     def publish(self, topic: str, content: bytes) -> None:
         """Send a message under a bridge's key; to those who are too slow for it, not at all."""
+        self._publisher(topic).put(content)
+
+    def is_heard(self, topic: str) -> bool:
+        """Whether anyone subscribes to a topic."""
+        return bool(self._publisher(topic).matching_status.matching)
+
+    def _publisher(self, topic: str) -> Any:
         if topic not in self._publishers:
             (key,) = self._checked(topic, [topic.strip("/")])
             drop = _zenoh().CongestionControl.DROP
             self._publishers[topic] = self._session.declare_publisher(key, congestion_control=drop, express=True)
-        self._publishers[topic].put(content)
+        return self._publishers[topic]
 
     def _checked(self, topic: str, keys: Sequence[str]) -> Sequence[str]:
         try:
