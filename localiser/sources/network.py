@@ -35,7 +35,7 @@ class Network:
             "connect/endpoints": list(connect),
             "connect/retry": _RETRY,
             "connect/exit_on_failure": client,
-            "connect/timeout_ms": 3000 if client else (-1 if connect else 0),
+            "connect/timeout_ms": 2000 if client else (-1 if connect else 0),
             "listen/endpoints": [] if client else list(listen) or [_ANY_PORT],
         }
         try:
