@@ -36,6 +36,7 @@ from localiser.particles import CAMERA_YAW, POSE, Particles, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
+_UNKNOWN_M = 1e9  # beyond every height
 _FEW = 64  # particles that tell how wide the cloud is
 
 
@@ -57,6 +58,9 @@ class ObservationParameters:
     decorrelation_deg: Annotated[
         float, Field(ge=0, description="turning after which errors of an edge are new (degrees); 0: always new")
     ] = 4.0
+    threads: Annotated[
+        int, Field(ge=1, le=64, description="threads that weigh particles; results do not depend on it")
+    ] = 1
     sight: SightParameters = field(default_factory=SightParameters)
 
 
@@ -111,8 +115,11 @@ class EdgeObservation:
         """
         if len(edges) == 0:
             return np.zeros((len(INLIER_SHARES), len(particles)))
-        camera_poses = self.camera_poses(particles)
-        return likelihood.by_share(self._scene(edges, landmark_map, blur_rad), camera_poses, INLIER_SHARES)
+        scene = self._scene(edges, landmark_map, blur_rad)
+        yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
+        return likelihood.by_share(
+            scene, np.vstack([particles.columns[:3], yaw]), INLIER_SHARES, self.parameters.threads
+        )
 
     def by_share_plain(
         self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0
@@ -150,35 +157,30 @@ class EdgeObservation:
         measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
         ends = np.sort(self.camera.upright_from_pixels(edges.ends_px)[..., 1], axis=1)
         if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
-            ends = np.tile([-np.inf, np.inf], (len(edges), 1))
+            ends = np.tile([-_UNKNOWN_M, _UNKNOWN_M], (len(edges), 1))
         order = np.argsort(measured, kind="stable")
         mount, parameters, focal = self.camera.mount, self.parameters.sight, self.camera.focal_px
         margin = parameters.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
         shortest = max(parameters.length_min_px, 1e-9) / focal
         largest_var = float(variance[known].max(initial=0.0))
-        known_angles = measured[order][: known.sum()]
-        first, bin_low, bin_step = likelihood.bins_of(known_angles)
+        bottom, top = landmark_map.bottom_m - mount.height_m, landmark_map.top_m - mount.height_m
         return likelihood.Scene(
             landmarks=np.column_stack(
                 [
                     landmark_map.points,
-                    landmark_map.bottom_m - mount.height_m,
-                    landmark_map.top_m - mount.height_m,
-                    self._landmark_sigma(landmark_map),
+                    np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
+                    np.where(np.isnan(top), _UNKNOWN_M, top),
+                    self._landmark_sigma(landmark_map) ** 2,
                 ]
             ),
             edges=np.column_stack([measured, variance, ends])[order],
-            first=first,
-            bin_low=bin_low,
-            bin_step=bin_step,
-            view=np.array(
-                [
-                    np.sin(mount.tilt_rad),
-                    np.cos(mount.tilt_rad),
-                    *(np.array(self.camera.upright_bounds) + margin),
-                    shortest,
-                    END_TOLERANCE_PX / focal,
-                ]
+            offset=(mount.right_m, mount.back_m, mount.yaw_rad),
+            view=(
+                float(np.sin(mount.tilt_rad)),
+                float(np.cos(mount.tilt_rad)),
+                *(np.array(self.camera.upright_bounds) + margin).tolist(),
+                shortest,
+                END_TOLERANCE_PX / focal,
             ),
             range_m=(parameters.range_min_m, parameters.range_max_m),
             widest=widest_tangent(self.camera, parameters),

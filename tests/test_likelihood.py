@@ -112,7 +112,18 @@ def test_hundreds_of_edges_neither_overflow_nor_vanish() -> None:
 @given(angles=st.lists(st.floats(-1.5, 1.5), min_size=1, max_size=40), wanted=st.floats(-2, 2))
 def test_a_bin_begins_at_or_before_the_first_edge_above(angles: list[float], wanted: float) -> None:
     angle = np.sort(np.array(angles))
-    first, low, step = bins_of(angle)
-    bin_of = int((wanted - low) / step)
-    if bin_of < len(first):
-        assert first[max(bin_of, 0)] <= np.searchsorted(angle, wanted)
+    first, (low, per_rad, last) = bins_of(angle)
+    of_bin = int(np.clip((wanted - low) * per_rad, 0.0, last))
+    assert first[of_bin] <= np.searchsorted(angle, wanted)
+    after = int(np.clip((wanted - low) * per_rad + 2.0, 0.0, last))
+    assert first[after] >= np.searchsorted(angle, wanted, side="right")
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    rng = np.random.default_rng(3)
+    edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 20_000)
+    one, three = (
+        EdgeObservation(camera(20.0), ObservationParameters(threads=threads)).by_share(particles, edges, landmark_map)
+        for threads in (1, 3)
+    )
+    np.testing.assert_array_equal(one, three)

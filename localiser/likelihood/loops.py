@@ -1,0 +1,361 @@
+"""The loops of `likelihood`, compiled by numba when this module is imported and its functions are first called.
+
+Particles come in cells: those of a cell share the list of landmarks that can be in view. A block of them is looked at
+one landmark at a time, all its particles at once; edges near where the landmark is expected make pairs, and pairs are
+weighed many at once. The inner loops run along rows of small arrays of constant shape: only so does the compiler know
+that rows do not overlap, and turns the loop into vector instructions. Rows are always taken up to a whole number of
+`LANES`, so that every particle goes through the same instructions whatever stands beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+
+Indices = NDArray[np.int64]
+F = TypeVar("F", bound=Callable[..., Any])
+
+LANES = 8  # float64 in a vector register
+BLOCK = 64  # particles looked at together, a power of two
+ROOM = 512  # pairs weighed together; the buffers stay in the fastest cache
+UNKNOWN_M = 1e8  # heights beyond this are not known
+SAFE = 1e150  # a product is put aside when it grows beyond
+
+_RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
+
+
+def _entry(function: F) -> F:
+    return cast(F, njit(cache=True, nogil=True, **_RULES)(function))
+
+
+def _inlined(function: F) -> F:
+    """Inline into the caller, where shapes are constant."""
+    return cast(F, njit(forceinline=True, **_RULES)(function))
+
+
+# exp(y) = exp(y/16)^16, the inner one as a polynomial between the gate, y = -18 or 6 sigmas, and 0: 2e-6 of its value.
+_LEAST = -18.0 / 16
+_SERIES = np.polynomial.Chebyshev.interpolate(np.exp, 6, domain=[_LEAST, 0.0])
+_X0, _X1, _X2, _X3, _X4, _X5, _X6 = (float(power) for power in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
+_HALF_PI = np.pi / 2
+
+_X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)  # rows of a block's camera poses
+_ANGLE, _VARIANCE, _FOOT, _TOP, _FIRST, _END = range(6)  # of one landmark seen from them; _END: -1 where it is not
+_RESIDUAL, _SPREAD, _INSIDE, _PER_LENGTH, _DENSITY = range(5)  # of pairs
+
+
+# -- which landmarks can be in view from where ------------------------------------------------------------------------
+
+
+@_entry
+def cells_of(columns: Array, low: Array, per_unit: Array, shape: Indices) -> Indices:
+    """Return the cell (N,) of each pose in `columns` (3+, N): cells start at `low` (3,), per_unit (3,) in a unit."""
+    cell = np.empty(columns.shape[1], np.int64)
+    for n in range(len(cell)):
+        i = min(int((columns[0, n] - low[0]) * per_unit[0]), shape[0] - 1)
+        j = min(int((columns[1, n] - low[1]) * per_unit[1]), shape[1] - 1)
+        k = min(int((columns[2, n] - low[2]) * per_unit[2]), shape[2] - 1)
+        cell[n] = (i * shape[1] + j) * shape[2] + k
+    return cell
+
+
+@_entry
+def ordered(cell: Indices, cells: int) -> tuple[Indices, Indices]:
+    """Return run (cells + 1,) and order (N,): particles of cell c are order[run[c] : run[c + 1]], ascending."""
+    run = np.zeros(cells + 1, np.int64)
+    for c in cell:
+        run[c + 1] += 1
+    for c in range(cells):
+        run[c + 1] += run[c]
+    place, order = run[:-1].copy(), np.empty(len(cell), np.int64)
+    for n in range(len(cell)):
+        order[place[cell[n]]] = n
+        place[cell[n]] += 1
+    return run, order
+
+
+@_entry
+def candidates(
+    run: Indices,
+    low: Array,
+    per_unit: Array,
+    shape: Indices,
+    offset: tuple[float, float, float],
+    landmarks: Array,
+    half_view_rad: float,
+    farthest_m: float,
+) -> tuple[Indices, Indices]:
+    """Return start (cells + 1,) and item: landmarks item[start[c] : start[c + 1]] can be in view from cell c.
+
+    Never one too few: what a camera sees lies between two planes through it and within range; for a whole cell the
+    planes are moved apart by its half diagonal and turned by half its width in heading.
+    """
+    right, back, yaw = offset
+    start, item = np.zeros(len(run), np.int64), np.empty(1024, np.int64)
+    half_turn = 0.5 / per_unit[2]
+    slack = 0.5 * np.hypot(1.0 / per_unit[0], 1.0 / per_unit[1]) + np.hypot(right, back) * half_turn
+    sin_view, cos_view = np.sin(half_view_rad + half_turn), np.cos(half_view_rad + half_turn)
+    is_wedge = half_view_rad + half_turn < _HALF_PI
+    used = 0
+    for c in range(len(run) - 1):
+        if run[c + 1] > run[c]:
+            if used + len(landmarks) > len(item):
+                item = np.concatenate((item, np.empty(len(item) + len(landmarks), np.int64)))
+            heading = low[2] + (c % shape[2] + 0.5) / per_unit[2]
+            x = low[0] + (c // shape[2] // shape[1] + 0.5) / per_unit[0]
+            z = low[1] + (c // shape[2] % shape[1] + 0.5) / per_unit[1]
+            x += np.cos(heading) * right + np.sin(heading) * back
+            z += np.cos(heading) * back - np.sin(heading) * right
+            cos, sin = np.cos(heading + yaw), np.sin(heading + yaw)
+            for k in range(len(landmarks)):
+                dx, dz = landmarks[k, 0] - x, landmarks[k, 1] - z
+                aside, ahead = abs(dx * cos - dz * sin), -(dx * sin + dz * cos)
+                inside = dx * dx + dz * dz <= (farthest_m + slack) ** 2
+                if is_wedge:
+                    inside = inside & (ahead * sin_view - aside * cos_view >= -slack)
+                item[used] = k
+                used += inside
+        start[c + 1] = used
+    return start, item[:used]
+
+
+# -- what particles see -----------------------------------------------------------------------------------------------
+
+
+@_inlined
+def _turn(block: Array, lanes: int) -> None:
+    """Write cosine and sine of the headings: their series within an eighth of a turn, to the last digits."""
+    for m in range(lanes):
+        quarter = np.floor(block[_HEADING, m] * (2 / np.pi) + 0.5)
+        d = block[_HEADING, m] - quarter * _HALF_PI
+        q = d * d
+        odd = 1 + q / -110 * (1 + q / -156 * (1 + q / -210))
+        odd = d * (1 + q / -6 * (1 + q / -20 * (1 + q / -42 * (1 + q / -72 * odd))))
+        even = 1 + q / -90 * (1 + q / -132 * (1 + q / -182 * (1 + q / -240)))
+        even = 1 + q / -2 * (1 + q / -12 * (1 + q / -30 * (1 + q / -56 * even)))
+        quarter -= 4 * np.floor(quarter / 4)
+        crossed = (quarter == 1) | (quarter == 3)
+        sin, cos = (even if crossed else odd), (odd if crossed else even)
+        block[_SIN, m] = -sin if quarter >= 2 else sin
+        block[_COS, m] = -cos if (quarter == 1) | (quarter == 2) else cos
+
+
+@_inlined
+def _place(columns: Array, order: Indices, first: int, size: int, lanes: int, offset: Any, block: Array) -> None:
+    """Write the camera poses of particles order[first : first + size]; the lanes beyond repeat the last one."""
+    right, back, yaw = offset
+    for m in range(lanes):
+        n = order[first + min(m, size - 1)]
+        block[_X, m], block[_Z, m] = columns[0, n], columns[1, n]
+        block[_HEADING, m], block[_YAW, m] = columns[2, n], columns[3, n]
+    _turn(block, lanes)
+    for m in range(lanes):
+        block[_X, m] += block[_COS, m] * right + block[_SIN, m] * back
+        block[_Z, m] += block[_COS, m] * back - block[_SIN, m] * right
+        block[_HEADING, m] += block[_YAW, m] + yaw
+    _turn(block, lanes)
+
+
+@_inlined
+def _look(
+    block: Array, lanes: int, landmark: Any, limits: Any, view: Any, gate: Any, bins: Any, is_slope: bool, seen: Array
+) -> None:
+    """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
+
+    The same as `landmarks.sight`, with every division by the image's border multiplied out.
+    """
+    x, z, bottom, top, position_var = landmark
+    nearest, farthest, widest = limits
+    s, c, a_left, a_right, e_low, e_high, length_min, tolerance = view
+    sigmas, largest_var = gate
+    bin_low, per_bin, last_bin = bins
+    for m in range(lanes):
+        dx, dz = x - block[_X, m], z - block[_Z, m]
+        right, ahead = dx * block[_COS, m] - dz * block[_SIN, m], -(dx * block[_SIN, m] + dz * block[_COS, m])
+        aside = abs(right)
+        ahead_sq, square = ahead * ahead, dx * dx + dz * dz
+        inclined_sq = s * s * right * right
+        stretched = ahead_sq + inclined_sq  # ahead² (1 + (s tan b)²)
+
+        # Heights of both ends in the upright image, by one division.
+        foot_depth, top_depth = ahead * c - bottom * s, ahead * c - top * s
+        foot_positive, top_positive = (foot_depth if foot_depth > 0 else 1.0), (top_depth if top_depth > 0 else 1.0)
+        per = 1.0 / (foot_positive * top_positive)
+        foot_e = (bottom * c + ahead * s) * top_positive * per
+        top_e = (top * c + ahead * s) * foot_positive * per
+        foot_e = foot_e if foot_depth > 0 else (np.inf if bottom > 0 else -np.inf)
+        top_e = top_e if top_depth > 0 else (np.inf if top > 0 else -np.inf)
+        foot_e = foot_e if bottom > -UNKNOWN_M else -np.inf
+        top_e = top_e if top < UNKNOWN_M else np.inf
+
+        # Long enough between the image's lower and upper border, and from there to the left or right one.
+        low, high = (foot_e if foot_e > e_low else e_low), (top_e if top_e < e_high else e_high)
+        shortest = length_min * length_min
+        length = high - low
+        room = (a_right if right > 0 else -a_left) * ahead - aside * (c + s * (low if s >= 0 else high))
+        visible = (square <= farthest) & (square >= nearest) & (ahead > 0) & (aside <= ahead * widest)
+        visible = visible & (length > 0) & (length * length * stretched >= shortest * ahead_sq)
+        visible = visible & (room >= 0) & (room * room * stretched >= shortest * ahead_sq * inclined_sq)
+
+        # arctan of smaller over larger: Abramowitz, Stegun 1964, 4.4.49, to 2e-8.
+        across = abs(s) * aside if is_slope else aside
+        steep = across > ahead
+        numerator, denominator = (ahead if steep else across), (across if steep else ahead)
+        per = 1.0 / (denominator * square)
+        u = numerator * square * per
+        v = u * u
+        angle = -0.0752896400 + v * (0.0429096138 + v * (-0.0161657367 + v * 0.0028662257))
+        angle = u * (
+            1 + v * (-0.3333314528 + v * (0.1999355085 + v * (-0.1420889944 + v * (0.1065626393 + v * angle))))
+        )
+        angle = _HALF_PI - angle if steep else angle
+        negative = ((right < 0) != (s < 0)) if is_slope else right < 0
+        angle = -angle if negative else angle
+        # d(lean)/d(bearing) = s · square / stretched
+        per_range_sq = s * s * square / (stretched * stretched) if is_slope else denominator * per
+        variance = position_var * per_range_sq
+
+        reach = sigmas * np.sqrt(variance + largest_var)
+        first, end = (angle - reach - bin_low) * per_bin, (angle + reach - bin_low) * per_bin + 2.0
+        first, end = (first if first > 0 else 0.0), (end if end > 0 else 0.0)
+        first, end = (first if first < last_bin else last_bin), (end if end < last_bin else last_bin)
+        seen[_ANGLE, m], seen[_VARIANCE, m] = angle, variance
+        seen[_FOOT, m], seen[_TOP, m] = foot_e - tolerance, top_e + tolerance
+        seen[_FIRST, m], seen[_END, m] = first, end if visible else -1.0
+
+
+@_inlined
+def _pair(
+    edges: Array, seen: Array, near: Indices, some: int, pairs: Array, slot: Indices, number: int
+) -> tuple[int, int]:
+    """Pair one edge with each of `some` particles in `near`; return how many pairs, and particles with more edges."""
+    more = 0
+    for j in range(some):
+        m = near[j]
+        e = int(seen[_FIRST, m])
+        pairs[_RESIDUAL, number] = edges[e, 0] - seen[_ANGLE, m]
+        pairs[_SPREAD, number] = edges[e, 1] + seen[_VARIANCE, m]
+        pairs[_INSIDE, number] = min(seen[_TOP, m], edges[e, 3]) - max(seen[_FOOT, m], edges[e, 2])
+        pairs[_PER_LENGTH, number] = edges[e, 4]
+        slot[number] = e * BLOCK + m
+        number += 1
+        seen[_FIRST, m] = e + 1
+        near[more] = m
+        more += e + 1 < seen[_END, m]
+    return number, more
+
+
+@_inlined
+def _add_up(pairs: Array, number: int, slot: Indices, density: Array, touched: Indices, count: int) -> int:
+    """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
+    for i in range((number + LANES - 1) // LANES * LANES):
+        y = -0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] / pairs[_SPREAD, i]
+        within = y > _LEAST
+        y = y if within else _LEAST
+        normal = _X0 + y * (_X1 + y * (_X2 + y * (_X3 + y * (_X4 + y * (_X5 + y * _X6)))))
+        normal *= normal
+        normal *= normal
+        normal *= normal
+        normal *= normal
+        covered = pairs[_INSIDE, i] * pairs[_PER_LENGTH, i]
+        covered = covered if within & (covered > 0) else 0.0
+        covered = covered if covered < 1 else 1.0
+        pairs[_DENSITY, i] = normal * covered * covered / np.sqrt(pairs[_SPREAD, i])
+    for i in range(number):
+        touched[count] = slot[i]
+        count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
+        density[slot[i]] += pairs[_DENSITY, i]
+    return count
+
+
+@_entry
+def products(
+    columns: Array,
+    order: Indices,
+    run: Indices,
+    begin: int,
+    stop: int,
+    offset: tuple[float, float, float],
+    start: Indices,
+    item: Indices,
+    landmarks: Array,
+    odds: Array,
+    edges: Array,
+    first: Indices,
+    bins: tuple[float, float, float],
+    view: tuple[float, ...],
+    limits: tuple[float, float, float],
+    gate: tuple[float, float],
+    span: float,
+    is_slope: bool,
+    rows: Array,
+    aside: Array,
+) -> bool:
+    """Write Π_e (1 + o_k d_e) of particles order[begin : stop] to `rows` (N, LANES), for odds o_k of K shares.
+
+    d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
+    comes near have one. Logarithms of what was too large are added to `aside` (N, LANES); returns whether any was.
+    """
+    block, seen, pairs = np.ones((6, BLOCK)), np.ones((6, BLOCK)), np.ones((5, ROOM))
+    near, slot = np.zeros(BLOCK + 1, np.int64), np.zeros(ROOM, np.int64)
+    density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.int64)
+    visible, factor, each = np.zeros(BLOCK), np.ones((BLOCK, LANES)), np.zeros(LANES)
+    each[: len(odds)] = odds
+    any_aside = False
+    for c in range(np.searchsorted(run, begin, side="right") - 1, len(run) - 1):
+        if run[c] >= stop:
+            break
+        for n in range(max(run[c], begin), min(run[c + 1], stop), BLOCK):
+            size = min(BLOCK, min(run[c + 1], stop) - n)
+            lanes = (size + LANES - 1) // LANES * LANES
+            _place(columns, order, n, size, lanes, offset, block)
+            visible[:] = 0.0
+            count = number = 0
+            for k in item[start[c] : start[c + 1]]:
+                landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
+                _look(block, lanes, landmark, limits, view, gate, bins, is_slope, seen)
+                some = 0
+                for m in range(size):
+                    visible[m] += seen[_END, m] >= 0
+                    e, end = first[int(seen[_FIRST, m])], first[int(max(seen[_END, m], 0.0))]
+                    seen[_FIRST, m], seen[_END, m] = e, end
+                    near[some] = m
+                    some += end > e
+                while some > 0:  # one edge of each particle, and again with those that have another near
+                    if number > ROOM - BLOCK:
+                        count = _add_up(pairs, number, slot, density, touched, count)
+                        number = 0
+                    number, some = _pair(edges, seen, near, some, pairs, slot, number)
+            count = _add_up(pairs, number, slot, density, touched, count)
+
+            factor[:] = 1.0
+            for t in range(count):
+                m = touched[t] & (BLOCK - 1)
+                ratio = density[touched[t]] * span / np.sqrt(2 * np.pi) / visible[m]
+                density[touched[t]] = 0.0
+                for i in range(LANES):
+                    factor[m, i] *= 1.0 + each[i] * ratio
+                if factor[m, len(odds) - 1] > SAFE:
+                    any_aside = True
+                    aside[order[n + m]] += np.log(factor[m])
+                    factor[m] = 1.0
+            for m in range(size):
+                for i in range(LANES):
+                    rows[order[n + m], i] = factor[m, i]
+    return any_aside
+
+
+@_entry
+def transposed(rows: Array, count: int) -> Array:
+    """Return the first `count` columns of `rows` (N, LANES) as (count, N)."""
+    result = np.empty((count, len(rows)))
+    for n in range(len(rows)):
+        for k in range(count):
+            result[k, n] = rows[n, k]
+    return result
