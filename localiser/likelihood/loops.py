@@ -27,7 +27,7 @@ ROOM = 512  # pairs weighed together; the buffers stay in the fastest cache
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
-_RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
+_RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
 
 
 def _entry(function: F) -> F:
@@ -334,10 +334,12 @@ def products(
                     number, some = _pair(edges, seen, near, some, pairs, slot, number)
             count = _add_up(pairs, number, slot, density, touched, count)
 
+            for m in range(BLOCK):
+                visible[m] = span / np.sqrt(2 * np.pi) / max(visible[m], 1.0)
             factor[:] = 1.0
             for t in range(count):
                 m = touched[t] & (BLOCK - 1)
-                ratio = density[touched[t]] * span / np.sqrt(2 * np.pi) / visible[m]
+                ratio = density[touched[t]] * visible[m]
                 density[touched[t]] = 0.0
                 for i in range(LANES):
                     factor[m, i] *= 1.0 + each[i] * ratio
