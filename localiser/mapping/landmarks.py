@@ -21,6 +21,7 @@ SHORTEST_TRACK = 3
 _JOIN_CHI2 = 11.8  # 99.7 % of a Gaussian in the plane: three sigmas
 _UNLIKE = -3.0  # log-likelihood ratio of looks below which two tracks are not one edge
 _VAGUE_M = 0.5  # a place less certain than this says nothing
+_ONE_SIGN = 0.6  # four of five sightings show an edge that has a polarity with that one
 _ROUNDS = 12
 
 
@@ -92,7 +93,7 @@ def fitted(sightings: Sightings, of: Index, cameras: Array, sigma: Array) -> Bui
         parallax=_spread(landmark[good], count, heading[good]),
         count=np.bincount(frames, minlength=count),
         side=medians(landmark, count, sightings.side[used]),
-        polarity=np.sign(np.bincount(landmark, sightings.polarity[used], count)).astype(np.int8),
+        polarity=_common_sign(landmark, count, sightings.polarity[used]),
     )
 
 
@@ -147,6 +148,12 @@ def numbered(of: Index) -> Index:
     """Return the labels (S,) renumbered without gaps, -1 kept."""
     labels, number = np.unique(of, return_inverse=True)
     return number - 1 if labels[0] == -1 else number
+
+
+def _common_sign(group: Index, count: int, sign: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return the sign (L,) of most of each group (K,); 0 where many disagree: what lies behind the edge decides it."""
+    total, known = np.bincount(group, sign, count), np.bincount(group, np.abs(sign), count)
+    return np.where(np.abs(total) > _ONE_SIGN * known, np.sign(total), 0).astype(np.int8)
 
 
 def _spread(group: Index, count: int, heading: Array) -> Array:

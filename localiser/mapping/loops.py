@@ -19,6 +19,9 @@ _GATE = 11.8  # 99.7 % of a Gaussian in the plane
 _LEAST_SIGMA_M = 0.004  # no two sightings of one edge stand closer
 _FARTHEST_SIGMA_M = 0.25  # a difference less certain than this joins anything
 _UNLIKE = 0.0  # log-likelihood ratio of looks below which two are not one
+_TOGETHER_SHARE = 0.1  # of the frames of the rarer one, in which another edge may have been taken for the other
+_CONTRARY = -3.0  # log-likelihood ratio of one edge being seen with either sign
+_CERTAIN_SIGMA_M = 0.02  # a difference known as well as this tells two edges by their places
 _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
 _AMBIGUOUS = 2.0  # a rival this little worse (log-likelihood) forbids a choice
 
@@ -27,18 +30,23 @@ def same_landmarks(points: Array, joint_cov: Array, built: Built, seen: NDArray[
     """Return for each landmark (L) the number of the one that it is the same as; its own where there is none.
 
     points: (L, 2), joint_cov: (2L, 2L) as smoothed. built: how they look. seen: (T, L) in which frames each is seen;
-    two that are often seen in one frame are two.
+    two that are often seen in one frame are two. Polarities that contradict each other do not part what stands at one
+    place for certain: the sign of an edge depends on what lies behind it.
     """
     count = len(points)
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
-    apart_in_time = _together(seen, one, other) <= 1
+    fewer = seen.sum(axis=0)[np.stack([one, other])].min(axis=0)
+    apart_in_time = _together(seen, one, other) <= np.maximum(_TOGETHER_SHARE * fewer, 1)
     one, other = one[apart_in_time], other[apart_in_time]
     apart = points[one] - points[other]
     cov = _difference_cov(joint_cov, one, other)
     chi2 = np.einsum("pi,pij,pj->p", apart, np.linalg.inv(cov), apart)
     sigma = np.sqrt(np.linalg.eigvalsh(cov)[:, 1])
     looks = log_likeness(built.side, built.polarity, built.side, built.polarity)[one, other]
-    fit = (chi2 < _GATE) & (sigma < _FARTHEST_SIGMA_M) & (looks >= _UNLIKE)
+    contrary = np.isneginf(looks)
+    looks[contrary] = _CONTRARY
+    alike = (looks >= _UNLIKE) | (contrary & (sigma < _CERTAIN_SIGMA_M))
+    fit = (chi2 < _GATE) & (sigma < _FARTHEST_SIGMA_M) & alike
     one, other, chi2, sigma, looks = one[fit], other[fit], chi2[fit], sigma[fit], looks[fit]
     # How much likelier it is that they are one than that the second is any other edge that happens to stand here.
     score = looks - 0.5 * chi2 - np.log(sigma)
