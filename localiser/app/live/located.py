@@ -75,7 +75,7 @@ class Filter:
         if not frame.file:
             frame.pixels = image
 
-    def weigh(self, frame: Frame, wheels: Iterable[mcl.Odometry], truth: Array | None) -> LocatedFrame:
+    def weigh(self, frame: Frame, wheels: Iterable[mcl.Odometry]) -> mcl.Located:
         """Weigh an image whose edges are known, after the poses of the wheels until then."""
         assert frame.edges is not None
         begin = perf_counter()
@@ -84,11 +84,12 @@ class Filter:
         filter_ = self._by_wheels if frame.by_wheels else self._by_edges
         (located,) = mcl.step(filter_, self.state, mcl.Sighting(frame.t_ns, frame.edges), self.rng)
         frame.stage_ms["filter"] = 1e3 * (perf_counter() - begin)
-        matches = self.observation.associate(located.estimate.pose, frame.edges, self.landmark_map)
-        picture = frame.file if frame.file else frame.pixels
-        return LocatedFrame(located, matches, picture, truth, frame.stage_ms)
+        return located
 
-    def show(self, frame: LocatedFrame) -> None:
+    def show(self, frame: Frame, located: mcl.Located, truth: Array | None) -> None:
         """Hand a result to who looks on."""
-        for sink in self.sinks:
-            sink.frame(frame)
+        if self.sinks:
+            matches = self.observation.associate(located.estimate.pose, located.edges, self.landmark_map)
+            shown = LocatedFrame(located, matches, frame.file or frame.pixels, truth, frame.stage_ms)
+            for sink in self.sinks:
+                sink.frame(shown)

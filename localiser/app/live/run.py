@@ -236,10 +236,10 @@ class LiveRun:
         begin = time.perf_counter()
         if frame.edges is None and not self._find_edges(frame):
             return
-        located_frame = self.filter.weigh(frame, self.timeline.release(frame), self._true_pose(frame.t_ns))
+        located = self.filter.weigh(frame, self.timeline.release(frame))
+        self._hand_out(frame, located)
+        self.filter.show(frame, located, self._true_pose(frame.t_ns))
         self._costs_s.append(time.perf_counter() - begin)
-        self._hand_out(frame, located_frame.located)
-        self.filter.show(located_frame)
         if self.checkpoints is not None:
             self.checkpoints.save_if_due(self.filter, self.clock.offset_ns)
 

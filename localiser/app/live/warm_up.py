@@ -34,4 +34,4 @@ def warm_up(landmark_map: LandmarkMap, config: Config) -> None:
     for number, t_ns in enumerate((1, 100_000_000, 200_000_000)):
         frame = Frame(number, t_ns, t_ns, 0, make.compressed(t_ns, file), by_wheels=number < 2)
         filter_.find_edges(frame)
-        filter_.weigh(frame, [mcl.Odometry(t_ns, np.array([0.0, -0.1 * number, 0.0]))], None)
+        filter_.weigh(frame, [mcl.Odometry(t_ns, np.array([0.0, -0.1 * number, 0.0]))])
