@@ -58,6 +58,10 @@ class ObservationParameters:
     decorrelation_deg: Annotated[
         float, Field(ge=0, description="turning after which errors of an edge are new (degrees); 0: always new")
     ] = 4.0
+    association: Annotated[
+        Literal["unknown", "known"],
+        Field(description="whether to believe what edges of a log say of which landmark they belong to"),
+    ] = "unknown"
     threads: Annotated[
         int, Field(ge=1, le=64, description="threads that weigh particles; results do not depend on it")
     ] = 1

@@ -14,8 +14,10 @@ from localiser.search import Search
 def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> mcl.Mcl:
     """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
     observation.warm_up()
-    search = Search.of(observation, landmark_map, config.search)
-    search.warm_up()
+    search = None  # looks for poses by edges that do not say what they are
+    if config.observation.association == "unknown":
+        search = Search.of(observation, landmark_map, config.search)
+        search.warm_up()
     return mcl.Mcl(
         landmark_map,
         observation,

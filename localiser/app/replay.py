@@ -24,6 +24,7 @@ from localiser.config import Config, in_force, to_yaml
 from localiser.edges import find_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.frames import Image, LocatedFrame
+from localiser.identified import observation_of
 from localiser.increments import Odometer
 from localiser.observation import EdgeObservation
 from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter, camera_error
@@ -206,7 +207,7 @@ def prepare(
     rng = np.random.default_rng(config.seed)
     inputs = RunInputs(log, landmark_map, map_file, config, start_of(log, start_option, rng))
     running = Running(mcl.FilterState(), rng, Progress()) if resume is None else resumed(resume, inputs)
-    observation = EdgeObservation(log.camera, config.observation)
+    observation = observation_of(log.camera, config.observation)
     filter_ = filter_of(log.camera, landmark_map, observation, config)
 
     folder = RunFolder.create(outputs.results, log.name)
@@ -229,6 +230,13 @@ def _require_fitting(log: Log, config: Config) -> None:
             "the observation `slope` needs a tilted camera, found a tilt of "
             f"{np.rad2deg(log.camera.mount.tilt_rad):g}°: without tilt every vertical edge is vertical in the image; "
             "use --observation line",
+        )
+    if config.observation.association == "known" and log.has_images:
+        raise InputError(
+            "association: known believes edges that say which landmark they belong to, found a log of images: "
+            "leave it unknown",
+            path=log.path,
+            field="images",
         )
     if config.increments.source != "wheel" and not log.has_images:
         raise InputError(
