@@ -18,7 +18,7 @@ from rerun.chunk import RrdReader
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.errors import OutputError
+from localiser.errors import InputError, OutputError
 from localiser.frames import Image, LocatedFrame
 from localiser.geometry import Array, Increment, Trajectory, compose, forward, robot_from_map
 from localiser.landmarks import LandmarkMap
@@ -457,3 +457,11 @@ def test_viewers_listen_on_this_machine_alone(kind: live.Kind) -> None:
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert (address or "http://127.0.0.1").startswith("http://127.0.0.1")
     assert command[-1] == "-", "the recording comes through standard input"
+
+
+def test_viewers_elsewhere_are_served_where_the_user_says() -> None:
+    command, address = live._viewer("0.0.0.0:9877")
+    assert command[command.index("--bind") + 1 :][:1] == ["0.0.0.0"] and address == "rerun+http://0.0.0.0:9877/proxy"
+    for wrong in ("somewhere", "0.0.0.0", "127.0.0.1:99999", "host name:1"):
+        with pytest.raises(InputError, match="IP:PORT"):
+            live._viewer(wrong)

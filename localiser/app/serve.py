@@ -99,6 +99,12 @@ class StandIn:
         self._network, self._passage, self._make = network, passage, Messages()
         network.keep(FIXED, self._make.encode(self._make.mount(time.time_ns(), passage.log.camera)))
 
+    def wait_for_listener(self, stop: Event) -> None:
+        """Stand still until someone wants images."""
+        while not self._network.is_heard(IMAGE):
+            if stop.wait(0.1):
+                return
+
     def run(self, stop: Event, ways: int | None = None) -> None:
         """Publish until `stop` is set, or for a number of ways."""
         begin_ns, begin_s = time.time_ns(), time.monotonic()

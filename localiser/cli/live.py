@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,14 +34,6 @@ live_app = typer.Typer(
 )
 
 
-class View(StrEnum):
-    """Where a run is shown while it goes on."""
-
-    native = "native"
-    web = "web"
-    none = "none"
-
-
 Connect = Annotated[
     list[str] | None,
     typer.Option("--connect", metavar="ENDPOINT", help="The robot, or a zenoh router; tcp/127.0.0.1:7447. Repeatable."),
@@ -65,7 +56,12 @@ Record = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Write every pose as a line of JSON on standard output.")]
 Seconds = Annotated[float | None, typer.Option(min=0.1, metavar="S", help="End after this time.")]
-LiveView = Annotated[View, typer.Option("--view", help="Watch the run in Rerun.")]
+LiveView = Annotated[
+    str,
+    typer.Option(
+        "--view", metavar="native|web|IP:PORT|none", help="Watch in Rerun; IP:PORT serves viewers on other machines."
+    ),
+]
 
 
 @live_app.callback()
@@ -92,7 +88,7 @@ def live(
     start: Start = None,
     record: Record = None,
     json: Json = False,
-    view: LiveView = View.none,
+    view: LiveView = "none",
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save the state here every few seconds; replaces what is there.")
     ] = None,
@@ -128,7 +124,7 @@ def live(
         start,
         record,
         sys.stdout.fileno() if json else None,
-        view.value,
+        view,
         checkpoint,
         resume,
     )
@@ -142,7 +138,7 @@ def demo(
     ] = Path("logs/corridor"),
     record: Record = None,
     json: Json = False,
-    view: LiveView = View.none,
+    view: LiveView = "none",
     seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
@@ -172,7 +168,7 @@ def demo(
             start=start_text(driven),
             record=record,
             json=sys.stdout.fileno() if json else None,
-            view=view.value,
+            view=view,
         )
         with _stand_in(log, endpoint):
             _run(options, seconds)
@@ -182,7 +178,8 @@ def demo(
 def _stand_in(log: Path, endpoint: str) -> Iterator[None]:
     """Run the robot's stand-in as a process of its own."""
     command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", "--listen", endpoint, "--quiet"]
-    robot = subprocess.Popen([*command, "--odometry-hz", "100"], stdout=subprocess.DEVNULL, start_new_session=True)
+    command += ["--odometry-hz", "100", "--wait"]
+    robot = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     try:
         yield
     finally:

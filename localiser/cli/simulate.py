@@ -35,11 +35,12 @@ def simulate(
         float | None,
         typer.Option(min=1, max=1000, help="Rate of the odometry that is sent; by default as the log has it."),
     ] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Do not drive off before someone listens.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Render a log from a WORLD: images, odometry with its errors, truth and map. Or be a robot, with --serve."""
     if serve:
-        _serve(world, seed, listen, odometry_hz, quiet)
+        _serve(world, seed, listen, odometry_hz, wait=wait, quiet=quiet)
         return
     from localiser.app import simulate as simulation
 
@@ -52,7 +53,7 @@ def simulate(
         typer.echo(f"{len(log)} images and {len(log.landmark_map)} landmarks in {out}")
 
 
-def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, quiet: bool) -> None:
+def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:
     from localiser.app.serve import Passage, StandIn, drive
     from localiser.cli.live import asked_to_stop
     from localiser.sources import Network
@@ -64,4 +65,7 @@ def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, quiet
                 typer.echo(
                     f"{log.name}: {log.duration_s:.0f} s there and as long back, at {listen}, until Ctrl-C", err=True
                 )
-            StandIn(network, Passage.of(log, odometry_hz)).run(stop)
+            robot = StandIn(network, Passage.of(log, odometry_hz))
+            if wait:
+                robot.wait_for_listener(stop)
+            robot.run(stop)

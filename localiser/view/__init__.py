@@ -2,6 +2,6 @@
 
 from localiser.view.context import Context
 from localiser.view.file import RrdFile
-from localiser.view.live import LiveView
+from localiser.view.live import LiveView, check_kind
 
-__all__ = ["Context", "LiveView", "RrdFile"]
+__all__ = ["Context", "LiveView", "RrdFile", "check_kind"]

@@ -1,4 +1,4 @@
-"""A run as it happens, in Rerun's native viewer or in the browser.
+"""A run as it happens: in Rerun's native viewer, in the browser, or served to viewers on other machines.
 
 The viewer is a process of its own that reads the recording from its standard input, fed by a worker thread from a
 bounded queue. Nothing else keeps a viewer that hangs from holding up the robot: a network sink of Rerun blocks in
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -16,15 +17,17 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from threading import Condition, Thread
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
+from localiser.errors import InputError
 from localiser.frames import LocatedFrame
 from localiser.view.context import Context
 
 if TYPE_CHECKING:
     from localiser.view.recorder import Recorder
 
-Kind = Literal["native", "web"]
+Kind = str
+"""`native`, `web`, or IP:PORT of this machine, to which viewers on others connect."""
 
 QUEUE_FRAMES = 50
 """What a viewer may lag behind: ten seconds at 5 Hz, long enough for it to start; 45 MB of 640×480 colour images."""
@@ -32,7 +35,11 @@ QUEUE_FRAMES = 50
 CLOSE_WAIT_S = 5.0
 """What a viewer that is behind gets to catch up at the end of a run."""
 
+VIEWER_MEMORY, SERVER_MEMORY = "2GB", "512MB"
+"""What viewer and server may keep; then the oldest frames go."""
+
 _LOCALHOST = "127.0.0.1"
+_REMOTE = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9.]+|localhost):([1-9][0-9]{0,4})")
 
 
 class LiveView:
@@ -41,7 +48,8 @@ class LiveView:
     Frames are drawn on a worker thread: the arrays handed over must not change afterwards. A viewer that is missing or
     closed ends the view, not the run.
     kind: "native" leaves its window open after the run; "web" serves a page, on this machine alone, until the process
-    ends. command: what to run instead; it gets the recording on its standard input.
+    ends; IP:PORT serves what viewers on other machines show, which connect to `address`. command: what to run instead;
+    it gets the recording on its standard input. Raises InputError for another kind.
     """
 
     def __init__(
@@ -55,7 +63,7 @@ class LiveView:
         self._queue: deque[Callable[[Recorder], None] | None] = deque(maxlen=queue_frames)
         self._changed = Condition()
         self._viewer = _start(command)
-        if kind == "web" and self._viewer is not None:
+        if kind != "native" and self._viewer is not None:
             atexit.register(_stop, self._viewer)
         self._worker = Thread(target=self._work, name="live view", daemon=True)
         self._worker.start()
@@ -126,14 +134,31 @@ def _write(descriptor: int, content: bytes) -> None:
         rest = rest[os.write(descriptor, rest) :]
 
 
+def check_kind(kind: Kind) -> None:
+    """Raise InputError unless `kind` is one of those, or none."""
+    remote = _REMOTE.fullmatch(kind)
+    if kind not in ("native", "web", "none") and (remote is None or int(remote[2]) > 65535):
+        raise InputError(f"expected native, web, none or IP:PORT, such as 0.0.0.0:9876, found {kind!r}", field="--view")
+
+
 def _viewer(kind: Kind) -> tuple[list[str], str | None]:
-    """Return the command of Rerun's viewer reading its standard input, and the address of its page."""
-    command = [sys.executable, "-m", "rerun_cli", "--bind", _LOCALHOST]
+    """Return the command of Rerun's viewer reading its standard input, and the address to watch it at."""
+    limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
+    command = [sys.executable, "-m", "rerun_cli", *limits]
     if kind == "native":
-        return [*command, "--port", "auto", "--hide-welcome-screen", "-"], None
-    port, page = _free_port(), _free_port()
-    address = f"http://{_LOCALHOST}:{page}?url=rerun%2Bhttp%3A%2F%2F{_LOCALHOST}%3A{port}%2Fproxy"
-    return [*command, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page), "-"], address
+        return [*command, "--bind", _LOCALHOST, "--port", "auto", "--hide-welcome-screen", "-"], None
+    if kind == "web":
+        port, page = _free_port(), _free_port()
+        address = f"http://{_LOCALHOST}:{page}?url=rerun%2Bhttp%3A%2F%2F{_LOCALHOST}%3A{port}%2Fproxy"
+        bound = ["--bind", _LOCALHOST, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page)]
+        return [*command, *bound, "-"], address
+    check_kind(kind)
+    remote = _REMOTE.fullmatch(kind)
+    assert remote is not None
+    host = _LOCALHOST if remote[1] == "localhost" else remote[1]
+    return [*command, "--bind", host.strip("[]"), "--serve-grpc", "--port", remote[2], "-"], (
+        f"rerun+http://{host}:{remote[2]}/proxy"
+    )
 
 
 def _free_port() -> int:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class LiveOptions:
     start: str | None = None
     record: Path | None = None
     json: int | None = None
-    view: Literal["native", "web", "none"] = "none"
+    view: str = "none"
     checkpoint: Path | None = None
     resume: bool = False
 
@@ -78,6 +78,7 @@ class Live:
 @contextmanager
 def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Live]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
+    view.check_kind(options.view)
     landmark_map = load_map(options.map_file)
     given = load_camera(options.camera) if options.camera else None
     topics = _topics(options.topics)
@@ -96,7 +97,8 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
             viewers.append(view.LiveView(options.view, view.Context("live", camera, landmark_map)))
             sinks.append(viewers[0])
             if viewers[0].address:
-                say(f"Watch at {viewers[0].address}", "INFO")
+                how = "Watch with `rerun {}`" if options.view != "web" else "Watch at {}"
+                say(how.format(viewers[0].address), "INFO")
         rng = np.random.default_rng(options.config.seed)
         filter_ = Filter(camera, landmark_map, options.config, sinks, rng, observation)
         filter_.warm_up()
