@@ -214,3 +214,17 @@ def test_edges_are_found_with_a_tilt_that_is_three_degrees_off(off_deg):
     image = wall_image(camera, [-20.0, -8.0, 3.0, 14.0], [60.0, 120.0, 70.0, 150.0, 110.0], noise_sigma=3.0)
     stated = camera.with_mount(tilt_rad=camera.mount.tilt_rad + np.deg2rad(off_deg))
     assert len(find_edges(image, stated, EdgeParameters(detector="columns", tilt_sigma_deg=3.0))) == 4
+
+
+def test_an_edge_beside_what_is_overexposed_is_less_certain_than_a_pixel_is_wide():
+    camera = camera_of(tilt_deg=20.0)
+    normalised = []
+    for seed in range(6):
+        bearings = np.array([-14.0, -6.0, 3.0, 11.0]) + 0.37 * seed
+        # What the sensor would read; beyond 255 it shows nothing.
+        image = wall_image(camera, bearings, [130.0, 520.0, 100.0, 600.0, 140.0], noise_sigma=2.0, seed=seed)
+        edges = find_edges(image, camera, EdgeParameters())
+        assert len(edges) == 4
+        edges = edges.take(np.argsort(edges.bearing))
+        normalised += list((edges.bearing - np.deg2rad(bearings)) / edges.bearing_sigma)
+    assert 0.4 < np.sqrt(np.mean(np.square(normalised))) < 1.3

@@ -49,7 +49,7 @@ class GradientField:
     fine: at `SCALE_PX`. smooth: the same averaged over neighbouring blocks. coarse: at twice the scale.
     clutter: sigma of what changes from block to block nearby, noise and texture, at least 1.
     unseen: blocks where the image has nothing to show. noise_grey: the noise's sigma (grey levels per px).
-    smooth_sigma: the noise's sigma in `smooth`.
+    smooth_sigma: the noise's sigma in `smooth`. grey: the rectified image averaged over blocks (grey levels).
     """
 
     fine: NDArray[np.float32]
@@ -59,6 +59,7 @@ class GradientField:
     unseen: NDArray[np.bool_]
     noise_grey: float
     smooth_sigma: float
+    grey: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,9 +75,10 @@ class Peaks:
 def gradient_field(image: Image, camera: Camera) -> GradientField:
     """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
     rectified, unseen = column_view(camera).of(image), unseen_blocks(camera)
-    blocks = rectified.reshape(-1, ROWS_PER_BLOCK, rectified.shape[1]).sum(axis=1, dtype=np.uint16)
+    rows = rectified.reshape(-1, ROWS_PER_BLOCK, rectified.shape[1]).sum(axis=1, dtype=np.uint16)
+    grey = rows.astype(np.float32) / np.float32(ROWS_PER_BLOCK)
     kernel = gradient_kernel(SCALE_PX)
-    fine = _filtered(blocks.astype(np.float32), (kernel / ROWS_PER_BLOCK).reshape(1, -1), cv2.BORDER_REPLICATE)
+    fine = _filtered(grey, kernel.reshape(1, -1), cv2.BORDER_REPLICATE)
     fine[unseen] = 0.0
     least = _LEAST_NOISE_GREY * float(np.linalg.norm(kernel)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
     noise = max(_robust_sigma(fine, camera), least)
@@ -85,7 +87,7 @@ def gradient_field(image: Image, camera: Camera) -> GradientField:
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
     smooth_sigma = max(_robust_sigma(smooth, camera), float(np.linalg.norm(ALONG)))
-    return GradientField(fine, smooth, coarse, _clutter(fine), unseen, noise, smooth_sigma)
+    return GradientField(fine, smooth, coarse, _clutter(fine), unseen, noise, smooth_sigma, grey)
 
 
 def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:

@@ -30,6 +30,10 @@ _TUKEY = 4.0
 _SAMPLING_SIGMA_PX = {1: 0.03, 2: 0.01}
 """Error by pixels and by the remap, at `SCALE_PX` and at twice that: tables hold 1/32 px, and an edge that is sharper
 than a pixel has none of its own scale to be interpolated."""
+_WHITE_GREY = 250.0
+_BESIDE_PX = 3.0
+_CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
+"""Where the lighter side is clipped, nobody can tell which share of the pixel on the edge it covers."""
 _MARGIN_BLOCKS = 2
 
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
@@ -151,8 +155,15 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         height=height,
         on_line=np.abs(residual) < 2,
         step=_step_grey(height, curvature, cells, field),
-        shift=shift,
+        shift=np.hypot(shift, _CLIPPED_SIGMA_PX * _clipped(fit, cells, field)),
     )
+
+
+def _clipped(fit: LineFit, cells: Cells, field: GradientField) -> Array:
+    """Return the share (G,) of each line's blocks whose lighter side is as white as the camera can show."""
+    beside = np.rint(fit.at(cells.groups.of, cells.row) + _BESIDE_PX * cells.polarity).astype(np.int64)
+    white = field.grey[cells.row, beside.clip(0, field.grey.shape[1] - 1)] > _WHITE_GREY
+    return cells.groups.mean(white.astype(np.float64), cells.in_chain)
 
 
 def _coarse_fit(fit: LineFit, inlier: Array, cells: Cells, field: GradientField) -> LineFit:

@@ -43,7 +43,7 @@ class NadirMiss:
 
     def corrected(self, mount: MountError) -> tuple[Array, Array]:
         """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
-        remaining = np.einsum("si,ij,sj->s", self.per_mount, mount.cov, self.per_mount)
+        remaining = ((self.per_mount @ mount.cov) * self.per_mount).sum(axis=1)
         return self.angle + self.per_mount @ mount.mean, remaining
 
     def take(self, index: NDArray[np.bool_]) -> NadirMiss:
