@@ -131,3 +131,21 @@ def test_the_same_seed_gives_the_same_edges(landmark_map: LandmarkMap) -> None:
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.bearing, b.bearing)
         np.testing.assert_array_equal(a.landmark_id, b.landmark_id)
+
+
+def test_ends_err_along_the_edge_and_some_are_cut_short(landmark_map: LandmarkMap) -> None:
+    exact = simulated_edges(landmark_map, CAMERA, still(1), np.random.default_rng(0))[0]
+    noise = EdgeNoise(endpoint_sigma_px=1e-6, along_sigma_px=2.0, cut_probability=0.2)
+    frames = simulated_edges(landmark_map, CAMERA, still(1500), np.random.default_rng(1), noise=noise)
+    whole = dict(zip(exact.landmark_id, exact.ends_px, strict=True))
+    long = [landmark for landmark in whole if np.hypot(*np.diff(whole[landmark], axis=0)[0]) > 100]
+    assert long
+    for landmark in long:
+        ends = np.array([f.ends_px[f.landmark_id == landmark][0] for f in frames])
+        moved = np.linalg.norm(ends - whole[landmark], axis=-1)  # (frames, 2)
+        kept = moved < 8
+        assert kept.mean() == pytest.approx(0.8, abs=0.08), "some cuts are short"
+        rms = np.sqrt(np.square(moved[kept]).mean())
+        assert rms == pytest.approx(2.0, rel=0.35)
+        length = np.hypot(*np.diff(whole[landmark], axis=0)[0])
+        assert 0.2 * length < moved.max() < 0.45 * length + 10

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,17 +14,22 @@ from localiser.edges.types import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
 
+MOST_CUT = 0.4  # of an edge, at either end
+
 
 @dataclass(frozen=True, slots=True)
 class EdgeNoise:
     """How edges are measured.
 
-    endpoint_sigma_px: error of each end of a segment, across it. detection_probability: chance that a visible edge is
-    found. clutter_per_frame: mean number of false edges in an image (Poisson). range_min_m, range_max_m, length_min_px:
-    what is nearer, farther or shorter is not found.
+    endpoint_sigma_px: error of each end of a segment, across it. along_sigma_px: the same along it. cut_probability:
+    chance for each end that the segment stops short of it, by up to 0.4 of its length. detection_probability: chance
+    that a visible edge is found. clutter_per_frame: mean number of false edges in an image (Poisson). range_min_m,
+    range_max_m, length_min_px: what is nearer, farther or shorter is not found.
     """
 
     endpoint_sigma_px: float = 0.5
+    along_sigma_px: float = 0.0
+    cut_probability: float = 0.0
     detection_probability: float = 1.0
     clutter_per_frame: float = 0.0
     range_min_m: float = 0.2
@@ -64,6 +69,8 @@ def simulated_edges(
     true = _visible_segments(landmark_map, camera, truth.poses, noise, visible)
     found = rng.random(len(true.frame)) < noise.detection_probability
     true = _Segments(true.frame[found], true.landmark[found], true.tangent[found], true.e[found])
+    if noise.along_sigma_px or noise.cut_probability:
+        true = replace(true, e=_shortened(true.e, camera, noise, rng))
     segments = _merged(true, _clutter(camera, len(truth), noise, rng))
     edges = _measured(segments, camera, noise.endpoint_sigma_px, rng)
     first = np.searchsorted(segments.frame, np.arange(len(truth) + 1))
@@ -127,6 +134,15 @@ def _clutter(camera: Camera, frames: int, noise: EdgeNoise, rng: np.random.Gener
     tangent = rng.uniform(a_left, a_right, size=len(frame)) / depth
     e = middle[:, None] + length[:, None] * np.array([-0.5, 0.5])
     return _Segments(frame, np.full(len(frame), -1, dtype=np.int64), tangent, e)
+
+
+def _shortened(e: Array, camera: Camera, noise: EdgeNoise, rng: np.random.Generator) -> Array:
+    """Return upright heights (P, 2) of both ends as they are found: not quite there, or well short of it."""
+    length = e[:, 1:] - e[:, :1]
+    short = (rng.random(e.shape) < noise.cut_probability) * rng.uniform(0.0, MOST_CUT, e.shape)
+    cut = e + np.array([1.0, -1.0]) * short * length
+    found = cut + noise.along_sigma_px / camera.focal_px * rng.standard_normal(e.shape)
+    return np.where(found[:, :1] < found[:, 1:], found, cut)
 
 
 def _merged(one: _Segments, other: _Segments) -> _Segments:
