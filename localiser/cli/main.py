@@ -24,6 +24,7 @@ from localiser.cli.shared import (
     Seed,
     Topics,
     opened,
+    paced,
     progress,
     show,
     topics_by_role,
@@ -104,6 +105,8 @@ def _root(
 
 `localiser replay logs/corridor --odometry vision`
 
+`localiser replay logs/corridor --view web --speed 1`
+
 `localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`
 
 `localiser replay logs/corridor --checkpoint run.checkpoint --resume run.checkpoint`
@@ -140,6 +143,10 @@ def replay(
     ),
     rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
     view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = View.none,
+    speed: Annotated[
+        float | None,
+        typer.Option(min=0.01, metavar="X", help="X times as fast as the robot drove; by default as fast as possible."),
+    ] = None,
     checkpoint: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Save what it takes to resume the run, when it ends or is stopped."),
@@ -171,7 +178,8 @@ def replay(
     if start is None and run.inputs.start is None and not quiet:
         typer.echo("The log states no start: the robot is looked for on the whole map.", err=True)
     with progress("Localising", len(recorded.frames), quiet) as advance:
-        figures = run.run(advance)
+        times_ns = [frame.t_ns for frame in recorded.frames]
+        figures = run.run(advance if speed is None else paced(advance, times_ns, speed))
     if not quiet:
         _show_run(figures, run.folder.path, rrd)
         for warning in figures["warnings"]:

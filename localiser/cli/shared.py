@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -69,6 +70,20 @@ def progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
         task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)
+
+
+def paced(advance: Callable[[], None], times_ns: Sequence[int], speed: float) -> Callable[[], None]:
+    """Return `advance` held back so that images with these times pass `speed` times as fast as they were taken."""
+    begin: list[float] = []
+
+    def step() -> None:
+        advance()
+        begin.append(time.monotonic())
+        done = min(len(begin), len(times_ns) - 1)
+        due = begin[0] + (times_ns[done] - times_ns[0]) / 1e9 / speed
+        time.sleep(max(due - time.monotonic(), 0.0))
+
+    return step
 
 
 @contextmanager

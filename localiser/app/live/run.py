@@ -67,16 +67,16 @@ class LiveRun:
     def run(self, ended: Callable[[], bool]) -> None:
         """Run until `ended` says so."""
         while not ended():
-            self.turn(self.inbox.take(_IDLE_S if self._is_idle() else 0.0))
-            self.monitor.watch(_EXPECTED)
+            self._take_all(self.inbox.take(_IDLE_S if self._is_idle() else 0.0))
+            self.monitor.watch(_EXPECTED)  # now, when nothing waits that was not looked at
+            self._weigh_next()
 
         if self.checkpoints is not None:
             self.checkpoints.close(self.filter, self.clock.offset_ns)
 
     def turn(self, arrivals: Iterable[Arrival]) -> None:
         """Take in what has arrived, then weigh one image, or find the edges of one that waits for the wheels."""
-        for arrival in arrivals:
-            self._take(arrival)
+        self._take_all(arrivals)
         self._weigh_next()
 
     def _is_idle(self) -> bool:
@@ -85,14 +85,14 @@ class LiveRun:
 
     # -- in ---------------------------------------------------------------------------------------------------------
 
-    def _take(self, arrival: Arrival) -> None:
-        """Read a message, record it if it is one, and act on it."""
-        try:
-            message = message_of(arrival)
-            take = getattr(self, f"_take_{arrival.role}")
-            take(arrival, message)
-        except ValueError as error:
-            self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
+    def _take_all(self, arrivals: Iterable[Arrival]) -> None:
+        """Read every message, record it if it is one, and act on it."""
+        for arrival in arrivals:
+            try:
+                message = message_of(arrival)
+                getattr(self, f"_take_{arrival.role}")(arrival, message)
+            except ValueError as error:
+                self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
 
     def _take_camera_info(self, arrival: Arrival, message: Any) -> None:
         self.finder.take_info(message)
