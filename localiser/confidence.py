@@ -1,7 +1,8 @@
 """Am I lost? The probability that the estimate is right, where else the robot may be, and why it is not sure.
 
 An estimate is correct within 0.5 m and 10°. It is, when the truth is among the particles and those near the estimate
-are the right ones: p_correct = (1 - P(lost)) · weight of the particles near the estimate. P(lost) is `doubt`'s.
+are the right ones: p_correct = (1 - P(lost)) · weight of the particles near the estimate. P(lost) is that of `doubt`,
+or of a `rival`.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.clusters import Clusters, find_clusters
-from localiser.doubt import Doubt
 from localiser.geometry import Array, wrap_angle
 from localiser.particles import Particles
 
@@ -34,22 +35,28 @@ class Confidence:
     clusters: Clusters
 
 
-def confidence_of(particles: Particles, pose: Array, doubt: Doubt, edges: int, clusters: Clusters) -> Confidence:
-    """Return how sure the filter may be of the estimate `pose` (3,). edges: how many the image showed."""
+def confidence_of(particles: Particles, pose: Array, lost: float, edges: int, clusters: Clusters) -> Confidence:
+    """Return how sure the filter may be of the estimate `pose` (3,).
+
+    lost: probability that the truth is not among the particles. edges: how many the image showed.
+    """
     near = near_weight(particles, pose)
-    p_correct = (1.0 - doubt.probability) * near
-    return Confidence(p_correct, _reason(p_correct, near, doubt.probability, edges, clusters), clusters)
+    p_correct = (1.0 - lost) * near
+    return Confidence(p_correct, _reason(p_correct, near, lost, edges), clusters)
 
 
 def near_weight(particles: Particles, pose: Array) -> float:
     """Return the share of the particles' weight within 0.5 m and 10° of `pose` (3,)."""
-    poses, weight = particles.poses, particles.weight
+    return float(min(particles.weight[beside(particles.poses, pose)].sum(), 1.0))
+
+
+def beside(poses: Array, pose: Array) -> NDArray[np.bool_]:
+    """Return which of the poses (N, 3) are within 0.5 m and 10° of `pose` (3,)."""
     near = np.hypot(poses[:, 0] - pose[0], poses[:, 1] - pose[1]) < CORRECT_M
-    near &= np.abs(wrap_angle(poses[:, 2] - pose[2])) < CORRECT_RAD
-    return float(min(weight[near].sum(), 1.0))
+    return np.asarray(near & (np.abs(wrap_angle(poses[:, 2] - pose[2])) < CORRECT_RAD))
 
 
-def _reason(p_correct: float, near: float, lost: float, edges: int, clusters: Clusters) -> Reason:
+def _reason(p_correct: float, near: float, lost: float, edges: int) -> Reason:
     if p_correct >= SURE:
         return ""
     if edges == 0:

@@ -19,9 +19,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.inliers import InlierShare
+from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.particles import normalised
 
+SOME = 0.3  # of the edges: from here on they are not the landmarks of chance
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
 SUREST = float(np.log(999.0))  # log-odds that are never exceeded: a model is never that right
 
@@ -31,7 +32,7 @@ class Doubt:
     """log_odds: logarithm of the odds that the robot is lost, that is, that the truth is not among the particles.
 
     overlooked: probability that the true place was never among those that the particles were chosen from. inliers: what
-    share of the edges belongs to landmarks, as far as images tell that were seen while not lost.
+    share of the edges belongs to landmarks hereabouts.
     """
 
     log_odds: float
@@ -44,9 +45,9 @@ class Doubt:
         return cls(_log_odds(probability))
 
     @classmethod
-    def of_anywhere(cls) -> Doubt:
-        """Return the doubt of a robot whose particles are where the first image fits."""
-        return cls(_log_odds(OVERLOOKED), OVERLOOKED)
+    def of_anywhere(cls, inliers: InlierShare | None = None) -> Doubt:
+        """Return the doubt of a robot whose particles are where one image fits."""
+        return cls(_log_odds(OVERLOOKED), OVERLOOKED, inliers or InlierShare.unknown())
 
     @property
     def probability(self) -> float:
@@ -67,19 +68,21 @@ class Doubt:
         carried: probability of having been carried away since the last independent image.
         """
         lost = self.probability + carried * share * (1.0 - self.probability)
-        log_odds = _log_odds(lost) - share * self.log_evidence(by_share, log_weight)
-        log_odds = min(max(log_odds, _log_odds(self.overlooked)), SUREST)
         inliers = self.inliers.after(share)
         learnt = inliers.given(by_share, normalised(log_weight + inliers.log_mean(by_share)), share)
-        return Doubt(log_odds, self.overlooked, inliers.towards(learnt, 1.0 - _probability(log_odds)))
+        # Only an image that shows landmarks could have told of another place.
+        shown = float((learnt.count - inliers.count)[INLIER_SHARES > SOME].sum())
+        overlooked = self.overlooked * OVERLOOKED**shown
+        log_odds = _log_odds(lost) - share * self.log_evidence(by_share, log_weight)
+        return Doubt(min(max(log_odds, _log_odds(overlooked)), SUREST), overlooked, learnt)
 
-    def looked(self, log_odds: float, share: float) -> Doubt:
-        """Return the doubt after a look around in an image of which `share` is new.
+    def joined(self, log_odds: float) -> Doubt:
+        """Return the doubt after places that a look around found have joined the particles.
 
-        log_odds: of the places that it found, beside the particles. Where they win, it is them that may be wrong.
+        log_odds: of all these places, beside the particles. Where they win, it is them that may be wrong.
         """
         found = _probability(log_odds)
-        overlooked = OVERLOOKED * found + OVERLOOKED**share * self.overlooked * (1.0 - found)
+        overlooked = OVERLOOKED * found + self.overlooked * (1.0 - found)
         left = self.log_odds + np.log(OVERLOOKED) - np.logaddexp(0.0, log_odds)
         return replace(self, log_odds=float(max(left, _log_odds(overlooked))), overlooked=overlooked)
 

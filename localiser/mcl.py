@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Annotated
 
@@ -28,7 +28,8 @@ from localiser.motion import MotionParameters, predict, wheel_cov
 from localiser.observation import Observation, ObservationParameters, independent_share
 from localiser.particles import Estimate, Particles
 from localiser.resampling import systematic_resample
-from localiser.search import Search, joined, only, resampled
+from localiser.rival import Rival
+from localiser.search import Search, only, resampled
 from localiser.weighing import Weighing
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
@@ -87,10 +88,8 @@ class Located:
 
 
 STRAY_START = 0.01  # probability that a start that was stated is wrong
-FRESH_SHARE = 0.1  # of an image that must be new for another look elsewhere
-NEGLIGIBLE = 1e-3  # odds of the places that an image proposes, below which none of them joins
 FEW = 512  # particles that tell how well all of them fit
-WON = 0.98  # weight of a place from which on the others are forgotten
+ALONE = 0.98  # weight of a place from which on the others are forgotten
 
 # -- the filter -------------------------------------------------------------------------------------------------------
 
@@ -131,9 +130,9 @@ class FilterState:
 
     particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
     inliers: what share of the edges belongs to landmarks hereabouts. doubt: whether the robot is elsewhere. searching:
-    whether several places are possible.
-    seen: edges of the last image. odometry: poses since then, and the last one before.
-    waiting: sightings that odometry has not reached yet.
+    whether several places are possible. rival: where else the robot may be, beside the particles.
+    seen: edges of the last image.
+    odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
@@ -142,6 +141,7 @@ class FilterState:
     inliers: InlierShare = field(default_factory=InlierShare.unknown)
     doubt: Doubt = field(default_factory=lambda: Doubt.of(STRAY_START))
     searching: bool = False
+    rival: Rival | None = None
     seen: Edges | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
@@ -154,7 +154,7 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
             cloud = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
             state.particles = at_start(cloud, mcl.motion.bias, rng)
             state.at_ns, state.weighed, state.seen = event.t_ns, False, None
-            state.doubt, state.searching = Doubt.of(STRAY_START), False
+            state.doubt, state.searching, state.rival = Doubt.of(STRAY_START), False, None
         case Odometry():
             state.odometry.append(event)
         case Sighting():
@@ -197,11 +197,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if state.particles is None:
         weighed = _anywhere(mcl, state, edges, rng)
     else:
-        moved = state.particles
-        for move in moves if increment is wheels else [increment]:
-            moved = predict(moved, move, mcl.motion, rng)
         share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
-        weighed = _weighed(mcl, state, moved, edges, share, rng)
+        weighed = _weighed(mcl, state, moves if increment is wheels else [increment], edges, share, rng)
 
     # Estimate before resampling, which only adds noise.
     located = _located(state, weighed, sighting, increment, odometry_pose)
@@ -221,32 +218,42 @@ def _anywhere(mcl: Mcl, state: FilterState, edges: Edges, rng: np.random.Generat
 
 
 def _weighed(
-    mcl: Mcl, state: FilterState, moved: Particles, edges: Edges, share: float, rng: np.random.Generator
+    mcl: Mcl, state: FilterState, moves: list[Increment], edges: Edges, share: float, rng: np.random.Generator
 ) -> Particles:
-    """Return the particles weighed by `share` of the edges' evidence; learn what it says of clutter and of doubt."""
-    search = mcl.search
+    """Return the particles, moved and weighed by `share` of the edges' evidence, or those of a rival that has won."""
+    assert state.particles is not None
+    search, moved = mcl.search, _moved(mcl, state.particles, moves, rng)
     if search is None:
         return _tracked(mcl, state, moved, edges, share, rng)
     clues = search.clues(edges)
-    some = moved if state.searching else only(moved, slice(None, None, max(len(moved) // FEW, 1)))
-    by_share = clues.by_share(some)
-    log_likelihood = state.doubt.inliers.log_mean(by_share)
-    log_odds = state.doubt.log_odds - state.doubt.log_evidence(by_share, some.log_weight)
-    state.doubt = state.doubt.after(by_share, some.log_weight, share, search.parameters.carried)
     if state.searching:
-        weighed = replace(moved, log_weight=moved.log_weight + share * log_likelihood)
-    else:
-        weighed = _tracked(mcl, state, moved, edges, share, rng)
-    # Look elsewhere where the likelihood itself says that the robot may be lost, and the image tells anew.
-    if len(edges) == 0 or share < FRESH_SHARE or state.doubt.probability < search.parameters.doubt:
+        weighed, state.doubt, _ = search.followed(moved, state.doubt, clues, share, rng)
         return weighed
-    fresh, log_evidence = search.fresh(weighed, clues, state.doubt.inliers, search.parameters.fresh, rng)
-    log_odds += log_evidence  # both sides weighed by all of the image
-    state.doubt = state.doubt.looked(log_odds, share)
-    if log_odds < np.log(NEGLIGIBLE):
-        return weighed
-    state.searching = True
-    return joined(weighed, fresh, log_odds)
+    weighed = _tracked(mcl, state, moved, edges, share, rng)
+
+    # Is the robot where the particles are? A few of them tell.
+    inliers = state.doubt.inliers
+    few = only(moved, slice(None, None, max(len(moved) // FEW, 1)))
+    by_share = clues.by_share(few)
+    log_evidence = state.doubt.log_evidence(by_share, few.log_weight)
+    log_odds = state.doubt.log_odds - log_evidence
+    state.doubt = state.doubt.after(by_share, few.log_weight, share, search.parameters.carried)
+    if state.rival is not None:
+        others = _moved(mcl, state.rival.particles, moves, rng)
+        state.rival = state.rival.followed(search, others, clues, share, share * log_evidence, inliers, rng)
+    elif search.looks_around(state.doubt, clues, share):
+        state.rival = Rival.begun(search, weighed, state.doubt, log_odds, clues, rng)
+    if state.rival is not None:
+        state.rival = state.rival.elsewhere(particles.estimate(weighed).pose)
+    if state.rival is not None and state.rival.has_won:
+        weighed, state.doubt, state.searching, state.rival = state.rival.particles, state.rival.doubt, True, None
+    return weighed
+
+
+def _moved(mcl: Mcl, cloud: Particles, moves: list[Increment], rng: np.random.Generator) -> Particles:
+    for move in moves:
+        cloud = predict(cloud, move, mcl.motion, rng)
+    return cloud
 
 
 def _tracked(
@@ -264,7 +271,7 @@ def _located(
     clusters = confidence.places_of(weighed)
     chosen = only(weighed, clusters.label == 0) if state.searching else weighed
     estimate = particles.estimate(chosen)
-    sure = confidence.confidence_of(weighed, estimate.pose, state.doubt, len(sighting.edges), clusters)
+    sure = confidence.confidence_of(weighed, estimate.pose, _lost(state), len(sighting.edges), clusters)
     return Located(
         sighting.t_ns,
         estimate,
@@ -279,13 +286,20 @@ def _located(
     )
 
 
+def _lost(state: FilterState) -> float:
+    """Return the probability that the truth is not among the particles."""
+    return max(state.doubt.probability, 0.0 if state.rival is None else state.rival.probability)
+
+
 def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Generator) -> Particles:
     """Return the particles that go on: as many as the way needs, from those that explain the edges."""
     weighed, parameters = located.particles, mcl.parameters
-    if state.searching and mcl.search is not None:
-        if confidence.near_weight(weighed, located.estimate.pose) < WON:
-            most = mcl.search.parameters.particles_most
-            return resampled(weighed, min(parameters.particles, most), most, rng)
+    most = max(parameters.particles, 0 if mcl.search is None else mcl.search.parameters.particles_most)
+    if state.rival is not None:
+        state.rival = state.rival.resampled(parameters.particles, most, rng)
+    if state.searching:
+        if confidence.near_weight(weighed, located.estimate.pose) < ALONE:
+            return resampled(weighed, parameters.particles, most, rng)
         state.searching = False
     if located.ess < parameters.resample_below * len(weighed) or len(weighed) != parameters.particles:
         index = systematic_resample(weighed.weight, parameters.particles, rng)

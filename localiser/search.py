@@ -23,6 +23,7 @@ from pydantic import Field
 
 from localiser import resampling
 from localiser.clusters import poses_per_cell
+from localiser.doubt import Doubt
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.inliers import INLIER_SHARES, InlierShare
@@ -33,7 +34,10 @@ from localiser.proposals import Places, Region, View, propose, view_of
 from localiser.proposals.evidence import Evidence, evidence_of, score_by_share
 
 CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
+FRESH_SHARE = 0.1  # of an image that must be new for another look around
+NEGLIGIBLE = 1e-3  # odds of the places that an image proposes, below which none of them joins
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
+ALIKE = 0.5  # one jamb shows as two or three edges: what each of them tells on its own
 BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
 
 
@@ -67,7 +71,7 @@ class Clues:
 
     def by_pose(self, poses: Array) -> Array:
         """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
-        return score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
+        return ALIKE * score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +121,34 @@ class Search:
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
         poses[:, 2] = wrap_angle(poses[:, 2] - yaw_of(drawn))
         return placed(drawn, poses), float(np.logaddexp.reduce(log_weight) - np.log(count))
+
+    def looks_around(self, doubt: Doubt, clues: Clues, share: float) -> bool:
+        """Whether the robot may be lost and an image, of which `share` is new, can tell where else it may be."""
+        return len(clues.view) > 0 and share >= FRESH_SHARE and doubt.probability >= self.parameters.doubt
+
+    def followed(
+        self, moved: Particles, doubt: Doubt, clues: Clues, share: float, rng: np.random.Generator
+    ) -> tuple[Particles, Doubt, float]:
+        """Return particles at several places weighed by `share` of the image, their doubt and log-evidence.
+
+        Poses that the image proposes join them, unless those at the present places explain it far better.
+        """
+        by_share = clues.by_share(moved)
+        weighed = replace(moved, log_weight=moved.log_weight + share * doubt.inliers.log_mean(by_share))
+        log_evidence = _log_sum(weighed.log_weight) - _log_sum(moved.log_weight)
+        log_odds = doubt.log_odds - doubt.log_evidence(by_share, moved.log_weight)
+        doubt = doubt.after(by_share, moved.log_weight, share, self.parameters.carried)
+        if not self.looks_around(doubt, clues, share):
+            return weighed, doubt, log_evidence
+        fresh, fresh_evidence = self.fresh(weighed, clues, doubt.inliers, self.parameters.fresh, rng)
+        log_odds += fresh_evidence  # both sides weighed by all of the image
+        if log_odds < np.log(NEGLIGIBLE):
+            return weighed, doubt, log_evidence
+        return joined(weighed, fresh, log_odds), doubt.joined(log_odds), log_evidence + np.logaddexp(0.0, log_odds)
+
+
+def _log_sum(log_weight: Array) -> float:
+    return float(np.logaddexp.reduce(log_weight))
 
 
 def yaw_of(particles: Particles) -> Array:
