@@ -21,7 +21,7 @@ from localiser.clusters import Clusters
 from localiser.doubt import Doubt
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
-from localiser.increments import Odometer
+from localiser.increments import Gaussian, Odometer
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters, predict, wheel_cov
@@ -131,7 +131,7 @@ class FilterState:
     particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
     inliers: what share of the edges belongs to landmarks hereabouts. doubt: whether the robot is elsewhere. searching:
     whether several places are possible. rival: where else the robot may be, beside the particles.
-    seen: edges of the last image.
+    seen: edges of the last image. pace: twist per second then, as far as edges told.
     odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
@@ -143,6 +143,7 @@ class FilterState:
     searching: bool = False
     rival: Rival | None = None
     seen: Edges | None = None
+    pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
 
@@ -189,9 +190,9 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Predict: move every particle by what wheels and edges say, each with its own error.
     moves, odometry_pose = moves_until(state, sighting.t_ns)
     increment = wheels = reduce(Increment.then, moves)
-    if mcl.odometer is not None:
-        seconds = (sighting.t_ns - state.at_ns) / 1e9
-        increment = mcl.odometer.increment(wheels, wheel_cov(wheels, mcl.motion), state.seen, edges, seconds)
+    if mcl.odometer is not None and mcl.odometer.follows_edges:
+        seconds, cov = (sighting.t_ns - state.at_ns) / 1e9, wheel_cov(wheels, mcl.motion)
+        increment, state.pace = mcl.odometer.increment(wheels, cov, state.seen, edges, seconds, state.pace)
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     if state.particles is None:

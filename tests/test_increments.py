@@ -11,9 +11,10 @@ from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
-from localiser.increments import Gaussian, IncrementParameters, Odometer, follow
-from localiser.increments.fuse import mixture
-from localiser.increments.views import Sights, camera_motion, predicted
+from localiser.increments import Belief, Followed, Frames, Gaussian, IncrementParameters, Odometer, follow, loops
+from localiser.increments.fuse import at_least, mixture
+from localiser.increments.sights import Sights
+from localiser.increments.twist import motion_by_twist, motion_gaussian, motion_of, twist_gaussian, twist_of
 
 CAMERA = Camera(
     640,
@@ -24,7 +25,7 @@ CAMERA = Camera(
     239.5,
     Mount(np.radians(20.0), 0.9, yaw_rad=np.radians(3.0), right_m=0.05, back_m=-0.1),
 )
-ANYTHING = Gaussian(np.zeros(3), IncrementParameters().motion_cov(0.2))
+ANYTHING = IncrementParameters().twist(None, 0.2)
 BEARING_SIGMA, INVERSE_SIGMA = np.radians(0.02), 0.004
 POINTS = np.array(
     [
@@ -60,38 +61,32 @@ def edges_from(pose: Array, rng: np.random.Generator, points: Array = POINTS, fe
     )
 
 
+def followed(before: Edges, after: Edges, feet: bool = True) -> Followed:
+    """Return the motion between two frames of which nothing is known but that 0.2 s passed."""
+    frames = Frames.of(before, after, CAMERA)
+    return follow(frames, [Belief(ANYTHING, frames.likely_motions(ANYTHING), feet=feet)])
+
+
 motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2, 0.2)).map(np.array)
 
 
-@settings(derandomize=True, max_examples=50)
+@settings(derandomize=True, max_examples=50, deadline=None)  # the first call compiles
 @given(motions, st.floats(-0.5, 0.5), st.floats(0.0, 1.5))
-def test_prediction_is_what_the_moved_camera_sees(motion: Array, bearing: float, inverse: float) -> None:
-    moved, jac = camera_motion(motion, CAMERA)
-    np.testing.assert_allclose(
-        CAMERA.pose_in_map(motion), geometry.compose(CAMERA.pose_in_map(np.zeros(3)), moved), atol=1e-12
-    )
-    seen = predicted(np.array([bearing]), np.array([inverse]), moved)
+def test_what_the_moved_camera_sees(twist: Array, bearing: float, inverse: float) -> None:
+    mount = CAMERA.robot_from_level
+    expected = geometry.between(mount, geometry.compose(motion_of(twist), mount))
+    x, z, jac = loops.camera_moved(twist, mount)
+    np.testing.assert_allclose([x, z], expected[:2], atol=1e-9)
+    step = 1e-6
+    for column, change in enumerate(step * np.eye(3)):
+        ends = [np.array(loops.camera_moved(twist + sign * change, mount)[:2]) for sign in (1, -1)]
+        np.testing.assert_allclose(jac[:, column], (ends[0] - ends[1]) / (2 * step), atol=1e-6)
+    seen, *_, square = loops.seen_from(bearing, inverse, x, z, twist[2])
     if inverse > 0.01:
         point = np.array([np.sin(bearing), -np.cos(bearing)]) / inverse
-        at = geometry.robot_from_map(moved, point)
-        assert seen.bearing[0] == pytest.approx(float(geometry.bearing_from_point(*at)))
-        assert seen.inverse_range[0] == pytest.approx(1.0 / np.hypot(*at))
-    step = 1e-6
-    for column in range(3):
-        change = step * np.eye(3)[column]
-        ends = [camera_motion(motion + sign * change, CAMERA)[0] for sign in (1, -1)]
-        np.testing.assert_allclose(jac[:, column], (ends[0] - ends[1]) / (2 * step), atol=1e-8)
-        ends = [predicted(np.array([bearing]), np.array([inverse]), moved + sign * change) for sign in (1, -1)]
-        for row, name in enumerate(("bearing", "inverse_range")):
-            slope = (getattr(ends[0], name)[0] - getattr(ends[1], name)[0]) / (2 * step)
-            assert seen.by_motion[0, row, column] == pytest.approx(slope, abs=1e-6)
-    for column, change in enumerate(((step, 0.0), (0.0, step))):
-        ends = [
-            predicted(np.array([bearing + s * change[0]]), np.array([inverse + s * change[1]]), moved) for s in (1, -1)
-        ]
-        for row, name in enumerate(("bearing", "inverse_range")):
-            slope = (getattr(ends[0], name)[0] - getattr(ends[1], name)[0]) / (2 * step)
-            assert seen.by_edge[0, row, column] == pytest.approx(slope, abs=1e-6)
+        at = geometry.robot_from_map(expected, point)
+        assert seen == pytest.approx(float(geometry.bearing_from_point(*at)))
+        assert inverse / np.sqrt(square) == pytest.approx(1.0 / np.hypot(*at))
 
 
 def test_turning_on_the_spot_is_equation_13_of_the_paper() -> None:
@@ -99,19 +94,81 @@ def test_turning_on_the_spot_is_equation_13_of_the_paper() -> None:
     slopes = np.tan(np.radians([106.82, 95.16]))
     bearings = geometry.bearing_from_lean(geometry.lean_from_slope(slopes), tilt)
     turn = float(geometry.rotation_from_slopes(slopes[0], slopes[1], tilt))
-    seen = predicted(bearings[:1], np.array([0.4]), np.array([0.0, 0.0, turn]))
-    assert seen.bearing[0] == pytest.approx(bearings[1])
+    assert loops.seen_from(bearings[0], 0.4, 0.0, 0.0, turn)[0] == pytest.approx(bearings[1])
+
+
+def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
+    tilt, ahead_m, driven_m, right_m = np.radians(30.0), 3.0, 0.5, 0.8
+    bearing = float(np.arctan2(right_m, ahead_m))
+    seen = loops.seen_from(bearing, 1.0 / np.hypot(right_m, ahead_m), 0.0, -driven_m, 0.0)[0]
+    slopes = geometry.slope_from_lean(geometry.lean_from_bearing(np.array([bearing, seen]), tilt))
+    assert geometry.depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)  # the first call compiles
+@given(motions)
+def test_twists_are_motions_along_arcs(twist: Array) -> None:
+    np.testing.assert_allclose(twist_of(motion_of(twist)), twist, atol=1e-12)
+    step = 1e-6
+    changes = [motion_of(twist + step * axis) - motion_of(twist - step * axis) for axis in np.eye(3)]
+    np.testing.assert_allclose(motion_by_twist(twist), np.array(changes).T / (2 * step), atol=1e-6)
+    cov = np.diag([1e-4, 2e-4, 3e-5])
+    there_and_back = twist_gaussian(motion_gaussian(Gaussian(twist, cov)))
+    np.testing.assert_allclose(there_and_back.mean, twist, atol=1e-12)
+    np.testing.assert_allclose(there_and_back.cov, cov, atol=1e-12)
+
+
+@pytest.mark.parametrize("floor", [1.0, 0.6])
+def test_least_squares_agrees_with_a_general_solver(floor: float) -> None:
+    """The least sum of squares over twist, common errors, typical range and every edge's own unknowns."""
+    from scipy.optimize import least_squares
+
+    rng, true = np.random.default_rng(11), np.array([0.01, -0.1, 0.08])
+    frames = Frames.of(edges_from(np.zeros(3), rng), edges_from(motion_of(true), rng), CAMERA)
+    model, (one, two), mount = frames.model(), frames.arrays(), CAMERA.robot_from_level
+    count = len(POINTS)
+    links = np.stack([np.arange(count)] * 2, axis=-1)
+    weight, prior = rng.uniform(0.3, 1.0, count), ANYTHING
+    belief = loops.Belief(prior.mean, np.linalg.inv(prior.cov), True, True)
+    found, cov = loops.solve(one, two, links, weight, np.full(count, floor), true, belief, mount, model)
+    root = np.linalg.cholesky(belief.information).T
+    terms = one.common.shape[2]
+
+    def cost(unknown: Array) -> Array:
+        twist, wrong, typical = unknown[:3], unknown[3 : 3 + terms], unknown[3 + terms]
+        bearing, inverse = unknown[4 + terms :].reshape(count, 2).T
+        x, z, _ = loops.camera_moved(twist, mount)
+        d = np.stack([np.sin(bearing) - inverse * x, -np.cos(bearing) - inverse * z])
+        seen = np.arctan2(d[0], -d[1]) + twist[2], inverse / np.hypot(*d)
+        parts = [root @ (twist - prior.mean), wrong, [(typical - model.typical) / model.spread]]
+        parts.append(np.sqrt(weight) * (inverse - typical) / model.spread)
+        for frame, expected in ((one, (bearing, inverse)), (two, seen)):
+            uneven = np.sqrt(frame.sigma[:, 1] ** 2 + 2 * (model.uneven * frame.measured[:, 1]) ** 2)
+            for column, sigma in ((0, frame.sigma[:, 0]), (1, uneven / np.sqrt(max(floor, 1e-12)))):
+                error = frame.measured[:, column] - expected[column] - frame.common[:, column] @ wrong
+                parts.append(np.sqrt(weight) * error / sigma)
+        return np.concatenate(parts)
+
+    start = np.concatenate(
+        [np.zeros(3 + terms), [model.typical], np.stack([one.measured[:, 0], np.full(count, 0.4)], -1).ravel()]
+    )
+    best = least_squares(cost, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    expected = np.linalg.inv(best.jac.T @ best.jac)[:3, :3]
+    sigma = np.sqrt(np.diag(expected))
+    # Three steps of Gauss-Newton leave some hundredths of a sigma.
+    np.testing.assert_allclose(found[:3] / sigma, best.x[:3] / sigma, atol=0.1)
+    np.testing.assert_allclose(cov[:3, :3] / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=0.1)
 
 
 @pytest.mark.parametrize("motion", [[0.0, -0.1, 0.0], [0.0, 0.0, 0.15], [0.01, -0.08, -0.12], [0.0, 0.0, 0.0]])
 def test_motion_is_found_with_no_idea_beforehand(motion: list[float]) -> None:
     rng = np.random.default_rng(3)
-    found = follow(edges_from(np.zeros(3), rng), edges_from(np.array(motion), rng), CAMERA, ANYTHING)
+    found = followed(edges_from(np.zeros(3), rng), edges_from(np.array(motion), rng))
     np.testing.assert_array_equal(found.first, found.second)
     assert len(found.first) >= 8
-    assert (np.abs(found.mean - motion) < 5 * np.sqrt(np.diag(found.cov))).all()
-    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
-    assert np.sqrt(np.diag(found.cov))[:2].max() < 0.03
+    assert (np.abs(found.motion.mean - motion) < 5 * np.sqrt(np.diag(found.motion.cov))).all()
+    assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
+    assert np.sqrt(np.diag(found.motion.cov))[:2].max() < 0.03
 
 
 def test_clutter_and_edges_that_hang_in_the_air_do_not_mislead() -> None:
@@ -127,23 +184,23 @@ def test_clutter_and_edges_that_hang_in_the_air_do_not_mislead() -> None:
         name: np.concatenate([getattr(after, name), getattr(new, name)])
         for name in ("polarity", "foot_range_m", "foot_range_sigma_m", "profile")
     }
-    found = follow(before, Edges.from_columns(**both, **more), CAMERA, ANYTHING)
-    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
-    np.testing.assert_allclose(found.mean[:2], motion[:2], atol=0.02)
+    found = followed(before, Edges.from_columns(**both, **more))
+    assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
+    np.testing.assert_allclose(found.motion.mean[:2], motion[:2], atol=0.02)
 
 
 def test_what_edges_do_not_tell_stays_as_uncertain_as_before() -> None:
     rng = np.random.default_rng(5)
     prior = np.sqrt(np.diag(ANYTHING.cov))
-    none = follow(Edges.none(), edges_from(np.zeros(3), rng), CAMERA, ANYTHING)
-    np.testing.assert_allclose(none.cov, ANYTHING.cov)
+    none = followed(Edges.none(), edges_from(np.zeros(3), rng))
+    np.testing.assert_allclose(none.motion.cov, ANYTHING.cov)
     motion = np.array([0.0, -0.1, 0.02])
     ahead = geometry.map_from_robot(CAMERA.robot_from_level, np.array([[0.0, -4.0]]))
-    one = follow(edges_from(np.zeros(3), rng, ahead), edges_from(motion, rng, ahead), CAMERA, ANYTHING)
-    assert (np.sqrt(np.diag(one.cov))[:2] > 0.3 * prior[:2]).all()
-    blind = follow(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False), CAMERA, ANYTHING)
-    known = follow(edges_from(np.zeros(3), rng), edges_from(motion, rng), CAMERA, ANYTHING)
-    assert np.sqrt(blind.cov[1, 1]) > 5 * np.sqrt(known.cov[1, 1])
+    one = followed(edges_from(np.zeros(3), rng, ahead), edges_from(motion, rng, ahead))
+    assert (np.sqrt(np.diag(one.motion.cov))[:2] > 0.3 * prior[:2]).all()
+    blind = followed(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False))
+    known = followed(edges_from(np.zeros(3), rng), edges_from(motion, rng))
+    assert np.sqrt(blind.motion.cov[1, 1]) > 5 * np.sqrt(known.motion.cov[1, 1])
 
 
 def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
@@ -157,10 +214,10 @@ def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
         for edges in (before, after):
             edges.foot_range_m[:] /= seen_share
             edges.foot_range_sigma_m[:] = INVERSE_SIGMA * edges.foot_range_m**2
-        found = follow(before, after, CAMERA, ANYTHING)
+        found = followed(before, after)
         assert len(found.first) >= 6
-        error = found.mean - motion
-        misses.append(error @ np.linalg.solve(found.cov, error))
+        error = found.motion.mean - motion
+        misses.append(error @ np.linalg.solve(found.motion.cov, error))
     assert np.mean(misses) < 9.0
 
 
@@ -178,19 +235,22 @@ def odometer(source: str) -> Odometer:
 
 
 WHEEL_COV = np.diag([1e-4, 9e-3, np.radians(0.5)]) ** 2
+STOOD = Increment.from_mean(np.zeros(3))
 
 
 def test_wheels_alone_are_passed_through() -> None:
     wheel = Increment.from_mean([0.0, -0.1, 0.1])
-    assert odometer("wheel").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2) is wheel
-    assert odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.0) is wheel
+    assert odometer("wheel").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)[0] is wheel
+    assert odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.0)[0] is wheel
+    assert not odometer("wheel").follows_edges and odometer("vision").follows_edges
 
 
 def test_both_sharpen_the_turn_of_wheels_that_hold() -> None:
     rng = np.random.default_rng(6)
     motion = np.array([0.0, -0.1, 0.1])
     wheel = Increment.from_mean([0.0, -0.096, 0.106])
-    found = odometer("both").increment(wheel, WHEEL_COV, edges_from(np.zeros(3), rng), edges_from(motion, rng), 0.2)
+    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
     assert found.source == "both"
     assert abs(found.mean[2] - motion[2]) < np.radians(0.1) < abs(wheel.mean[2] - motion[2])
     assert np.sqrt(found.cov[2, 2]) < np.radians(0.25)
@@ -201,22 +261,76 @@ def test_both_leave_wheels_that_slip(slip: list[float]) -> None:
     rng = np.random.default_rng(7)
     motion = np.array([0.0, -0.05, 0.05])
     wheel = Increment.from_mean(motion + slip)
-    found = odometer("both").increment(wheel, WHEEL_COV, edges_from(np.zeros(3), rng), edges_from(motion, rng), 0.2)
+    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
     assert np.linalg.norm(found.mean[:2] - motion[:2]) < 0.02
     assert abs(found.mean[2] - motion[2]) < np.radians(0.3)
 
 
 def test_without_edges_wheels_are_believed() -> None:
     wheel = Increment.from_mean([0.0, -0.1, 0.1])
-    found = odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)
     np.testing.assert_allclose(found.mean, wheel.mean, atol=1e-3)
     assert np.sqrt(found.cov[1, 1]) < 0.012
 
 
 def test_vision_that_sees_nothing_may_have_moved_anywhere() -> None:
-    found = odometer("vision").increment(Increment.from_mean(np.zeros(3)), WHEEL_COV, None, Edges.none(), 0.2)
-    np.testing.assert_allclose(found.cov, ANYTHING.cov)
-    assert found.path_m > 0.1 and found.turned_rad > 0.1
+    found, _ = odometer("vision").increment(STOOD, WHEEL_COV, None, Edges.none(), 0.2)
+    sigma = np.sqrt(np.diag(found.cov))
+    np.testing.assert_allclose(sigma[1:], np.sqrt(np.diag(ANYTHING.cov))[1:], rtol=0.01)
+    assert found.path_m > 0.09 and found.turned_rad > 0.1
+
+
+def test_a_robot_goes_on_at_its_pace_while_nothing_is_seen_and_less_and_less_surely() -> None:
+    rng, motion = np.random.default_rng(12), np.array([-0.004, -0.08, 0.1])
+    vision, seen = odometer("vision"), edges_from(motion, np.random.default_rng(13))
+    _, pace = vision.increment(STOOD, WHEEL_COV, edges_from(np.zeros(3), rng), seen, 0.2)
+    turns, sigmas, before = [], [], seen
+    for _ in range(15):
+        blind, pace = vision.increment(STOOD, WHEEL_COV, before, Edges.none(), 0.2, pace)
+        turns.append(blind.mean[2])
+        sigmas.append(np.sqrt(blind.cov[2, 2]))
+        before = Edges.none()
+    assert turns[0] == pytest.approx(motion[2] * np.exp(-0.1), rel=0.05)
+    assert (np.diff(turns) < 0).all() and (np.diff(sigmas) > 0).all()
+    assert sigmas[-1] == pytest.approx(np.sqrt(ANYTHING.cov[2, 2]), rel=0.05)
+
+
+def test_a_robot_that_steers_is_not_thought_to_sidle_and_one_that_sidles_is_believed() -> None:
+    """A wall of edges equally far shows turn and sideways motion alike; edges at many ranges tell them apart."""
+    vision, misses = odometer("vision"), []
+    wall = np.array([[x_m, -2.0] for x_m in (-0.7, -0.5, -0.2, 0.0, 0.3, 0.6)])
+    for seed, (points, motion) in enumerate(((wall, [0.0, 0.0, 0.1]), (POINTS, [0.08, -0.02, 0.0])) * 3):
+        rng = np.random.default_rng(seed)
+        frames = edges_from(np.zeros(3), rng, points), edges_from(np.array(motion), rng, points)
+        found, _ = vision.increment(STOOD, WHEEL_COV, *frames, 0.2)
+        misses.append((found.mean - motion) / np.sqrt(np.diag(found.cov)))
+        assert abs(found.mean[0] - motion[0]) < 0.02
+    assert np.abs(misses).max() < 4.0
+
+
+def test_a_matrix_is_inverted_in_place() -> None:
+    root = np.random.default_rng(15).standard_normal((7, 7))
+    matrix = root @ root.T + 0.1 * np.eye(7)
+    inverse = matrix.copy()
+    loops.invert(inverse)
+    np.testing.assert_allclose(inverse @ matrix, np.eye(7), atol=1e-9)
+
+
+def test_each_edge_joins_one_pair_the_likeliest_first() -> None:
+    pairs = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [2, 1], [2, 2]])
+    odds = np.array([5.0, 9.0, 8.0, 1.0, 7.0, 0.9])
+    np.testing.assert_array_equal(loops.one_to_one(pairs, odds, 3, 3), [1, 2])
+
+
+def test_at_least_reaches_as_far_as_both() -> None:
+    rng = np.random.default_rng(14)
+    one, two = (a @ a.T + 0.1 * np.eye(3) for a in rng.standard_normal((2, 3, 3)))
+    whole = at_least(one, two)
+    for part in (one, two):
+        assert np.linalg.eigvalsh(whole - part).min() > -1e-9
+    np.testing.assert_allclose(at_least(one, 0.5 * one), one, atol=1e-12)
+    np.testing.assert_allclose(at_least(one, 2.0 * one), 2.0 * one, atol=1e-12)
 
 
 def test_moments_of_a_mixture() -> None:

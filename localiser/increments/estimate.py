@@ -2,14 +2,15 @@
 
 Edges of one thing share their fate: all edges of a poster end above the floor, and a moving chair moves them all. A
 covariance that takes them as independent is far too small. So the motion is found again without the edges of each
-group in turn, and what these results differ by is added (the delete-a-group jackknife [Efron, Tibshirani 1993,
-chapter 11]): where all hangs on one group, the covariance says so.
+group in turn, and the covariance is at least what these results differ by (the delete-a-group jackknife [Efron,
+Tibshirani 1993, chapter 11]): where all hangs on one group, it says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,20 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.increments.fuse import mixture
-from localiser.increments.pairs import Pairs, candidates, likelihoods, one_to_one
+from localiser.increments import pairs as pairing
+from localiser.increments.fuse import at_least, mixture
+from localiser.increments.pairs import Pairs, candidates
 from localiser.increments.search import likely_motions
-from localiser.increments.solve import Gaussian, Links, solve
-from localiser.increments.views import Sights, camera_motion
+from localiser.increments.sights import FOOT_UNEVEN_SIGMA_M, Sights, horizontal_field
+from localiser.increments.twist import Gaussian, motion_gaussian
+
+if TYPE_CHECKING:
+    from localiser.increments import loops
 
 _PEAKS = 4
-_HANGING_SHARE = 0.1
+_HANGING_SHARE = 0.3
 """Of views in which no lower end is a foot: a wall close by and what hangs on it. All such edges seem far, their ends
 near the horizon, and agree on a wrong motion, each as surely as a foot; taken one by one they would win."""
-_ROUNDS = 10
 _APART_RAD = np.deg2rad(3.0)
 """Edges closer together than this are likely of one thing: a door, a poster, a shelf."""
 _START_SIGMA = np.array([2e-3, 2e-3, 5e-4])
@@ -38,61 +42,96 @@ _START_SIGMA = np.array([2e-3, 2e-3, 5e-4])
 class Followed:
     """How the robot moved, by the edges of two frames.
 
-    mean: (3,) right (m), backward (m), turn (rad) in the robot frame of the first. cov: (3, 3).
+    twist: of the motion, right (m), backward (m), turn (rad) in the robot frame of the first.
     first, second: (M,) indices of the edges that were followed. weight: (M,) how surely they are the same, 0 … 1.
     on_floor: (M,) how surely their lower end is where they meet the floor.
-    log_likelihood: of the pairs. log_occam: how much of the prior the motion found takes up.
+    log_evidence: of how well the frames are explained, by Laplace's approximation.
+    has_feet: whether any lower end was taken for a foot.
     """
 
-    mean: Array
-    cov: Array
+    twist: Gaussian
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     weight: Array
     on_floor: Array
-    log_likelihood: float
-    log_occam: float
+    log_evidence: float
+    has_feet: bool
 
     @property
-    def log_evidence(self) -> float:
-        """Logarithm of how well the frames are explained, by Laplace's approximation."""
-        return self.log_likelihood + self.log_occam
+    def motion(self) -> Gaussian:
+        """The motion itself: right (m), backward (m), turn (rad)."""
+        return motion_gaussian(self.twist)
 
 
-def follow(
-    before: Edges,
-    after: Edges,
-    camera: Camera,
-    prior: Gaussian,
-    starts: Sequence[Array] = (),
-    feet: bool = True,
-) -> Followed:
-    """Return the motion between two frames, given what is believed of it beforehand.
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Two frames, made ready once to be followed under one belief or another."""
 
-    starts: motions (3,) to begin at; when none are given, all that the prior allows is searched.
-    feet: whether the ranges of feet tell how far the robot moved; they always help to tell edges apart.
+    sights: tuple[Sights, Sights]
+    pairs: Pairs
+    camera: Camera
+
+    @classmethod
+    def of(cls, before: Edges, after: Edges, camera: Camera) -> Frames:
+        """Return the frames with these edges, seen by one camera."""
+        return cls((Sights.of(before, camera), Sights.of(after, camera)), candidates(before, after), camera)
+
+    def model(self) -> loops.Model:
+        """Return what edges are like, as the compiled loops take it."""
+        from localiser.increments import loops
+
+        followed = pairing.FOLLOWED_SHARE / max(len(self.sights[0].bearing), 1)
+        return loops.Model(
+            pairing.HUNG_SHARE,
+            pairing.NEIGHBOUR_SHARE,
+            pairing.NEIGHBOUR_SIGMA_RAD,
+            pairing.TYPICAL_INVERSE_RANGE,
+            pairing.TYPICAL_SPREAD,
+            FOOT_UNEVEN_SIGMA_M / self.camera.mount.height_m,
+            (1.0 - pairing.FOLLOWED_SHARE) / followed / horizontal_field(self.camera),
+            *pairing.FLOOR_SHARES,
+        )
+
+    def arrays(self) -> tuple[loops.Frame, loops.Frame]:
+        """Return both frames as the compiled loops take them."""
+        from localiser.increments import loops
+
+        one, two = (loops.Frame(sight.measured, sight.sigma, sight.common) for sight in self.sights)
+        return one, two
+
+    def likely_motions(self, prior: Gaussian) -> list[Array]:
+        """Return the twists (3,) that most pairs agree on, among those that the prior allows."""
+        return likely_motions(self.pairs, self.sights, self.camera, prior.mean, prior.cov, _PEAKS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What may be believed of a twist before edges are followed.
+
+    prior: of the twist. starts: twists (3,) to begin at. log_share: of how often the belief is right.
+    feet: whether ranges of feet tell how far the robot moved; they always help to tell edges apart.
     """
-    sights = (Sights.of(before, camera), Sights.of(after, camera))
-    pairs = candidates(before, after)
-    if len(pairs.first) == 0:
-        return _nothing(prior)
-    starts = starts or likely_motions(pairs, sights, camera, prior.cov, _PEAKS)
-    found = [_nothing(prior), *(_refined(pairs, sights, camera, prior, motion, feet) for motion in starts)]
-    found.sort(key=lambda followed: -followed.log_evidence)
-    best = found[0]
-    hanging = _refined(pairs, sights, camera, prior, best.mean, feet, on_floor=False)
-    found.append(replace(hanging, log_occam=hanging.log_occam + np.log(_HANGING_SHARE)))
-    group = groups(before.bearing[best.first])
-    # Edges of one group are one piece of evidence, not many.
-    share = (group.max(initial=0) + 1) / max(len(group), 1)
-    whole = mixture(
-        [Gaussian(other.mean, other.cov) for other in found],
-        np.array([share * other.log_likelihood + other.log_occam for other in found]),
-    )
-    spread = whole.cov + np.outer(whole.mean - best.mean, whole.mean - best.mean)
-    # What the best is certain of, and by how much it may be another.
-    cov = spread + _fragility(best, group, pairs, sights, camera, prior, feet)
-    return replace(best, cov=cov, log_likelihood=share * best.log_likelihood)
+
+    prior: Gaussian
+    starts: Sequence[Array]
+    log_share: float = 0.0
+    feet: bool = True
+
+
+def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
+    """Return the motion between two frames, given what may be believed of it.
+
+    Each belief explains the edges more or less well, and Bayes' rule weighs them by that. Where contradicting motions
+    explain them alike, the covariance reaches from the one to the other [Bar-Shalom, Li, Kirubarajan 2001, section
+    1.4.16]: contradictions are never averaged into something certain, and the map decides.
+    """
+    found: list[tuple[_Solver, Followed]] = []
+    for belief in beliefs:
+        solver = _Solver(frames, belief)
+        found += [(solver, followed) for followed in (solver.nothing(), *solver.explanations())]
+    solver, best = max(found, key=lambda pair: pair[1].log_evidence)
+    whole = mixture([other.twist for _, other in found], np.array([other.log_evidence for _, other in found]))
+    return replace(best, twist=Gaussian(whole.mean, at_least(whole.cov, solver.fragility(best))))
 
 
 def groups(bearing: Array) -> NDArray[np.int64]:
@@ -103,74 +142,84 @@ def groups(bearing: Array) -> NDArray[np.int64]:
     return group
 
 
-def _fragility(
-    followed: Followed,
-    group: NDArray[np.int64],
-    pairs: Pairs,
-    sights: tuple[Sights, Sights],
-    camera: Camera,
-    prior: Gaussian,
-    feet: bool,
-) -> Array:
-    """Return the covariance (3, 3) of what the motion changes by when one group (M,) of edges is left out."""
-    count = int(group.max(initial=-1)) + 1
-    change = np.zeros((count, 3))
-    for left_out in range(count):
-        kept = pairs.of(followed.first[group != left_out], followed.second[group != left_out])
-        change[left_out] = _refined(kept, sights, camera, prior, followed.mean, feet).mean - followed.mean
-    return np.asarray(change.T @ change) * max(count - 1, 1) / max(count, 1)
+class _Solver:
+    """Pairs edges and solves for the motion in turns, under one belief."""
 
+    def __init__(self, frames: Frames, belief: Belief) -> None:
+        self._frames, self._belief = frames, belief
+        self._pairs = np.stack([frames.pairs.first, frames.pairs.second], axis=-1)
+        self._model = frames.model()
+        self._one, self._two = frames.arrays()
+        self._information: Array = np.asarray(np.linalg.inv(belief.prior.cov), dtype=np.float64)
 
-def _refined(
-    pairs: Pairs,
-    sights: tuple[Sights, Sights],
-    camera: Camera,
-    prior: Gaussian,
-    start: Array,
-    feet: bool,
-    on_floor: bool = True,
-) -> Followed:
-    """Return the motion found by pairing edges and solving for the motion in turns, from `start` (3,)."""
-    motion, cov = start, np.diag(_START_SIGMA**2)
-    chosen = np.zeros(0, dtype=np.int64)
-    for _ in range(_ROUNDS):
-        moved, by_robot = camera_motion(motion, camera)
-        likely = likelihoods(pairs, sights, moved, by_robot @ cov @ by_robot.T, _span(camera), on_floor)
-        previous, chosen = chosen, one_to_one(pairs, likely.ratio)
-        if len(chosen) == 0:
-            return _nothing(prior)
-        ratio = likely.ratio[chosen]
-        links = Links(
-            (sights[0].take(pairs.first[chosen]), sights[1].take(pairs.second[chosen])),
-            likely.sharp[chosen] * ratio / (1.0 + ratio),
-            likely.on_floor[chosen],
-            feet,
+    def explanations(self) -> list[Followed]:
+        """Return the motions that explain the edges, with and without feet among them."""
+        starts = self._belief.starts
+        if len(self._pairs) == 0 or len(starts) == 0:
+            return []
+        standing = _distinct(self.refined(start) for start in starts)
+        hanging = _distinct(self.refined(start, on_floor=False) for start in (standing[0].twist.mean, starts[0]))
+        return standing + hanging
+
+    def refined(self, start: Array, on_floor: bool = True, usable: NDArray[np.bool_] | None = None) -> Followed:
+        """Return the motion found from the twist `start` (3,).
+
+        on_floor: whether lower ends may be feet at all. usable: (P,) whether a pair is, by default all are.
+        """
+        from localiser.increments import loops
+
+        pairs, prior = self._frames.pairs, self._belief.prior
+        mean, cov, chosen, weight, floor, log_likelihood = loops.refine(
+            self._pairs,
+            pairs.look,
+            np.ones(len(self._pairs), dtype=np.bool_) if usable is None else usable,
+            self._one,
+            self._two,
+            self._frames.camera.robot_from_level,
+            loops.Belief(prior.mean, self._information, on_floor, self._belief.feet),
+            start,
+            _START_SIGMA**2,
+            self._model,
         )
-        before, solution = motion, solve(links, camera, motion, prior)
-        motion, cov = solution.motion, solution.cov
-        if np.array_equal(previous, chosen) and (np.abs(motion - before) < 0.1 * np.sqrt(np.diag(cov))).all():
-            break
-    occam = prior.log_density(motion) + 0.5 * float(np.linalg.slogdet(2 * np.pi * cov)[1])
-    likelihood = float(np.log1p(ratio).sum())
-    return Followed(
-        motion,
-        cov,
-        pairs.first[chosen],
-        pairs.second[chosen],
-        links.weight,
-        links.on_floor,
-        likelihood,
-        occam,
-    )
+        if len(chosen) == 0:
+            return self.nothing()
+        group = self._groups(pairs.first[chosen])
+        occam = prior.log_density(mean) + 0.5 * float(np.linalg.slogdet(2 * np.pi * cov)[1])
+        share = self._belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
+        # Edges of one group are one piece of evidence, not many.
+        evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
+        return Followed(
+            Gaussian(mean, cov), pairs.first[chosen], pairs.second[chosen], weight, floor, evidence, on_floor
+        )
+
+    def nothing(self) -> Followed:
+        """Return what is believed when no edge can be followed."""
+        none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return Followed(self._belief.prior, none, none, empty, empty, self._belief.log_share, True)
+
+    def fragility(self, followed: Followed) -> Array:
+        """Return the covariance (3, 3) of what the twist changes by when one group of edges is left out."""
+        first, second = self._pairs.T
+        group = np.full(len(first), -1)
+        for e, f, of_edge in zip(followed.first, followed.second, self._groups(followed.first), strict=True):
+            group[(first == e) & (second == f)] = of_edge
+        count = int(group.max(initial=-1)) + 1
+        change = np.zeros((count, 3))
+        for left_out in range(count):
+            usable = (group >= 0) & (group != left_out)
+            left = self.refined(followed.twist.mean, followed.has_feet, usable)
+            change[left_out] = left.twist.mean - followed.twist.mean
+        return np.asarray(change.T @ change) * max(count - 1, 1) / max(count, 1)
+
+    def _groups(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
+        return groups(self._frames.sights[0].bearing[first])
 
 
-def _nothing(prior: Gaussian) -> Followed:
-    none = np.zeros(0, dtype=np.int64)
-    return Followed(prior.mean, prior.cov, none, none, np.zeros(0), np.zeros(0), 0.0, 0.0)
-
-
-def _span(camera: Camera) -> float:
-    """Return the horizontal field of view (rad) along the horizon."""
-    a_left, a_right, _, _ = camera.upright_bounds
-    left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
-    return float(right - left)
+def _distinct(followed: Iterable[Followed]) -> list[Followed]:
+    """Return those that are not the same motion found once more, from another start; the best first."""
+    kept: list[Followed] = []
+    for new in sorted(followed, key=lambda new: -new.log_evidence):
+        sigma = np.sqrt(np.diag(new.twist.cov))
+        if all((np.abs(new.twist.mean - old.twist.mean) > 0.5 * sigma).any() for old in kept):
+            kept.append(new)
+    return kept

@@ -1,12 +1,4 @@
-"""Wheels and edges together, when wheels may slip without knowing it.
-
-There are two readings of the same edges: the wheels are right to within their sigma, and the edges are followed from
-there; or the wheels slipped, and the edges are followed from nothing. Each explains the edges more or less well, and
-Bayes' rule weighs them by that. Wheels that agree with the edges make the first reading certain; a slip makes pairs
-under it impossible, and the second takes over, of itself. Between the two the result is a mixture, and its covariance
-reaches from the one to the other [Bar-Shalom, Li, Kirubarajan 2001, section 1.4.16]: contradictions are never averaged
-into something certain, and the map decides.
-"""
+"""Several Gaussian motions → one."""
 
 from __future__ import annotations
 
@@ -15,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from localiser.geometry import Array, wrap_angle
-from localiser.increments.solve import Gaussian
+from localiser.increments.twist import Gaussian
 
 
 def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
@@ -33,3 +25,12 @@ def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
     total = origin + mean
     total[2] = wrap_angle(total[2])
     return Gaussian(total, cov)
+
+
+def at_least(cov: Array, other: Array) -> Array:
+    """Return the smallest covariance (3, 3) that is in no direction below either: both estimate the same spread."""
+    root = np.linalg.cholesky(cov)
+    inverse = np.linalg.inv(root)
+    ratio, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    grown = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(grown @ grown.T)

@@ -1,18 +1,23 @@
-"""What says how the robot moved between two images: wheels, the camera, or both."""
+"""What says how the robot moved between two images: wheels, the camera, or both, when wheels may slip unnoticed.
+
+Either the wheels are right to within their sigma, and the edges are followed from there; or they slipped, and the edges
+are followed from nothing but the robot's pace until then. Each explains the edges more or less well, and Bayes' rule
+weighs them by that: wheels that agree with the edges make the first certain; a slip makes pairs under it impossible,
+and the second takes over, of itself.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
-from localiser.increments.estimate import Followed, follow
-from localiser.increments.fuse import mixture
+from localiser.increments.estimate import Belief, Frames, follow
 from localiser.increments.parameters import IncrementParameters
-from localiser.increments.solve import Gaussian
+from localiser.increments.twist import Gaussian, twist_gaussian
 
 _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 
@@ -29,35 +34,58 @@ class Odometer:
         """Whether an image must wait until wheels have reached its time."""
         return self.parameters.source != "vision"
 
+    @property
+    def follows_edges(self) -> bool:
+        """Whether anything but wheels counts."""
+        return self.parameters.source != "wheel"
+
     def increment(
-        self, wheel: Increment, wheel_cov: Array, before: Edges | None, after: Edges, seconds: float
-    ) -> Increment:
-        """Return the motion over `seconds`, as wheels, edges or both say.
+        self,
+        wheel: Increment,
+        wheel_cov: Array,
+        before: Edges | None,
+        after: Edges,
+        seconds: float,
+        pace: Gaussian | None = None,
+    ) -> tuple[Increment, Gaussian | None]:
+        """Return the motion over `seconds`, as wheels, edges or both say, and the pace that the robot goes on with.
 
         wheel_cov: (3, 3), of the wheels' motion. before: the edges of the last image, None when there was none.
+        pace: twist per second at the last image, None when not known.
         """
-        if self.parameters.source == "wheel" or seconds <= 0:
-            return wheel
-        frames = (Edges.none() if before is None else before, after)
-        anything = Gaussian(np.zeros(3), self.parameters.motion_cov(seconds))
-        slipped = follow(*frames, self.camera, anything)
+        if not self.follows_edges or seconds <= 0:
+            return wheel, pace
+        frames = Frames.of(Edges.none() if before is None else before, after, self.camera)
+        beliefs = self._from_nothing(frames, self.parameters.twist(None if before is None else pace, seconds), seconds)
+        if self.parameters.source == "both":
+            beliefs = self._with_wheels(wheel, wheel_cov, beliefs)
+        found = follow(frames, beliefs)
+        pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
         if self.parameters.source == "vision":
-            return _by_vision(slipped)
-        # Wheels that stand still know it exactly, edges never do.
-        trusted = Gaussian(wheel.mean, wheel_cov + np.diag(_LEAST_SIGMA**2))
-        turned_as_seen = np.array([*wheel.mean[:2], slipped.mean[2]])
-        starts = (wheel.mean, turned_as_seen, slipped.mean)
-        # Feet err alike for metres on end (skirting boards, the tilt); wheels that do not slip know better how far.
-        held = follow(*frames, self.camera, trusted, starts, feet=False)
+            return _by_vision(found.motion), pace
+        return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad, "both"), pace
+
+    def _from_nothing(self, frames: Frames, prior: Gaussian, seconds: float) -> list[Belief]:
+        """Return the beliefs that the robot steers, and that it moves sideways as well as any way."""
+        starts = frames.likely_motions(prior)
+        steers = prior.with_right(0.0, self.parameters.sideways_m_s * seconds)
+        share = self.parameters.sidle_share
+        return [Belief(steers, starts, float(np.log1p(-share))), Belief(prior, starts, float(np.log(share)))]
+
+    def _with_wheels(self, wheel: Increment, wheel_cov: Array, slipped: list[Belief]) -> list[Belief]:
+        """Return the belief that wheels are right to within their noise, and those for when they slipped."""
         share = self.parameters.slip_share
-        fused = mixture(
-            [Gaussian(held.mean, held.cov), Gaussian(slipped.mean, slipped.cov)],
-            np.array([held.log_evidence + np.log1p(-share), slipped.log_evidence + np.log(share)]),
-        )
-        return Increment(fused.mean, fused.cov, wheel.path_m, wheel.turned_rad, "both")
+        # Wheels that stand still know it exactly, edges never do.
+        held = twist_gaussian(Gaussian(wheel.mean, wheel_cov + np.diag(_LEAST_SIGMA**2)))
+        as_seen = [np.array([*held.mean[:2], start[2]]) for start in slipped[0].starts[:1]]
+        # Feet err alike for metres on end (skirting boards, the tilt); wheels that hold know better how far.
+        return [
+            Belief(held, [held.mean, *as_seen], float(np.log1p(-share)), feet=False),
+            *(replace(belief, log_share=belief.log_share + float(np.log(share))) for belief in slipped),
+        ]
 
 
-def _by_vision(seen: Followed) -> Increment:
+def _by_vision(seen: Gaussian) -> Increment:
     # How far it may well have come: a robot of which nothing is known has not stood still.
     path_m = np.sqrt(np.square(seen.mean[:2]).sum() + np.trace(seen.cov[:2, :2]))
     turned_rad = np.sqrt(seen.mean[2] ** 2 + seen.cov[2, 2])

@@ -1,14 +1,4 @@
-"""Two views of one vertical edge: where the second sees it, and the derivatives of that.
-
-An edge stands at bearing b and inverse range ρ (1/m) from the first camera. Inverse, because the foot of an edge is
-seen at a depression whose tangent is h ρ, so that its error is one of ρ; and because ρ = 0 is a far edge like any
-other, which shows the turn and nothing else.
-
-    d = (sin b, -cos b) - ρ c      c: where the second camera stands, from the first
-    b' = atan2(d_x, -d_z) + turn,  ρ' = ρ / |d|
-
-With c = 0 that is [Taylor06] eq. 13, with no turn and c along the axis it is eq. 9-11.
-"""
+"""What one frame says about where its edges stand: bearings and inverse ranges, and what is wrong with all of them."""
 
 from __future__ import annotations
 
@@ -17,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.edges.measure import FOOT_SIGMA_PX
 from localiser.geometry import Array
 
 FOOT_HEIGHT_SIGMA_M = 0.03
-"""How far above the floor the lower ends of a building's edges may be: thresholds, skirting boards."""
+"""How far above the floor the lower ends of a building's edges may be, all alike: skirting boards."""
+FOOT_UNEVEN_SIGMA_M = 0.04
+"""And each of its own: thresholds, plinths."""
 _RUNS_OUT_PX = 4.0 * FOOT_SIGMA_PX
 """An edge that is found to end this close to the border may be cut off by it: no foot, though it looks like one in each
 frame."""
@@ -92,48 +83,8 @@ def _root(cov: Array) -> Array:
     return np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
 
 
-def camera_motion(motion: Array, camera: Camera) -> tuple[Array, Array]:
-    """Return how the camera moves (3,) when the robot moves by `motion` (3,), and the derivative (3, 3) of that."""
-    mount = camera.robot_from_level
-    moved = geometry.between(mount, geometry.compose(motion, mount))
-    cos, sin = np.cos(motion[2]), np.sin(motion[2])
-    lever = np.array([[-sin, cos], [-cos, -sin]]) @ mount[:2]
-    jac = np.eye(3)
-    jac[:2, :2] = geometry.robot_from_map([0.0, 0.0, mount[2]], np.eye(2)).T
-    jac[:2, 2] = geometry.robot_from_map([0.0, 0.0, mount[2]], lever)
-    return moved, jac
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """Where the second camera sees edges (E): bearing, inverse_range (E,), and their derivatives.
-
-    by_edge: (E, 2, 2) of (bearing, inverse range) there by (bearing, inverse range) here. by_motion: (E, 2, 3) by the
-    camera's motion.
-    """
-
-    bearing: Array
-    inverse_range: Array
-    by_edge: Array
-    by_motion: Array
-
-
-def predicted(bearing: Array, inverse_range: Array, moved: Array) -> Prediction:
-    """Return how a camera that moved by (3,) sees edges (E,) that the camera before saw here."""
-    ray = np.stack([np.sin(bearing), -np.cos(bearing)], axis=-1)
-    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    d = ray - inverse_range[:, None] * moved[:2]
-    square = np.maximum((d**2).sum(axis=-1), 1e-12)
-    distance = np.sqrt(square)
-    # Derivatives of both results by d (E, 2, 2), and of d by the edge (E, 2, 2) and by the camera's position.
-    across = np.stack([-d[:, 1], d[:, 0]], axis=-1) / square[:, None]
-    shrink = -d * (inverse_range / (square * distance))[:, None]
-    by_d = np.stack([across, shrink], axis=1)
-    d_by_edge = np.stack([along, np.broadcast_to(-moved[:2], along.shape)], axis=-1)
-    by_edge = by_d @ d_by_edge
-    by_edge[:, 1, 1] += 1.0 / distance
-    by_motion = np.zeros((len(bearing), 2, 3))
-    by_motion[:, :, :2] = -by_d * inverse_range[:, None, None]
-    by_motion[:, 0, 2] = 1.0
-    seen = geometry.wrap_angle(np.arctan2(d[:, 0], -d[:, 1]) + moved[2])
-    return Prediction(seen, inverse_range / distance, by_edge, by_motion)
+def horizontal_field(camera: Camera) -> float:
+    """Return the horizontal field of view (rad) along the horizon."""
+    a_left, a_right, _, _ = camera.upright_bounds
+    left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
+    return float(right - left)
