@@ -27,10 +27,12 @@ from rich.table import Table
 
 from localiser.camera import Camera
 from localiser.edges import DETECTORS, EdgeParameters, find_edges
-from localiser.edges.segments import on_ideal_image
+from localiser.edges.segments import LSD_SIGMA_PX, on_ideal_image
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
 REFERENCE = "EdgeDrawing"
+RAW_LSD = "lsd-raw"
+"""LSD as OpenCV returns it, offset and all; only when asked for."""
 COLUMNS = ("recall", "missed", "precision", "|error| °", "bias °", "error/σ std (robust)", "lean error/σ")
 
 
@@ -94,10 +96,16 @@ def scenes_of(options: argparse.Namespace) -> dict[str, Iterable[Scene]]:
     return kinds
 
 
+def _raw_lsd_lines(image: np.ndarray) -> np.ndarray:
+    found = cv2.createLineSegmentDetector().detect(image)[0]
+    return np.zeros((0, 4)) if found is None else found.reshape(-1, 4).astype(np.float64)
+
+
 def main() -> None:
     options = arguments()
     reference = EdgeDrawing(options.reference) if options.reference else None
     detectors = list(options.detector)
+    DETECTORS[RAW_LSD] = lambda image, camera, _: on_ideal_image(image, camera, _raw_lsd_lines, LSD_SIGMA_PX)
     if reference:
         DETECTORS[REFERENCE] = lambda image, camera, _: on_ideal_image(image, camera, reference.lines, 0.35)
         detectors.append(REFERENCE)
@@ -120,7 +128,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", help="kinds of images (default: all that are there)")
     parser.add_argument("--sweep", action="store_true", help="simulated images with one thing changed at a time")
-    parser.add_argument("--detector", nargs="+", default=sorted(DETECTORS), choices=sorted(DETECTORS))
+    parser.add_argument("--detector", nargs="+", default=sorted(DETECTORS), choices=[*sorted(DETECTORS), RAW_LSD])
     parser.add_argument("--reference", type=Path, help="environment with opencv-contrib; made when there is none")
     parser.add_argument("--count", type=int, default=60, help="simulated images of each class")
     parser.add_argument("--every", type=int, default=1, help="take every n-th image of a drive")
