@@ -1,28 +1,37 @@
-"""How fast particles are weighed: the compiled loop beside its oracle with arrays, and a whole filter step beside LSD.
+"""How fast particles are weighed, in one run and one table: the compiled loops, their oracles, and a whole filter step.
 
-Both weigh the same particles by the same edges in one process, so that their ratio holds for other machines. World:
-landmarks strewn over a square with 10 m² each, edges of those in view and as many clutter as it takes, a cloud of
-0.3 m and 10°.
+    oracle   the same model with arrays in float64, over the pairs of landmark and edge near each other
+    direct   the same with arrays over all pairs, gathered by nothing, 1000 particles at a time
+    pairs    particles × landmarks × edges that a second decides on, most of them by a list or a glance
+    limit    share of what the machine could do if it only read the particles and wrote their log-weights
+
+Times are CPU times of the thread, the smallest of some rounds in which all paths take turns, so that other work on the
+machine hardly counts; with two threads it is the time that passes, and needs an idle machine. World: landmarks strewn
+over a square with 10 m² each, edges of those in view and as many clutter as it takes, a cloud of 0.3 m and 10°.
 
 python benchmarks/filter.py
-python benchmarks/filter.py --particles 1000 10000 100000 --observation slope
+python benchmarks/filter.py --observation line slope --particles 1000 10000 --json filter.json
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from functools import partial
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, thread_time
 
 import cv2
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.geometry import Increment
-from localiser.inliers import InlierShare
-from localiser.landmarks import LandmarkMap, sight
+from localiser.geometry import Array, Increment
+from localiser.inliers import INLIER_SHARES, InlierShare
+from localiser.landmarks import LandmarkMap, in_camera, sight
 from localiser.motion import MotionParameters, predict
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import Particles, estimate, from_gaussian, take
@@ -32,6 +41,7 @@ FOCAL = 554.0
 CAMERA = Camera(640, 480, FOCAL, FOCAL, 319.5, 239.5, Mount(np.radians(20), 0.9))
 CLOUD = np.diag([0.3, 0.3, np.radians(10)]) ** 2
 SIGMA_RAD, LEAN_SIGMA_RAD = np.radians(0.05), np.radians(0.3)
+Frame = tuple[Particles, Edges, LandmarkMap]
 
 
 def world(landmarks: int, edges: int, rng: np.random.Generator) -> tuple[LandmarkMap, Edges]:
@@ -50,14 +60,47 @@ def world(landmarks: int, edges: int, rng: np.random.Generator) -> tuple[Landmar
     )
 
 
-def milliseconds(work: Callable[[], object], times: int) -> float:
-    """Return the median time of one call."""
-    taken = []
-    for _ in range(times):
-        begin = perf_counter()
-        work()
-        taken.append(1e3 * (perf_counter() - begin))
-    return float(np.median(taken))
+def frame_of(count: int, landmarks: int, edges: int) -> Frame:
+    """Return particles, edges and map."""
+    landmark_map, seen = world(landmarks, edges, np.random.default_rng(0))
+    return from_gaussian(np.zeros(3), CLOUD, count, np.random.default_rng(1)), seen, landmark_map
+
+
+def fastest_ms(
+    works: Sequence[Callable[[], object]], times: int, clock: Callable[[], float] = thread_time
+) -> list[float]:
+    """Return the smallest time of each work; they take turns."""
+    taken = np.zeros((times, len(works)))
+    for row in taken:
+        for column, work in enumerate(works):
+            begin = clock()
+            work()
+            row[column] = 1e3 * (clock() - begin)
+    return [float(least) for least in taken.min(axis=0)]
+
+
+def direct(observation: EdgeObservation, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
+    """Return roughly what `by_share` does, by a table of all particles × landmarks × edges: bearings alone, no ends."""
+    parts = []
+    for first in range(0, len(particles), 1000):
+        poses = observation.camera.pose_in_map(particles.poses[first : first + 1000])
+        right, ahead = in_camera(poses, landmark_map.points)
+        square = right**2 + ahead**2
+        in_view = (ahead > 0) & (np.abs(right) < 0.6 * ahead) & (square < 144.0)
+        residual = edges.bearing - np.arctan2(right, ahead)[..., None]
+        variance = edges.bearing_sigma**2 + (0.01**2 / square)[..., None]
+        density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance) * in_view[..., None]
+        ratio = density.sum(axis=1) * (1.0 / np.maximum(in_view.sum(axis=1), 1))[:, None]
+        parts.append([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+    return np.concatenate(parts, axis=1)
+
+
+def streaming(particles: Particles, result: Array) -> float:
+    """Read every particle and write as many numbers as its log-weights have."""
+    np.multiply(particles.columns.sum(axis=0), 0.5, out=result[0])
+    for row in result[1:]:
+        np.copyto(row, result[0])
+    return float(result[-1, -1])
 
 
 def whole_step(observation: EdgeObservation, cloud: Particles, edges: Edges, landmark_map: LandmarkMap) -> None:
@@ -70,43 +113,110 @@ def whole_step(observation: EdgeObservation, cloud: Particles, edges: Edges, lan
     take(weighed, systematic_resample(weighed.weight, len(weighed), rng))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--observation", nargs="+", default=["line", "slope"], choices=["line", "slope"])
-    parser.add_argument("--particles", nargs="+", type=int, default=[1000, 10_000])
-    parser.add_argument("--landmarks", nargs="+", type=int, default=[20, 100, 500])
-    parser.add_argument("--edges", nargs="+", type=int, default=[10, 30])
-    parser.add_argument("--times", type=int, default=5)
-    arguments = parser.parse_args()
+def rows_of(kind: str, counts: Sequence[int], landmarks: Sequence[int], edges: Sequence[int], times: int) -> list[dict]:
+    """Return the figures of one observation for every number of particles, landmarks and edges."""
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))
+    shared = EdgeObservation(CAMERA, ObservationParameters(kind=kind, threads=2))
+    observation.warm_up()
+    rows = []
+    for count in counts:
+        result = np.zeros((len(INLIER_SHARES), count))
+        for some in landmarks:
+            for many in edges:
+                frame = frame_of(count, some, many)
+                rounds = max(min(times, round(3e5 / count)), 3)
+                compiled = partial(observation.by_share, *frame)
+                fast, least = fastest_ms([compiled, partial(streaming, frame[0], result)], rounds)
+                one, two = fastest_ms([compiled, partial(shared.by_share, *frame)], rounds, perf_counter)
+                row = {"observation": kind, "particles": count, "landmarks": some, "edges": many, "fast_ms": fast}
+                row |= {"limit": least / fast, "threads": one / two, "oracle": None, "direct": None, "off": None}
+                if count <= 100_000:
+                    plain = partial(observation.by_share_plain, *frame)
+                    slow, again = fastest_ms([plain, compiled], 3)
+                    results = [InlierShare.unknown().log_mean(path()) for path in (compiled, plain)]
+                    row |= {"oracle": slow / again, "off": float(np.abs(results[0] - results[1]).max())}
+                if count == 100_000 and some == 100 and kind == "line":
+                    few = frame_of(5000, some, many)  # it costs the same for each particle
+                    (table,) = fastest_ms([partial(direct, observation, *few)], 2)
+                    row["direct"] = table * (count / 5000) / fast
+                rows.append(row)
+    return rows
 
-    print("observation particles landmarks edges  compiled ms  plain ms  ratio  particles/s  largest difference")
-    for kind in arguments.observation:
-        observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))
-        observation.warm_up()
-        for count in arguments.particles:
-            cloud = from_gaussian(np.zeros(3), CLOUD, count, np.random.default_rng(1))
-            for landmarks in arguments.landmarks:
-                for edges in arguments.edges:
-                    frame = (cloud, *reversed(world(landmarks, edges, np.random.default_rng(0))))
-                    paths = [partial(observation.by_share, *frame), partial(observation.by_share_plain, *frame)]
-                    fast, plain = (milliseconds(path, arguments.times) for path in paths)
-                    results = [InlierShare.unknown().log_mean(path()) for path in paths]
-                    off = np.abs(results[0] - results[1]).max()
-                    print(
-                        f"{kind:11} {count:9} {landmarks:9} {edges:5} {fast:12.2f} {plain:9.1f} {plain / fast:6.1f} "
-                        f"{1e3 * count / fast:12.3g}  {off:.1e}"
-                    )
 
+def exponent(rows: Sequence[dict], name: str) -> float:
+    """Return by which power of `name` the time grows: a least-squares fit over all rows, one level for each group."""
+    groups: dict[tuple, list[tuple[float, float]]] = {}
+    for row in rows:
+        rest = tuple(row[key] for key in ("observation", "particles", "landmarks", "edges") if key != name)
+        groups.setdefault(rest, []).append((np.log(row[name]), np.log(row["fast_ms"])))
+    centred = np.concatenate([np.array(group) - np.mean(group, axis=0) for group in groups.values()])
+    return float(centred[:, 0] @ centred[:, 1] / (centred[:, 0] @ centred[:, 0]))
+
+
+def table_of(rows: Sequence[dict]) -> Table:
+    """Return the figures as a table."""
+    table = Table(title="Weighing particles: one thread")
+    heads = "observation particles landmarks edges ms particles/s pairs/s oracle direct off limit two_threads"
+    for head in heads.split():
+        table.add_column(head.replace("_", " "), justify="left" if head == "observation" else "right")
+    for row in rows:
+        per_second = 1e3 * row["particles"] / row["fast_ms"]
+        table.add_row(
+            row["observation"],
+            *(str(row[name]) for name in ("particles", "landmarks", "edges")),
+            f"{row['fast_ms']:.2f}",
+            f"{per_second:.3g}",
+            f"{per_second * row['landmarks'] * row['edges']:.2g}",
+            "" if row["oracle"] is None else f"{row['oracle']:.1f}×",
+            "" if row["direct"] is None else f"{row['direct']:.0f}×",
+            "" if row["off"] is None else f"{row['off']:.0e}",
+            f"{100 * row['limit']:.1f} %",
+            f"{row['threads']:.2f}×",
+        )
+    return table
+
+
+def step_and_lsd(times: int) -> tuple[float, float]:
+    """Return the ms of a whole step of 5000 particles among 100 landmarks, and of LSD on an image of 640 × 480."""
     image = np.random.default_rng(0).integers(0, 255, (60, 80), dtype=np.uint8)
     image = cv2.resize(image, (640, 480), interpolation=cv2.INTER_CUBIC)
-    lsd = milliseconds(lambda: cv2.createLineSegmentDetector().detect(image), arguments.times)
-    cloud = from_gaussian(np.zeros(3), CLOUD, 5000, np.random.default_rng(1))
-    landmark_map, seen = world(100, 10, np.random.default_rng(0))
+    cv2.setNumThreads(1)
+    detector = cv2.createLineSegmentDetector()
     observation = EdgeObservation(CAMERA, ObservationParameters())
-    step = milliseconds(lambda: whole_step(observation, cloud, seen, landmark_map), arguments.times)
-    print(
-        f"a whole step, 5000 particles, 100 landmarks, 10 edges: {step:.1f} ms, {step / lsd:.2f} of LSD's {lsd:.1f} ms"
+    step = partial(whole_step, observation, *frame_of(5000, 100, 10))
+    taken = fastest_ms([step, lambda: detector.detect(image)], times)
+    return taken[0], taken[1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--observation", nargs="+", default=["line"], choices=["line", "slope"])
+    parser.add_argument("--particles", nargs="+", type=int, default=[1000, 10_000, 100_000, 1_000_000])
+    parser.add_argument("--landmarks", nargs="+", type=int, default=[20, 100, 500])
+    parser.add_argument("--edges", nargs="+", type=int, default=[10, 30])
+    parser.add_argument("--times", type=int, default=15, help="rounds at most")
+    parser.add_argument("--json", type=Path, help="where to write all figures")
+    arguments = parser.parse_args()
+    console = Console()
+    rows: list[dict] = []
+    for kind in arguments.observation:
+        with console.status(f"Weighing by {kind}"):
+            rows += rows_of(kind, arguments.particles, arguments.landmarks, arguments.edges, arguments.times)
+    step_ms, lsd_ms = step_and_lsd(arguments.times)
+    Console(width=None if console.is_terminal else 150).print(table_of(rows))
+    growth = {
+        name: exponent(rows, name)
+        for name in ("particles", "landmarks", "edges")
+        if len({row[name] for row in rows}) > 1
+    }
+    console.print("grows as " + ", ".join(f"{name}^{power:.2f}" for name, power in growth.items()))
+    console.print(
+        f"a whole step, 5000 particles, 100 landmarks, 10 edges: {step_ms:.2f} ms, "
+        f"1/{lsd_ms / step_ms:.0f} of LSD's {lsd_ms:.1f} ms"
     )
+    if arguments.json:
+        figures = {"rows": rows, "growth": growth, "step_ms": step_ms, "lsd_ms": lsd_ms}
+        arguments.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
