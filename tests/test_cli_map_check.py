@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mapping_worlds import world
+from rerun.chunk import RrdReader
 from test_cli_map import edge_log, refused, run
 
 from localiser.app.map_check import coverage
@@ -79,15 +80,19 @@ def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     assert plain.exit_code == 0
     assert f"0={len(twice) - 1}" in plain.output
     assert not picture.exists()
-    checked = run("map", "check", path, "--log", log, "-q")
+    recording = tmp_path / "hall.rrd"
+    checked = run("map", "check", path, "--log", log, "--rrd", recording, "-q")
     assert checked.exit_code == 0
     assert "of the log's edges are theirs" in checked.output
     assert "Fewer than 3 landmarks" in checked.output
+    assert "Looks like another place" in checked.output
     assert picture.read_bytes().startswith(b"\x89PNG")
+    shown = {chunk.entity_path.removeprefix("/") for chunk in RrdReader(recording).stream()}
+    assert {f"world/building/alike{part}" for part in ("", "/like", "/spots")} <= shown
     assert "exists already" in refused("map", "check", path, "--log", log)
     save_camera(drive.camera, tmp_path / "camera.yaml")
-    shown = run("map", "check", path, "--camera", tmp_path / "camera.yaml", "--force")
-    assert "Picture in" in shown.output
+    alone = run("map", "check", path, "--camera", tmp_path / "camera.yaml", "--force")
+    assert "Picture in" in alone.output
 
 
 def test_a_log_without_poses_is_refused(tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from localiser import mapping
+from localiser.app import map_alike
+from localiser.app.map_alike import Lookalikes
 from localiser.app.map_build import known_poses
 from localiser.app.map_edges import edges_of_log
 from localiser.camera import Camera
@@ -105,25 +107,30 @@ def coverage_text(found: Coverage) -> str:
     )
 
 
-def save_picture(landmark_map: LandmarkMap, found: Coverage, path: Path) -> None:
-    """Draw from which share of headings too few landmarks are in view, map -z up. Raises OutputError."""
+def save_picture(landmark_map: LandmarkMap, found: Coverage, look: Lookalikes, path: Path) -> None:
+    """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
     from matplotlib.figure import Figure
 
     width, depth = np.ptp(found.x) + 1.0, np.ptp(found.z) + 1.0
-    scale = 8.0 / max(width, depth)
-    figure = Figure(figsize=(max(5.0, width * scale + 2.2), max(4.0, depth * scale + 1.2)), dpi=120)
-    axes = figure.add_subplot()
+    scale = 7.0 / max(width, depth)
+    figure = Figure(figsize=(2 * max(4.0, width * scale + 1.6), max(4.0, depth * scale + 1.4)), dpi=120)
+    left, right = figure.subplots(1, 2)
     half = (found.x[1] - found.x[0]) / 2 if len(found.x) > 1 else _STEP_M / 2
     extent = (found.x[0] - half, found.x[-1] + half, found.z[-1] + half, found.z[0] - half)
-    shown = axes.imshow(100 * found.share, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
-    axes.scatter(
-        landmark_map.points[:, 0], landmark_map.points[:, 1], s=10, color="#1f3f66", linewidths=0, label="landmark"
-    )
-    axes.set(xlabel="x, m", ylabel="z, m (map −z is up)", title=f"{landmark_map.name or path.stem}: coverage")
-    axes.set_aspect("equal")
-    bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04)
-    bar.set_label(f"headings with fewer than {ENOUGH} landmarks in view, %")
-    figure.legend(loc="lower center", frameon=False, fontsize=8)
+    all_x, all_z = np.append(look.places[:, 0], extent[:2]), np.append(look.places[:, 1], extent[2:])
+    limits = (all_x.min(), all_x.max(), all_z.max(), all_z.min())
+    few = left.imshow(100 * found.share, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
+    alike = map_alike.draw(look, right)
+    for axes, shown, title, label in (
+        (left, few, "coverage", f"headings with fewer than {ENOUGH} landmarks in view, %"),
+        (right, alike, "ambiguity", "headings from which another place (arrows) looks the same, %"),
+    ):
+        axes.scatter(*landmark_map.points.T, s=10, color="#1f3f66", linewidths=0, label="landmark")
+        axes.set(xlabel="x, m", ylabel="z, m (map −z is up)", title=f"{landmark_map.name or path.stem}: {title}")
+        axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
+        figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04).set_label(label)
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=2, frameon=False, fontsize=8)
     figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")

@@ -25,22 +25,25 @@ def check(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture; by default MAP_coverage.png.")
     ] = None,
+    rrd: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun: what looks like what, what helps.")
+    ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tell what looks wrong with a MAP, how it fits a log, and draw where too few landmarks are in view."""
-    from localiser.app import map_check
-    from localiser.app.map_build import require_writable
+    """Tell what looks wrong with a MAP, how it fits a log, where too little is in view, or looks like elsewhere."""
+    from localiser.app import map_alike, map_build, map_check
     from localiser.storage import load_camera, load_map
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
     landmark_map = load_map(map_file)
     recorded, effective = opened(log, config, [*(overrides or [])]) if log else (None, None)
     camera = recorded.camera if recorded else load_camera(camera_file) if camera_file else None
-    if camera is not None:
-        require_writable(picture, overwrite=force)
+    for file in (picture, rrd):
+        if camera is not None and file is not None:
+            map_build.require_writable(file, overwrite=force)
     fit = None
     if recorded is not None and effective is not None:
         with progress("Finding edges", len(recorded.frames), quiet) as advance:
@@ -51,7 +54,13 @@ def check(
     if camera is None:
         typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
         return
-    found = map_check.coverage(landmark_map, camera)
-    map_check.save_picture(landmark_map, found, picture)
+    path = map_build.known_poses(recorded, poses).poses if recorded else None
+    found, look = map_check.coverage(landmark_map, camera), map_alike.lookalikes(landmark_map, camera, path)
+    map_check.save_picture(landmark_map, found, look, picture)
+    if rrd is not None:
+        from localiser.view.mapping import record_lookalikes
+
+        record_lookalikes(rrd, camera, landmark_map, look.places, look.share, look.examples(), look.spots_at)
     typer.echo(map_check.coverage_text(found))
+    typer.echo(map_alike.lookalikes_text(look))
     typer.echo(f"Picture in {picture}")

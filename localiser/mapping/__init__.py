@@ -1,6 +1,7 @@
 """Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
 from localiser.mapping.align import Alignment, align, matches
+from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, ambiguity, best_spots
 from localiser.mapping.check import ENOUGH, LogFit, doubtful, duplicates, in_view, log_fit
 from localiser.mapping.factors import CONSTANTS, Wheels
 from localiser.mapping.known import build_from_poses
@@ -16,20 +17,25 @@ from localiser.mapping.tracks import TrackParameters, follow
 from localiser.mapping.update import existence_after, with_existence
 
 __all__ = [
+    "ALIKE",
     "CONSTANTS",
     "ENOUGH",
     "MOST_CELLS",
     "Alignment",
+    "Ambiguity",
     "Built",
     "FloorPlan",
     "LogFit",
     "MappingParameters",
     "Sightings",
     "Slam",
+    "Spot",
     "TrackParameters",
     "Wheels",
     "agreeing",
     "align",
+    "ambiguity",
+    "best_spots",
     "build_from_log",
     "build_from_poses",
     "cells_from_map",

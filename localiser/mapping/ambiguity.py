@@ -1,0 +1,271 @@
+"""Where a building looks like another part of itself, and where one more landmark would tell the two apart.
+
+What a camera sees from a pose is a Poisson process of bearings: landmarks in view, each found with some chance, over
+clutter of constant density. How well the view from a tells a from b is the divergence of the two processes,
+D(a, b) = ∫ I_a ln(I_a / I_b) - I_a + I_b: the expected log-likelihood ratio of one image. Every pose of a grid is held
+against all others with bearings blurred to the grid's step, which never exaggerates D; the likeliest are then moved to
+where they look most alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.geometry import Array, robot_from_map, wrap_angle
+from localiser.landmarks import LandmarkMap, SightParameters
+
+ALIKE = 1.0
+"""Two poses look alike when one image tells less (nats) than a single landmark does that only one of them has."""
+_FOUND, _CLUTTER = 0.8, 3.0  # chance that a landmark in view is found; false edges in an image
+_SIGMA_RAD = np.deg2rad(0.5)  # of a bearing: edges are better, but robots pitch and maps err
+_BLUR_RAD = np.deg2rad(5.0)  # with which all poses are compared
+_GATES_RAD = np.deg2rad([10.0, 10.0, 7.0, 5.0, 3.5, 2.5, 1.7, 1.2, 1.0, 1.0])  # of matches, on the way to a twin
+_HEADINGS, _EVERY = 24, 2  # headings that are compared with; every second one is asked for
+_BIN_RAD = np.deg2rad(2.5)
+_APART_M, _TURNED_RAD = 1.0, np.deg2rad(30.0)  # what is nearer and turned by less is no other place
+_RIVALS = 6  # for each pose, looked at closely
+_WORTH_A_LOOK = 4.0  # times `ALIKE`: the grid's own places are not quite where poses look most alike
+_AT_ONCE = 256
+_SPOT_APART_M = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ambiguity:
+    """Camera poses (N, 3), for each the other pose (N, 3) that looks most like it, and the nats (N,) that part them.
+
+    nats: expected log-likelihood ratio of one image; below `ALIKE` they look alike. shown: (N,) landmarks in view.
+    """
+
+    poses: Array
+    twins: Array
+    nats: Array
+    shown: NDArray[np.int64]
+
+    @property
+    def alike(self) -> NDArray[np.bool_]:
+        """Which poses (N,) look like another."""
+        return self.nats < ALIKE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """Where a landmark would help: x, z, and the share of poses that would still look like another with it."""
+
+    x: float
+    z: float
+    alike_share: float
+
+
+def ambiguity(landmark_map: LandmarkMap, camera: Camera, places: Array) -> Ambiguity:
+    """Return what looks like what, from places (P, 2), at headings all round. Walls hide nothing here."""
+    angles = wrap_angle(2 * np.pi * np.arange(_HEADINGS) / _HEADINGS)
+    others = np.concatenate([np.repeat(places, _HEADINGS, axis=0), np.tile(angles, len(places))[:, None]], axis=1)
+    poses = others.reshape(len(places), _HEADINGS, 3)[:, ::_EVERY].reshape(-1, 3)
+    rivals, blurred = _rivals(poses, others, landmark_map, camera)
+    points, polarity = landmark_map.points, landmark_map.polarity.astype(np.int64)
+    sigma, start_sigma = np.sqrt(2.0) * _SIGMA_RAD, np.array([_step(places), _step(places), _BLUR_RAD])
+    limits, density = _limits(camera), _density(camera)
+    first = blurred.argmin(axis=1)
+    rows = np.arange(len(poses))
+    twins, nats = others[rivals[rows, first]], blurred[rows, first]
+    close = np.full(len(poses), np.inf)
+    for column in range(rivals.shape[1]):
+        # Blurred bearings part poses no better than sharp ones do: what they part is not looked at again.
+        row = np.flatnonzero(blurred[:, column] < _WORTH_A_LOOK * ALIKE)
+        start = others[rivals[row, column]]
+        found, apart = compiled_search()(
+            poses[row], start, points, polarity, limits, _GATES_RAD, start_sigma, sigma, density, _FOUND
+        )
+        apart[_same_place(poses[row], found, 1.0)] = np.inf
+        better = apart < close[row]
+        twins[row[better]], close[row[better]] = found[better], apart[better]
+    nats = np.where(np.isfinite(close), close, nats)
+    shown = np.sum([_shown(poses, camera, point)[0] for point in points], axis=0)
+    return Ambiguity(poses, twins, np.maximum(nats, 0.0), shown)
+
+
+def best_spots(found: Ambiguity, camera: Camera, spots: Array, count: int = 3) -> list[Spot]:
+    """Return where, of `spots` (S, 2), one more landmark tells most poses from their twins; each after those before.
+
+    A landmark helps where one of the two poses shows it and the other does not, or elsewhere in the image.
+    """
+    nats, chosen = found.nats.copy(), []
+    gain = np.stack([_gain(found, camera, spot) for spot in spots])
+    open_spots = np.ones(len(spots), dtype=bool)
+    for _ in range(count):
+        helped = (np.minimum(nats + gain, ALIKE) - np.minimum(nats, ALIKE)).sum(axis=1)
+        best = int(np.where(open_spots, helped, -1.0).argmax())
+        if not open_spots[best] or helped[best] <= 0:
+            break
+        nats = nats + gain[best]
+        chosen.append(Spot(float(spots[best, 0]), float(spots[best, 1]), float((nats < ALIKE).mean())))
+        open_spots &= np.hypot(*(spots - spots[best]).T) > _SPOT_APART_M
+    return chosen
+
+
+def _gain(found: Ambiguity, camera: Camera, spot: Array) -> Array:
+    """Return by how many nats (N,) a landmark at `spot` (2,) parts the poses from their twins."""
+    (here, bearing), (there, twin_bearing) = (_shown(poses, camera, spot) for poses in (found.poses, found.twins))
+    sigma = np.sqrt(2.0) * _SIGMA_RAD
+    density = _density(camera)
+    peak = _FOUND / (sigma * np.sqrt(2 * np.pi))
+    beside = peak * np.exp(-0.5 * (wrap_angle(bearing - twin_bearing) / sigma) ** 2) * there
+    right = _FOUND * np.log((density + peak) / (density + beside))
+    return np.asarray(np.maximum(here * right + _FOUND * (there.astype(float) - here.astype(float)), 0.0))
+
+
+def _shown(poses: Array, camera: Camera, spot: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Return whether each camera pose (N,) has a point (2,) in view, and its bearing (N,)."""
+    tangent, nearest, farthest = (float(limit) for limit in _limits(camera))
+    inside = robot_from_map(poses, np.tile(spot, (len(poses), 1)))
+    range_m = np.hypot(inside[:, 0], inside[:, 1])
+    shown = (inside[:, 1] < 0) & (np.abs(inside[:, 0]) < -inside[:, 1] * tangent)
+    return shown & (range_m > nearest) & (range_m < farthest), np.arctan2(inside[:, 0], -inside[:, 1])
+
+
+def _limits(camera: Camera) -> Array:
+    """Return the tangent of half the field of view, and the least and largest distance (m) of what is seen."""
+    p = SightParameters()
+    return np.array([camera.width / 2 / camera.focal_px, p.range_min_m, p.range_max_m])
+
+
+def _density(camera: Camera) -> float:
+    """Return the density of clutter, 1/rad."""
+    return _CLUTTER / (2 * float(np.arctan(_limits(camera)[0])))
+
+
+def _step(places: Array) -> float:
+    """Return the distance (m) between neighbouring places (P, 2)."""
+    steps = [np.diff(np.unique(places[:, axis])) for axis in (0, 1)]
+    return float(min((step.min() for step in steps if len(step)), default=_APART_M))
+
+
+# -- all against all, with bearings blurred ----------------------------------------------------------------------------
+
+
+def _rivals(poses: Array, others: Array, landmark_map: LandmarkMap, camera: Camera) -> tuple[NDArray[np.int64], Array]:
+    """Return which of the others (M, 3) look most like each pose (N, R), and by how much (N, R); not its own place."""
+    asked, compared = (_intensity(part, landmark_map, camera) for part in (poses, others))
+    log_compared, total = np.log(compared), compared.sum(axis=1)
+    count = min(_RIVALS, len(others))
+    own = (asked * np.log(asked)).sum(axis=1) - asked.sum(axis=1)
+    rivals, nats = np.zeros((len(poses), count), dtype=np.int64), np.zeros((len(poses), count))
+    for first in range(0, len(poses), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        apart = total[None] - asked[part] @ log_compared.T
+        # A little farther off than another place must be, so that the search does not end where it began.
+        apart[_same_place(poses[part, None], others[None], 1.5)] = np.inf
+        rivals[part] = np.argpartition(apart, count - 1, axis=1)[:, :count]
+        nats[part] = np.take_along_axis(apart, rivals[part], axis=1) + own[part, None]
+    return rivals, nats
+
+
+def _same_place(poses: Array, others: Array, share: float) -> NDArray[np.bool_]:
+    """Return which poses (..., 3) are no other places, their distances and turns divided by `share`."""
+    shift = poses[..., :2] - others[..., :2]
+    turned = np.abs(wrap_angle(poses[..., 2] - others[..., 2]))
+    near = shift[..., 0] ** 2 + shift[..., 1] ** 2 < (share * _APART_M) ** 2
+    return np.asarray(near & (turned < share * _TURNED_RAD))
+
+
+def _intensity(poses: Array, landmark_map: LandmarkMap, camera: Camera) -> NDArray[np.float32]:
+    """Return the expected edges (N, 2 B) in bins of bearing, of either polarity; an unknown one is half of each."""
+    half = float(np.arctan(_limits(camera)[0]))
+    bins = np.arange(-half, half, _BIN_RAD) + _BIN_RAD / 2
+    sigma = float(_BLUR_RAD)
+    result = np.full((len(poses), 2, len(bins)), _density(camera) * _BIN_RAD / 2, dtype=np.float32)
+    for point, polarity in zip(landmark_map.points, landmark_map.polarity, strict=True):
+        shown, bearing = _shown(poses, camera, point)
+        seen = np.flatnonzero(shown)
+        bump = np.exp(-0.5 * ((bins - bearing[seen, None]) / sigma) ** 2) * _BIN_RAD / (sigma * np.sqrt(2 * np.pi))
+        for sign, channel in ((1, 0), (-1, 1)):
+            result[seen, channel] += _FOUND * (0.5 if polarity == 0 else float(polarity == sign)) * bump
+    return result.reshape(len(poses), -1)
+
+
+# -- the likeliest, closely --------------------------------------------------------------------------------------------
+
+
+def search_loop(  # noqa: PLR0912  (numba compiles one loop best)
+    poses: Array,
+    starts: Array,
+    points: Array,
+    polarity: NDArray[np.int64],
+    limits: Array,
+    gates: Array,
+    start_sigma: Array,
+    sigma: float,
+    density: float,
+    found: float,
+) -> tuple[Array, Array]:
+    """Return the poses (N, 3) near `starts` that look most like `poses`, and the nats (N,) that part the two.
+
+    Each landmark of the view is matched with the nearest that the other pose shows, which is then moved to where all
+    fit best, by damped Gauss-Newton; again for each of the gates (rad). limits: as `_limits`. start_sigma: (3,) how far
+    a start may be off. Plain loops, for numba to compile.
+    """
+    twins, nats = starts.copy(), np.empty(len(poses))
+    z, sign = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+    b, slope, which = np.empty(len(points)), np.empty((len(points), 3)), np.empty(len(points), dtype=np.int64)
+    peak = found / (sigma * np.sqrt(2 * np.pi))
+    for n in range(len(poses)):
+        seen, own = 0, 0.0
+        for step in range(len(gates) + 2):
+            # First the pose itself is looked from, last the twin once more, to see how alike the two are.
+            pose = poses[n] if step == 0 else twins[n]
+            cos, sin = np.cos(pose[2]), np.sin(pose[2])
+            shown = 0
+            for k in range(len(points)):
+                dx, dz = points[k, 0] - pose[0], points[k, 1] - pose[1]
+                right, ahead = cos * dx - sin * dz, -(sin * dx + cos * dz)
+                square = dx * dx + dz * dz
+                inside = ahead > 0 and abs(right) < ahead * limits[0]
+                if inside and square > limits[1] ** 2 and square < limits[2] ** 2:
+                    b[shown], which[shown] = np.arctan2(right, ahead), k
+                    # Heading - bearing is the direction atan2(-dx, -dz) of the landmark in the map.
+                    slope[shown] = np.array([dz / square, -dx / square, 1.0])
+                    shown += 1
+            if step == 0:
+                seen = shown
+                z[:shown] = b[:shown]
+                for i in range(shown):
+                    sign[i] = polarity[which[i]]
+            if step == 0 or step == len(gates) + 1:
+                likely = -found * shown
+                for i in range(seen):
+                    there = density
+                    for j in range(shown):
+                        if sign[i] * polarity[which[j]] >= 0:
+                            there += peak * np.exp(-0.5 * ((z[i] - b[j]) / sigma) ** 2)
+                    likely += found * np.log(there)
+                own, nats[n] = (likely, 0.0) if step == 0 else (own, own - likely)
+                continue
+            gate = gates[step - 1]
+            normal, right_side = np.diag((gate / start_sigma) ** 2), np.zeros(3)
+            for i in range(seen):
+                nearest, match = gate, -1
+                for j in range(shown):
+                    if abs(z[i] - b[j]) < nearest and sign[i] * polarity[which[j]] >= 0:
+                        nearest, match = abs(z[i] - b[j]), j
+                if match >= 0:
+                    for row in range(3):
+                        right_side[row] += slope[match, row] * (z[i] - b[match])
+                        for column in range(3):
+                            normal[row, column] += slope[match, row] * slope[match, column]
+            twins[n] += np.linalg.solve(normal, right_side)
+        twins[n, 2] = (twins[n, 2] + np.pi) % (2 * np.pi) - np.pi
+    return twins, nats
+
+
+@cache
+def compiled_search() -> Callable[..., tuple[Array, Array]]:
+    """Return `search_loop` as machine code; kept on disk, so that only the first run ever waits for it."""
+    import numba
+
+    return numba.njit(cache=True)(search_loop)
