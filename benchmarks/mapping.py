@@ -1,6 +1,7 @@
 """Accuracy of maps: simulated drives with known poses, and logs with nothing but odometry.
 
 python benchmarks/mapping.py known              # edges simulated on the drives through configs/worlds
+python benchmarks/mapping.py laps               # two laps with wheels 4 % wrong, nothing else known
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
 """
 
@@ -8,17 +9,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
 from localiser import mapping
-from localiser.app.map_build import build_map
-from localiser.config import load_config
+from localiser.app.map_build import build_map, wheels_of
+from localiser.config import Config, load_config
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import MappingParameters, Sightings
+from localiser.mapping import Built, MappingParameters, Sightings
 from localiser.storage import open_log
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
@@ -56,6 +58,51 @@ def from_known_poses(drive: object, edges: list) -> LandmarkMap:
     return mapping.landmark_map_of(sightings, built, cameras, sigma, drive.camera, parameters, "", "")
 
 
+def two_laps(seeds: range, clutter: float) -> None:
+    """Print how good maps of simulated edges are when nothing is known but odometry; seconds of one processor."""
+    from mapping_worlds import laps, with_looks
+
+    print(
+        "| world | seed | images | wheels, RMSE m | alone, RMSE m | landmarks | median m | 95 % m | ghosts | seconds |"
+    )
+    for name in ("corridor", "office"):
+        for seed in seeds:
+            drive = laps(name, seed)
+            edges = with_looks(drive.edges(seed, clutter), len(drive.landmark_map), seed)
+            sightings, parameters = Sightings.from_edges(edges, drive.camera), MappingParameters()
+            wheels = wheels_of(drive.odometry, drive.truth.t_ns, Config())
+            begin = process_time()
+            found = mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, parameters)
+            seconds = process_time() - begin
+            cameras = found.camera.pose_in_map(found.poses)
+            made = mapping.landmark_map_of(
+                sightings, found.built, cameras, found.sigma, found.camera, parameters, "", ""
+            )
+            truth = drive.truth.poses
+            lay = rigid(found.poses, truth)
+            apart = np.linalg.norm(lay(made.points)[:, None] - drive.landmark_map.points[None], axis=-1).min(axis=1)
+            error = np.linalg.norm(lay(found.poses[:, :2]) - truth[:, :2], axis=1)
+            odometry = aligned(drive.odometry.sampled(drive.truth.t_ns).poses, truth)
+            print(
+                f"| {name} | {seed} | {len(edges)} | {np.sqrt((odometry**2).mean()):.2f} | "
+                f"{np.sqrt((error**2).mean()):.3f} | {len(made)} | {np.median(apart):.4f} | "
+                f"{np.quantile(apart, 0.95):.4f} | {ghosts(made, found.built, edges):.3f} | {seconds:.0f} |",
+                flush=True,
+            )
+
+
+def ghosts(made: LandmarkMap, built: Built, edges: list) -> float:
+    """Return the share of landmarks that stand within 0.1 m of another whose sightings are mostly of the same one."""
+    owner = np.concatenate([frame.landmark_id for frame in edges])[built.used]
+    votes = np.zeros((len(built), int(owner.max()) + 2), dtype=int)
+    np.add.at(votes, (built.of[built.used], owner), 1)
+    kept = np.linalg.norm(made.points[:, None] - built.fit.points[None], axis=-1).argmin(axis=1)
+    own = votes.argmax(axis=1)[kept]
+    near = np.linalg.norm(made.points[:, None] - made.points[None], axis=-1) < 0.1
+    same = near & (own[:, None] == own[None]) & (own < votes.shape[1] - 1)[:, None]
+    return float(np.triu(same, k=1).sum() / max(len(made), 1))
+
+
 def slam(logs: list[Path]) -> None:
     """Print how far the trajectory of logs alone is from the truth, after the best rotation and translation."""
     print("| log | wheels, RMSE m | alone, RMSE m | largest m | landmarks | seconds after edges |")
@@ -63,9 +110,9 @@ def slam(logs: list[Path]) -> None:
         log = open_log(path)
         config = load_config(None, [], log.settings)
         build_map(log, "odometry", config, lambda: None)  # so that edges are in the cache
-        begin = perf_counter()
+        begin = process_time()
         built = build_map(log, "slam", config, lambda: None)
-        seconds = perf_counter() - begin
+        seconds = process_time() - begin
         t_ns = built.trajectory.t_ns
         truth = log.groundtruth.sampled(t_ns).poses
         wheels, alone = aligned(log.odometry.sampled(t_ns).poses, truth), aligned(built.trajectory.poses, truth)
@@ -77,20 +124,27 @@ def slam(logs: list[Path]) -> None:
 
 def aligned(found: Array, truth: Array) -> Array:
     """Return the distances (T,) of poses (T, 3) after the best rotation and translation."""
-    one, other = found[:, :2] - found[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
-    left, _, right = np.linalg.svd(one.T @ other)
+    return np.linalg.norm(rigid(found, truth)(found[:, :2]) - truth[:, :2], axis=1)
+
+
+def rigid(found: Array, truth: Array) -> Callable[[Array], Array]:
+    """Return the motion of points (K, 2) that brings poses (T, 3) nearest to the truth (T, 3)."""
+    middle, other = found[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
+    left, _, right = np.linalg.svd((found[:, :2] - middle).T @ (truth[:, :2] - other))
     turn = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
-    return np.linalg.norm(one @ turn - other, axis=1)
+    return lambda points: (points - middle) @ turn + other
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("known", "slam"))
+    parser.add_argument("what", choices=("known", "laps", "slam"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
     arguments = parser.parse_args()
     if arguments.what == "known":
         known(range(arguments.seeds), arguments.clutter)
+    elif arguments.what == "laps":
+        two_laps(range(arguments.seeds), arguments.clutter)
     else:
         slam(arguments.logs)

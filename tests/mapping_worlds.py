@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -63,6 +63,46 @@ def world(name: str) -> World:
         row[shown.landmark] = True
     t_ns = log.drive.image_t_ns
     return World(landmark_map, log.camera, log.drive.truth.sampled(t_ns), log.drive.odometry.sampled(t_ns), visible)
+
+
+def laps(name: str, seed: int, distance_scale: float = 0.04) -> World:
+    """Return a drive along a world's path, back, and along it again, with turns on the spot and wheels that are wrong.
+
+    Through the office it comes back once more, so that it is driven twice either way.
+    """
+    model = documents.load_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
+    points = [way.to for way in model.drive.path]
+    there, back = points, points[-2::-1]
+    path = [*there, *back, *there[1:], *(back if name == "office" else [])]
+    ways = tuple(type(model.drive.path[0])(to=point) for point in path)
+    drive = model.drive.model_copy(update={"path": ways})
+    wheels = model.odometry.model_copy(update={"distance_scale": distance_scale})
+    log = simulate.simulate_log(model.model_copy(update={"drive": drive, "odometry": wheels}), seed)
+    landmark_map = log.scene.structure.landmark_map
+    visible = np.zeros((len(log), len(landmark_map)), dtype=bool)
+    for row, shown in zip(visible, log.visible, strict=True):
+        row[shown.landmark] = True
+    t_ns = log.drive.image_t_ns
+    return World(landmark_map, log.camera, log.drive.truth.sampled(t_ns), log.drive.odometry, visible)
+
+
+def with_looks(edges: list[Edges], landmarks: int, seed: int) -> list[Edges]:
+    """Return the edges with grey values left and right of each, that of its landmark and some noise, and polarity.
+
+    Grey values of clutter are anything. The two sides of an edge differ by ten grey levels at least, or it were none.
+    """
+    rng = np.random.default_rng([seed, 1])
+    grey = rng.uniform(30, 220, (landmarks, 2))
+    flat = np.abs(np.diff(grey, axis=1)[:, 0]) < 20
+    grey[flat, 1] = (grey[flat, 0] + 60) % 220
+    looking = []
+    for frame in edges:
+        anything = rng.uniform(30, 220, (len(frame), 2))
+        sides = np.where((frame.landmark_id >= 0)[:, None], grey[frame.landmark_id], anything)
+        sides = sides + rng.normal(0, 4, sides.shape)
+        polarity = np.sign(sides[:, 1] - sides[:, 0]).astype(np.int8)
+        looking.append(replace(frame, profile=np.repeat(sides, [5, 4], axis=1), polarity=polarity))
+    return looking
 
 
 def from_start(poses: Array) -> Array:

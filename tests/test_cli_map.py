@@ -237,3 +237,12 @@ def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses:
     message = refused("map", "build", log, "--poses", poses, "-o", tmp_path / "map.yaml")
     assert "expected" in message
     assert not (tmp_path / "map.yaml").exists()
+
+
+@pytest.mark.data
+def test_a_bag_whose_topics_are_named_is_mapped(data_dir: Path, tmp_path: Path) -> None:
+    bag, out = data_dir / "house_bag", tmp_path / "map.yaml"
+    assert "/none" in refused("map", "build", bag, "-o", out, "--topic", "odometry=/none")
+    assert not out.exists()
+    assert run("map", "build", bag, "-o", out, "--topic", "odometry=/odom", "-q").exit_code == 0
+    assert len(load_map(out)) > 20

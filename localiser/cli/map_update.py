@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from localiser.cli.map_edit import Force, MapFile, MapOut, Within
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, opened, progress
+from localiser.cli.shared import BagCamera, ConfigFile, Overrides, Quiet, Topics, opened, progress, topics_by_role
 
 
 def update(
@@ -19,6 +19,8 @@ def update(
         str, typer.Option(metavar="truth|FILE|odometry", help="Where the robot was, in the map's frame.")
     ] = "truth",
     within: Within = 0.1,
+    topics: Topics = None,
+    camera: BagCamera = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     force: Force = False,
@@ -31,7 +33,7 @@ def update(
 
     map_build.require_writable(out, overwrite=force)
     old = load_map(map_file)
-    recorded, effective = opened(log, config, [*(overrides or [])])
+    recorded, effective = opened(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         built = map_build.build_map(recorded, poses, effective, advance)
     changed = updated(old, built, recorded.camera, effective, within)

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.cli import map_check, map_edit, map_update
-from localiser.cli.shared import ConfigFile, Overrides, Quiet, opened, progress, show
+from localiser.cli.shared import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Quiet,
+    Topics,
+    opened,
+    progress,
+    show,
+    topics_by_role,
+)
 
 if TYPE_CHECKING:
     from localiser.app.map_build import MapBuilt
@@ -30,7 +40,9 @@ MapOut = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The ma
 `localiser map build logs/corridor --poses mine.tum -o maps/mine.yaml --set mapping.parallax_min_deg=8`"""
 )
 def build(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder, or FOLDER:N of the UTIAS MRCLAM data set.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set.")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write.")],
     poses: Annotated[
         str,
@@ -49,8 +61,10 @@ def build(
     config: ConfigFile = None,
     overrides: Overrides = None,
     log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="folder or mrclam; by default found out.")
+        str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
     ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing map.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -61,7 +75,9 @@ def build(
     for file in (out, trajectory, rrd):
         if file is not None:
             map_build.require_writable(file, overwrite=force)
-    recorded, effective = opened(log, config, [*(overrides or [])], format=log_format)
+    recorded, effective = opened(
+        log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+    )
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         built = map_build.build_map(recorded, poses, effective, advance)
     map_build.save(built, out, overwrite=force)
