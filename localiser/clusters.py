@@ -39,6 +39,20 @@ class Clusters:
     def __len__(self) -> int:
         return len(self.weight)
 
+    def heaviest(self, fewest: float) -> Clusters:
+        """Return the clusters with at least this weight; poses of the others belong to none."""
+        kept = int((self.weight >= fewest).sum())
+        label = np.where(self.label < kept, self.label, -1)
+        return Clusters(self.weight[:kept], self.mean[:kept], self.cov[:kept], self.count[:kept], label)
+
+    def beside(self, others: Clusters, share: float) -> Clusters:
+        """Return both, heaviest first: the others with this share, 0 … 1, of the whole weight. No pose is labelled."""
+        weight = np.concatenate([(1.0 - share) * self.weight, share * others.weight])
+        order = np.argsort(-weight, kind="stable")
+        mean, cov = np.concatenate([self.mean, others.mean]), np.concatenate([self.cov, others.cov])
+        count = np.concatenate([self.count, others.count])
+        return Clusters(weight[order], mean[order], cov[order], count[order], np.full(0, -1))
+
 
 def find_clusters(
     poses: Array, weight: Array, *, cell_m: float = 0.25, cell_rad: float = np.pi / 18, mass: float = 0.95

@@ -24,7 +24,7 @@ from localiser.particles import normalised
 
 SOME = 0.3  # of the edges: from here on they are not the landmarks of chance
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
-SUREST = float(np.log(999.0))  # log-odds that are never exceeded: a model is never that right
+MOST = 0.0  # log-odds that unexplained edges alone never exceed: they may as well be new to the map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +74,7 @@ class Doubt:
         shown = float((learnt.count - inliers.count)[INLIER_SHARES > SOME].sum())
         overlooked = self.overlooked * OVERLOOKED**shown
         log_odds = _log_odds(lost) - share * self.log_evidence(by_share, log_weight)
-        return Doubt(min(max(log_odds, _log_odds(overlooked)), SUREST), overlooked, learnt)
+        return Doubt(min(max(log_odds, _log_odds(overlooked)), MOST), overlooked, learnt)
 
     def joined(self, log_odds: float) -> Doubt:
         """Return the doubt after places that a look around found have joined the particles.

@@ -272,6 +272,8 @@ def _located(
     clusters = confidence.places_of(weighed)
     chosen = only(weighed, clusters.label == 0) if state.searching else weighed
     estimate = particles.estimate(chosen)
+    if state.rival is not None:
+        clusters = clusters.beside(confidence.places_of(state.rival.particles), state.rival.probability)
     sure = confidence.confidence_of(weighed, estimate.pose, _lost(state), len(sighting.edges), clusters)
     return Located(
         sighting.t_ns,

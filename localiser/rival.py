@@ -4,7 +4,7 @@ While the robot may be lost, a second cloud of particles follows the images from
 odds that it is right and the first one wrong:
 
     odds = odds of being lost · mean of prior/q · p(edges | pose) / p(edges | particles),  at the image that began it,
-    then times p(edges | rival) / p(edges | particles) at every further image.
+    then times p(edges | rival) / max(p(edges | particles), p(edges | clutter)) at every further image.
 
 The first cloud is not touched by this, so a robot that is well localised comes to no harm; a rival that explains the
 edges less well dies out, and one that explains them better wins, however many images it takes.
@@ -80,7 +80,8 @@ class Rival:
         """
         doubt = replace(self.doubt, inliers=inliers)
         weighed, doubt, own_evidence = search.followed(moved, doubt, clues, share, rng)
-        return Rival(weighed, doubt, self.log_odds + own_evidence - log_evidence)._alive()
+        # It wins by what it explains, not by what the others leave unexplained: that may be new to the map.
+        return Rival(weighed, doubt, self.log_odds + own_evidence - max(log_evidence, 0.0))._alive()
 
     def elsewhere(self, pose: Array) -> Rival | None:
         """Return the rival without what is beside the believed pose (3,), None where nothing else is left."""

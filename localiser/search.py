@@ -54,7 +54,7 @@ class SearchParameters:
     fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
-    ] = 20_000
+    ] = 10_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -144,7 +144,7 @@ def same(first: Path, second: Path) -> bool:
 EACH_FRAME = {
     *(paths.VISIBLE, paths.MATCHED, paths.SIGHTS, paths.PARTICLES, paths.ESTIMATE, paths.ELLIPSE, paths.TRUTH),
     *(*paths.TRAILS, paths.CAMERA, paths.IMAGE, paths.REJECTED, paths.PREDICTED, paths.EDGES, paths.JOINS),
-    *(paths.ERROR, paths.ESS, paths.COUNTS, paths.STAGES),
+    *(paths.ERROR, paths.P_CORRECT, paths.ESS, paths.COUNTS, paths.STAGES, paths.PLACES, paths.PLACE_ARROWS),
 }
 ONCE = {paths.WORLD, paths.LANDMARKS, paths.TRUTH_PATH}
 
@@ -332,7 +332,7 @@ def test_ellipse_lies_where_95_percent_are_inside() -> None:
     rng = np.random.default_rng(3)
     cov = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, 0.0], [0.0, 0.0, 0.01]])
     located = estimate(from_gaussian(np.array([2.0, -1.0, 0.4]), cov, 20_000, rng))
-    offset = ellipse_points(located) - located.pose[:2]
+    offset = ellipse_points(located.pose, located.pose_cov) - located.pose[:2]
     distance = np.einsum("ij,jk,ik->i", offset, np.linalg.inv(located.pose_cov[:2, :2]), offset)
     np.testing.assert_allclose(distance, CHI2_95_2D, rtol=1e-9)
 

@@ -46,6 +46,7 @@ def write_figures(
         particles=config.mcl.particles,
         bound=bound,
         sighted=_sighted(edges),
+        reasons=[frame.located.reason for frame in history.frames],
     )
     figures["complete"] = complete
     figures |= mount_figures(log, edges, track.odometry, config)

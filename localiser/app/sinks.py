@@ -50,6 +50,7 @@ class History:
             odometry=np.array([result.odometry for result in located]).reshape(-1, 3),
             edges=[len(result.edges) for result in located],
             matched=[int((frame.matches.landmark >= 0).sum()) for frame in self.frames],
+            p_correct=[result.p_correct for result in located],
         )
 
 

@@ -6,7 +6,7 @@ import sys
 import traceback
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -264,8 +264,19 @@ def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
     from localiser.evaluate.table import errors_table
 
     show(errors_table({folder.name: figures}))
+    typer.echo(_how_sure(figures["confidence"]))
     recording = "run.rrd for `rerun`, " if rrd else ""
     typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
+
+
+def _how_sure(confidence: Any) -> str:
+    """Return in words how sure a run was of its poses."""
+    reasons = [f"{reason} ({count} images)" for reason, count in confidence["reasons"].items()]
+    why = f"; else: {', '.join(reasons)}" if reasons else ""
+    found = "never" if confidence["found_s"] is None else f"after {confidence['found_s']:.1f} s"
+    return (
+        f"Sure of the pose (p_correct > 0.9) first {found}, in {100 * (confidence['sure'] or 0):.0f} % of images{why}."
+    )
 
 
 def _names(runs: list[Path]) -> list[str]:

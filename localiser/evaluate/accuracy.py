@@ -18,7 +18,7 @@ class Track:
 
     t_ns: (T,) strictly increasing. poses: (T, 3) x, z, heading in the map. covs: (T, 3, 3) of the poses.
     odometry: (T, 3) poses in the odometry's own frame. edges, matched: (T,) number of edges measured, and of those
-    that were matched with a landmark.
+    that were matched with a landmark. p_correct: (T,) probability of being within 0.5 m and 10°, as the filter has it.
     """
 
     t_ns: NDArray[np.int64]
@@ -27,6 +27,7 @@ class Track:
     odometry: Array
     edges: Array
     matched: Array
+    p_correct: Array
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -41,11 +42,18 @@ class Track:
         odometry: ArrayLike | None = None,
         edges: ArrayLike | None = None,
         matched: ArrayLike | None = None,
+        p_correct: ArrayLike | None = None,
     ) -> Track:
         """Return a track with what is given; the rest is unknown."""
         count = len(np.asarray(t_ns))
-        shapes = {"covs": (count, 3, 3), "odometry": (count, 3), "edges": (count,), "matched": (count,)}
-        given = {"covs": covs, "odometry": odometry, "edges": edges, "matched": matched}
+        shapes = {
+            "covs": (count, 3, 3),
+            "odometry": (count, 3),
+            "edges": (count,),
+            "matched": (count,),
+            "p_correct": (count,),
+        }
+        given = {"covs": covs, "odometry": odometry, "edges": edges, "matched": matched, "p_correct": p_correct}
         columns = {
             name: np.full(shape, np.nan) if given[name] is None else np.asarray(given[name], dtype=np.float64)
             for name, shape in shapes.items()

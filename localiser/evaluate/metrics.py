@@ -7,12 +7,14 @@ that are not in the second. `pauses` lists each pause. Figures that are not know
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from localiser.confidence import CORRECT_M, CORRECT_RAD, SURE
 from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import rms_position
 from localiser.evaluate.consistency import share_inside
@@ -32,12 +34,13 @@ def metrics(
     particles: int | None = None,
     bound: Array | None = None,
     sighted: NDArray[np.bool_] | None = None,
+    reasons: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the figures of a run; those that need the truth are None without it.
 
     bound: (T, 3, 3) posterior Cramér-Rao bound of the poses, for logs with true associations. sighted: (T,) whether a
-    landmark was seen; by default, whether there was any edge (always, where edges are not known). Raises InputError
-    when truth and run share no time.
+    landmark was seen; by default, whether there was any edge (always, where edges are not known). reasons: (T,) why
+    p_correct was low, "" where it was not. Raises InputError when truth and run share no time.
     """
     errors = errors_against(track, truth) if truth is not None else None
     return {
@@ -53,6 +56,7 @@ def metrics(
         "nees_inside_95": _figure(share_inside(errors.nees)) if errors else None,
         **_limit(errors, bound),
         "edges_per_frame": _figure(mean(track.edges)),
+        "confidence": _confidence(track, errors, reasons),
         **_by_sightings(track, errors, track.sighted if sighted is None else sighted),
     }
 
@@ -107,6 +111,30 @@ def _limit(errors: Errors | None, bound: Array | None) -> dict[str, Any]:
     judged = np.isfinite(errors.position_m)
     limit = rms_position(bound[judged])
     return {"pcrb_position_m": _figure(limit), "efficiency": _figure(rms(errors.position_m) / limit)}
+
+
+def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> dict[str, Any]:
+    """Return how sure the run was of its poses, and how rightly.
+
+    `found_s`: from when on it was sure, and position_rmse_found_m the error from then on. `sure`: share of images with
+    p_correct > 0.9, `sure_and_wrong`: with p_correct > 0.9 and not within 0.5 m and 10°.
+    """
+    sure = track.p_correct > SURE
+    found = int(np.argmax(sure)) if sure.any() else None
+    known, wrong = np.zeros(len(track), dtype=bool), np.zeros(len(track), dtype=bool)
+    if errors is not None:
+        known = np.isfinite(errors.position_m)
+        wrong = (errors.position_m > CORRECT_M) | (np.abs(errors.heading_rad) > CORRECT_RAD)
+    return {
+        "p_correct_mean": _figure(mean(track.p_correct)),
+        "p_correct_min": _figure(quantile(track.p_correct, 0.0)),
+        "sure": _figure(sure.mean()) if np.isfinite(track.p_correct).any() else None,
+        "correct": _figure(1.0 - wrong[known].mean()) if known.any() else None,
+        "sure_and_wrong": _figure((sure & wrong)[known].mean()) if known.any() else None,
+        "found_s": None if found is None else _figure(track.seconds[found]),
+        "position_rmse_found_m": None if found is None or not errors else _figure(rms(errors.position_m[found:])),
+        "reasons": {reason: int(count) for reason, count in sorted(Counter(reasons).items()) if reason},
+    }
 
 
 def _by_sightings(track: Track, errors: Errors | None, sighted: NDArray[np.bool_]) -> dict[str, Any]:

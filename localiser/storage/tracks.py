@@ -19,20 +19,24 @@ GROUNDTRUTH_TUM = "groundtruth.tum"
 
 _COV = ("cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh")
 _ODOMETRY = ("odometry_x", "odometry_z", "odometry_heading")
+PLACE = 0.05  # of the weight that a place must have to be counted
 _UPPER = np.triu_indices(3)
 COLUMNS = (
     Column("t_ns", integer),
     *(Column(name, number) for name in ("x", "z", "heading")),
     *(Column(name, number) for name in (*_COV, "ess")),
-    *(Column(name, number_or_unknown, required=False) for name in ("edges", *_ODOMETRY)),
+    *(Column(name, number_or_unknown, required=False) for name in ("edges", *_ODOMETRY, "p_correct")),
+    Column("reason", str, required=False),
+    Column("places", number_or_unknown, required=False),
 )
 
 
 class TrackWriter:
     """Writes `trajectory.csv`, `trajectory.tum` and, where the truth is known, `groundtruth.tum`, a line an image.
 
-    The CSV holds our frame, the TUM files the ROS frame. Bias columns of the filter follow the listed ones, each with
-    its sigma. Raises OutputError.
+    The CSV holds our frame, the TUM files the ROS frame. p_correct: probability of being within 0.5 m and 10°; reason:
+    why it is low; places: where the robot may be. Bias columns of the filter follow the listed ones, each with its
+    sigma. Raises OutputError.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -50,6 +54,8 @@ class TrackWriter:
         cells += [f"{value:.9e}" for value in estimate.pose_cov[_UPPER]]
         cells += [f"{located.ess:.3f}", str(len(located.edges))]
         cells += ["" if np.isnan(value) else f"{value:.9f}" for value in located.odometry]
+        places = 1 if located.clusters is None else int((located.clusters.weight >= PLACE).sum())
+        cells += [f"{located.p_correct:.4f}", located.reason, str(places)]
         for column in range(3, 3 + len(biases)):
             cells += [f"{estimate.mean[column]:.9e}", f"{np.sqrt(estimate.cov[column, column]):.9e}"]
         self._write(TRAJECTORY_CSV, ",".join(cells) + "\n")
@@ -90,4 +96,5 @@ def load_track(path: Path) -> Track:
         covs=covs,
         odometry=table.numbers(*_ODOMETRY) if all(name in table.columns for name in _ODOMETRY) else None,
         edges=table.numbers("edges") if "edges" in table.columns else None,
+        p_correct=table.numbers("p_correct") if "p_correct" in table.columns else None,
     )

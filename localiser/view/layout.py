@@ -79,7 +79,13 @@ def _text() -> rrb.TextLogView:
 
 def _plots(context: Context) -> list[rrb.TimeSeriesView]:
     error = "Position error" if context.truth is not None else "Position 3σ"
-    titles = {paths.ERROR: error, paths.ESS: "Effective sample size", paths.COUNTS: "Edges", paths.STAGES: "Time, ms"}
+    titles = {
+        paths.ERROR: error,
+        paths.P_CORRECT: "Probability of being right",
+        paths.ESS: "Effective sample size",
+        paths.COUNTS: "Edges",
+        paths.STAGES: "Time, ms",
+    }
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
     axes = {paths.STAGES: rrb.ScalarAxis(range=STAGES_SHOWN_MS)}
     return [

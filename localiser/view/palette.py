@@ -18,6 +18,7 @@ JOIN: Colour = (255, 236, 110, 255)
 SIGHT: Colour = (84, 219, 124, 40)
 
 ESTIMATE: Colour = (255, 183, 43, 255)
+PLACE: Colour = (196, 132, 255, 255)
 TRUTH: Colour = (240, 244, 248, 255)
 TRUTH_AHEAD: Colour = (240, 244, 248, 38)
 ODOMETRY: Colour = (221, 90, 164, 255)

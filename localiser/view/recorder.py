@@ -50,6 +50,9 @@ def stream_to_file(path: Path, context: Context) -> rr.RecordingStream:
     return stream
 
 
+SHOWN = 0.02
+"""The weight from which on a place where the robot may be is drawn."""
+
 _TEXT_LEVELS = {"WARNING": rr.TextLogLevel.WARN}
 
 
@@ -64,6 +67,7 @@ class Recorder:
         self._trails: dict[str, Array] = {}
         self._map_from_odometry: Array | None = None
         self._stages: tuple[str, ...] = ()
+        self._reason = ""
         self._log_static()
 
     def frame(self, number: int, frame: LocatedFrame) -> None:
@@ -75,6 +79,7 @@ class Recorder:
         self._log_poses(located, truth)
         if self._context.images:
             self._log_image(located, frame.image, matches.landmark, matches.visible)
+        self._log_confidence(located)
         self._log_plots(located, truth, int((matches.landmark >= 0).sum()), frame.stage_ms)
 
     def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
@@ -122,6 +127,21 @@ class Recorder:
         if np.isfinite(odometry).all():
             self._log_trail(paths.ODOMETRY_TRAIL, odometry, palette.ODOMETRY)
 
+    def _log_confidence(self, located: Located) -> None:
+        if located.reason != self._reason:
+            unsure = f"perhaps lost: {located.reason} (p = {located.p_correct:.2f})"
+            found = f"sure of the pose (p = {located.p_correct:.2f})"
+            self.message(located.t_ns, unsure if located.reason else found, "WARNING" if located.reason else "INFO")
+            self._reason = located.reason
+        places = located.clusters
+        if places is None or (places.weight >= SHOWN).sum() < 2:  # the estimate's own ellipse says it all
+            for path in (paths.PLACES, paths.PLACE_ARROWS):
+                self._stream.log(path, rr.Clear(recursive=False))
+            return
+        shown = places.heaviest(SHOWN)
+        self._stream.log(paths.PLACES, world.place_ellipses(shown))
+        self._stream.log(paths.PLACE_ARROWS, world.place_arrows(shown))
+
     def _log_trail(self, path: str, pose: Array, colour: palette.Colour) -> None:
         # Only the newest piece: the layout shows all pieces up to the cursor, so a frame costs the same at the end of a
         # long run as at its start, and a frame that was dropped leaves no gap.
@@ -157,6 +177,7 @@ class Recorder:
         three_sigma = 3 * float(np.sqrt(np.trace(estimate.pose_cov[:2, :2])))
         error = np.nan if truth is None else float(np.hypot(*(estimate.pose - truth)[:2]))
         self._stream.log(paths.ERROR, rr.Scalars([error, three_sigma]))
+        self._stream.log(paths.P_CORRECT, rr.Scalars([located.p_correct]))
         self._stream.log(paths.ESS, rr.Scalars([located.ess]))
         self._stream.log(paths.COUNTS, rr.Scalars([len(located.edges), matched]))
         if not self._stages and stage_ms:
@@ -174,6 +195,7 @@ class Recorder:
         if context.truth is not None:
             log(paths.TRUTH_PATH, world.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
         self._log_series(paths.ERROR, ("error m", "3σ m"), (palette.ESTIMATE, palette.UNSEEN))
+        self._log_series(paths.P_CORRECT, ("p correct",), (palette.ESTIMATE,))
         self._log_series(paths.ESS, ("effective particles",), (palette.ESTIMATE,))
         self._log_series(paths.COUNTS, ("edges", "matched"), (palette.UNMATCHED, palette.MATCHED))
 

@@ -7,6 +7,7 @@ import rerun as rr
 
 from localiser import geometry
 from localiser.camera import Camera
+from localiser.clusters import Clusters
 from localiser.geometry import Array
 from localiser.particles import Estimate, Particles
 from localiser.view import palette
@@ -59,16 +60,30 @@ def arrow(pose: Array, colour: palette.Colour, width: float) -> rr.Arrows3D:
     )
 
 
-def ellipse_points(estimate: Estimate) -> Array:
-    """Return the closed line (49, 2) on the floor that holds 95 % of the estimate's (x, z)."""
-    variance, axes = np.linalg.eigh(estimate.pose_cov[:2, :2])
+def ellipse_points(pose: Array, cov: Array) -> Array:
+    """Return the closed line (49, 2) on the floor that holds 95 % of (x, z) of a pose (3,) with covariance (3, 3)."""
+    variance, axes = np.linalg.eigh(cov[:2, :2])
     half_axes = axes * np.sqrt(CHI2_95_2D * np.maximum(variance, 0.0))
-    return np.asarray(estimate.pose[:2] + np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=-1) @ half_axes.T)
+    return np.asarray(pose[:2] + np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=-1) @ half_axes.T)
+
+
+def place_ellipses(places: Clusters) -> rr.LineStrips3D:
+    """Return the 95 % ellipses of the places where the robot may be, each labelled with its weight."""
+    lines = [at_height(ellipse_points(*place), _ESTIMATE_Y) for place in zip(places.mean, places.cov, strict=True)]
+    labels = [f"{100 * weight:.0f} %" for weight in places.weight]
+    return rr.LineStrips3D(lines, colors=palette.PLACE, radii=rr.Radius.ui_points(1.0), labels=labels)
+
+
+def place_arrows(places: Clusters) -> rr.Arrows3D:
+    """Return an arrow for each place where the robot may be, as long as its weight."""
+    lengths = ARROW_M * places.weight[:, None] * np.stack([geometry.forward(heading) for heading in places.mean[:, 2]])
+    origins, vectors = at_height(places.mean[:, :2], _ESTIMATE_Y), at_height(lengths, 0.0)
+    return rr.Arrows3D(origins=origins, vectors=vectors, colors=palette.PLACE, radii=rr.Radius.ui_points(1.0))
 
 
 def ellipse(estimate: Estimate) -> rr.LineStrips3D:
     """Return the 95 % ellipse of the estimate's position."""
-    line = at_height(ellipse_points(estimate), _ESTIMATE_Y)
+    line = at_height(ellipse_points(estimate.pose, estimate.pose_cov), _ESTIMATE_Y)
     return rr.LineStrips3D([line], colors=palette.ESTIMATE, radii=rr.Radius.ui_points(1.0))
 
 
