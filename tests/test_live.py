@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
 from short_log import Localiser
 
 from localiser import mcl
+from localiser.app.live.inbound import TOPICS, message_of
 from localiser.app.live.outputs import PosePublisher
+from localiser.app.live.prepare import read_camera
 from localiser.app.live.state import Checkpoints, Resumed
 from localiser.config import load_config
 from localiser.geometry import compose
+from localiser.sources import Arrival, Inbox
 from localiser.storage import load_track, open_log
+from localiser.storage.bags.bag import stamp_of
+from localiser.storage.bags.images import stated_size
 
 N = 6
 
@@ -126,6 +133,33 @@ def test_when_the_wheels_are_silent_edges_tell_the_way() -> None:
     feed = Feed()([message for message in messages if message.role != "odometry" or message.at_ns not in gap])
     assert len(feed.times) >= frames - 3
     assert feed.worst_error_m() < 0.3
+
+
+def test_images_wait_for_the_first_word_of_the_wheels() -> None:
+    """Before that nobody knows where the odometry's frame is."""
+    feed = Feed()([*camera(), odometry(0)])
+    messages = drive(N)
+    silent = Feed()([*camera(), *[message for message in messages if message.role == "image"]])
+    assert not silent.published
+    assert feed(messages).published
+
+
+def test_frames_of_a_camera_arrive_as_a_robot_sends_them(tmp_path: Path) -> None:
+    path = tmp_path / "drive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (640, 480))
+    for index in range(3):
+        writer.write(cv2.imdecode(np.frombuffer(LOG.frames[index].encoded(), np.uint8), cv2.IMREAD_COLOR))
+    writer.release()
+    inbox = Inbox()
+    source = read_camera(str(path), TOPICS["image"], inbox)
+    arrivals: list[Arrival] = []
+    end = time.monotonic() + 30
+    while len(arrivals) < 3 and time.monotonic() < end:
+        arrivals += inbox.take(0.1)
+    source.close()
+    messages = [message_of(each) for each in arrivals]
+    assert [stated_size(message) for message in messages] == [(640, 480)] * 3
+    assert abs(time.time() - stamp_of(messages[-1]) / 1e9) < 60
 
 
 def test_newest_image_wins_when_there_is_no_time() -> None:

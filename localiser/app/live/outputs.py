@@ -25,13 +25,15 @@ LEAST_SURE = 0.5
 class Published:
     """One image's result as it goes out. stamp_ns, now_ns: of the image and of the wheels' last pose, by the robot.
 
-    now: (3,) pose in the map then. latency_ms: from the image's stamp, by this machine's calendar.
+    now: (3,) pose in the map then. by_wheels: whether wheels were ever heard. latency_ms: from the image's stamp, by
+    this machine's calendar.
     """
 
     located: Located
     stamp_ns: int
     now_ns: int
     now: Array
+    by_wheels: bool
     latency_ms: float
 
     def line(self) -> str:
@@ -75,7 +77,7 @@ class PosePublisher:
         estimate = located.estimate
         pose = make.encode(make.pose_in_map(published.stamp_ns, estimate.pose, estimate.pose_cov))
         self._network.publish(POSE_TOPIC, pose)
-        if located.p_correct >= LEAST_SURE:
+        if published.by_wheels and located.p_correct >= LEAST_SURE:
             transform = make.map_from_odometry(published.now_ns, estimate.pose, located.odometry)
             self._network.publish(TRANSFORM_TOPIC, make.encode(transform))
         return pose

@@ -127,7 +127,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
             if role != "image" or options.image is None:
                 network.subscribe(role, topic, type_of(role, topic), inbox)
         if options.image is not None:
-            stack.callback(_camera(options.image, topics["image"], inbox).close)
+            stack.callback(read_camera(options.image, topics["image"], inbox).close)
         yield Live(run, viewers)
 
 
@@ -167,7 +167,7 @@ def _changed_settings(config: Config) -> dict[str, Any]:
     return found
 
 
-def _camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
+def read_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
     """Return the camera whose frames come into the inbox as compressed images, as a robot would send them."""
     make = Messages()
 

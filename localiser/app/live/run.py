@@ -253,6 +253,7 @@ class LiveRun:
             frame.stamp_ns,
             now_ns - offset_ns,
             pose_now(located, odometry_now),
+            self._newest_odometry is not None,
             (time.time_ns() - frame.stamp_ns) / 1e6,
         )
         for publish in self.publish:

@@ -93,7 +93,8 @@ class Timeline:
         most: how many there is time for; at least the newest is taken. now_ns: by the clock of arrivals. Wheels that
         have gone silent are not waited for.
         """
-        any_time = not self.needs_wheels or now_ns - self.heard_ns > PATIENCE_NS
+        silent = self.heard_ns >= 0 and now_ns - self.heard_ns > PATIENCE_NS
+        any_time = silent or not self.needs_wheels
         reached = [frame for frame in self._frames if any_time or frame.t_ns <= self.newest_ns]
         for frame in reached[: -max(most, 1)]:
             self._frames.remove(frame)
