@@ -45,7 +45,7 @@ class InlierShare:
 
     def log_mean(self, by_share: Array) -> Array:
         """Return log p(edges | pose) (N,), the shares integrated out of `by_share` (K, N)."""
-        return np.asarray(np.logaddexp.reduce(by_share + np.log(self.probability)[:, None], axis=0))
+        return _log_sum(by_share + np.log(self.probability)[:, None])
 
     def given(self, by_share: Array, weight: Array, independent_frames: float) -> InlierShare:
         """Return the distribution after a frame with log p(edges | pose, w_k) (K, N) and particles of weight (N,).
@@ -53,9 +53,17 @@ class InlierShare:
         The weights are those after the same edges. A frame that is only partly new counts for that part.
         """
         joint = by_share + np.log(self.probability)[:, None]
-        responsibility = np.exp(joint - np.logaddexp.reduce(joint, axis=0)) @ weight
+        responsibility = np.exp(joint - _log_sum(joint)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
 
     def towards(self, other: InlierShare, share: float) -> InlierShare:
         """Return the distribution a share, 0 … 1, of the way towards another."""
         return replace(self, count=self.count + share * (other.count - self.count))
+
+
+def _log_sum(joint: Array) -> Array:
+    """Return log Σ_k exp(joint) (N,) of joint (K, N): twice as fast as `np.logaddexp.reduce`."""
+    top = joint.max(axis=0)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):  # a particle that every share rules out
+        return np.asarray(top + np.log(np.exp(joint - top).sum(axis=0)))
