@@ -38,7 +38,7 @@ class BiasParameters:
     yaw_sigma_deg: Annotated[float, Field(ge=0, le=90, description="of the camera's stated yaw (degrees)")] = 1.0
     memory_m: Annotated[
         float, Field(gt=0, description="way after which an estimate of them is forgotten: tyres, floors, loads (m)")
-    ] = 100.0
+    ] = 500.0
 
     @property
     def cov(self) -> Array:
