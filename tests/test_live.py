@@ -135,6 +135,22 @@ def test_when_the_wheels_are_silent_edges_tell_the_way() -> None:
     assert feed.worst_error_m() < 0.3
 
 
+@pytest.mark.parametrize("after_ns", [0, 60_000_000])
+def test_odometry_that_begins_anew_does_not_move_the_robot(localiser: Localiser, tmp_path: Path, after_ns: int) -> None:
+    """Whether an image is taken between the last pose of old and the first of new, or not."""
+    feed = Feed(record=tmp_path / "drive.db3")
+    anew = [
+        odometry(m.at_ns, compose(np.array([40.0, 3.0, 2.0]), LOG.odometry.at(m.at_ns)))
+        if m.role == "odometry" and m.at_ns > LOG.frames[4].t_ns + after_ns
+        else m
+        for m in drive(12)
+    ]
+    feed([*camera(), *anew]).close()
+    assert len(feed.times) == 12 and feed.worst_error_m() < 0.3
+    track = load_track(localiser.replay(tmp_path / "drive.db3", tmp_path / "results") / "trajectory.csv")
+    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
 def test_images_wait_for_the_first_word_of_the_wheels() -> None:
     """Before that nobody knows where the odometry's frame is."""
     feed = Feed()([*camera(), odometry(0)])

@@ -14,13 +14,11 @@ import numpy as np
 
 from localiser import mcl, particles
 from localiser.app.live.located import Filter
-from localiser.app.live.timeline import Timeline
+from localiser.app.live.timeline import Timeline, is_driven
 from localiser.errors import OutputError
 from localiser.storage.checkpoint import identity_of, load_checkpoint, save_checkpoint
 
 EVERY_S = 3.0
-MOST_SPEED_M_S = 5.0
-"""Faster than any robot indoors: wheels that say so have begun to count anew."""
 
 
 def identity(filter_: Filter) -> dict[str, str]:
@@ -84,8 +82,8 @@ class Resumed:
         """
         saved = load_checkpoint(self.path, identity(filter_))
         state, first = saved.state, timeline.first_odometry
-        if state.odometry and first is not None and _goes_on(state.odometry[-1], first):
-            timeline.resume(state.odometry[-1].t_ns)
+        if state.odometry and first is not None and is_driven(state.odometry[-1], first):
+            timeline.resume(state.odometry[-1])
             self.text = "resumed; the wheels tell what happened in between"
         else:
             state.odometry.clear()
@@ -95,8 +93,3 @@ class Resumed:
         assert state.particles is not None
         found = particles.estimate(state.particles)
         return mcl.Start(state.at_ns, found.pose, found.pose_cov)
-
-
-def _goes_on(last: mcl.Odometry, first: mcl.Odometry) -> bool:
-    seconds = (first.t_ns - last.t_ns) / 1e9
-    return seconds > 0 and float(np.hypot(*(first.pose - last.pose)[:2])) <= MOST_SPEED_M_S * seconds

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
+
+import numpy as np
 
 from localiser import mcl
 from localiser.edges import Edges
@@ -20,6 +23,10 @@ MOST_ODOMETRY = 20_000
 
 PATIENCE_NS = 500_000_000
 """How long an image waits for wheels from which nothing comes, and what they may leave out between two poses."""
+
+
+MOST_SPEED_M_S = 5.0
+"""Faster than any robot indoors."""
 
 
 @dataclass(slots=True, eq=False)
@@ -42,6 +49,12 @@ class Frame:
     by_wheels: bool = True
 
 
+def is_driven(sooner: mcl.Odometry, later: mcl.Odometry) -> bool:
+    """Whether a robot can have driven from one pose of its wheels to the next; else they have begun to count anew."""
+    seconds = (later.t_ns - sooner.t_ns) / 1e9
+    return seconds > 0 and float(np.hypot(*(later.pose - sooner.pose)[:2])) <= MOST_SPEED_M_S * seconds
+
+
 @dataclass(slots=True, eq=False)
 class Timeline:
     """What has arrived and is not settled. decided: is told of every image, and of every pose that is not used.
@@ -58,7 +71,7 @@ class Timeline:
     heard_ns: int = -1
     late_odometry: int = 0
     skipped: dict[str, int] = field(default_factory=dict)
-    _released_ns: int = -1
+    _released: deque[mcl.Odometry] = field(default_factory=lambda: deque(maxlen=2))  # on both sides of the last image
     _odometry: list[tuple[int, int, Array]] = field(default_factory=list)
     _frames: list[Frame] = field(default_factory=list)
 
@@ -115,9 +128,9 @@ class Timeline:
         self.weighed_ns = frame.t_ns
         self.decided(image_decision(frame.number, frame.t_ns, by_wheels=frame.by_wheels))
         while self._odometry and self.settled_ns < frame.t_ns:
-            self._released_ns, _, pose = self._odometry.pop(0)
-            self.settled_ns = self._released_ns
-            yield mcl.Odometry(self._released_ns, pose)
+            self.settled_ns, _, pose = self._odometry.pop(0)
+            self._released.append(mcl.Odometry(self.settled_ns, pose))
+            yield self._released[-1]
         self.settled_ns = max(self.settled_ns, frame.t_ns)
 
     def discard(self, frame: Frame, why: str) -> None:
@@ -131,16 +144,16 @@ class Timeline:
         self.decided(odometry_decision(number, t_ns, why))
 
     def _wheels_tell(self, t_ns: int) -> bool:
-        """Whether the wheels were heard all the way since the last image, if that was not long ago."""
+        """Whether the wheels told the whole way since the last image, if that was not long ago."""
         if t_ns > self.newest_ns:
             return False
         if t_ns - self.weighed_ns > 2 * PATIENCE_NS:
             return True  # edges tell less over so long a time than wheels that missed some of it
-        times = [self._released_ns, *(row[0] for row in self._odometry)]
+        poses = [*self._released, *(mcl.Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
         return all(
-            later - sooner <= PATIENCE_NS
-            for sooner, later in pairwise(times)
-            if later > self.weighed_ns and sooner < t_ns
+            is_driven(sooner, later) and later.t_ns - sooner.t_ns <= PATIENCE_NS
+            for sooner, later in pairwise(poses)
+            if later.t_ns > self.weighed_ns and sooner.t_ns < t_ns
         )
 
     def restart(self, t_ns: int) -> int:
@@ -156,9 +169,10 @@ class Timeline:
         """The first pose of the wheels that is not settled."""
         return mcl.Odometry(self._odometry[0][0], self._odometry[0][2]) if self._odometry else None
 
-    def resume(self, settled_ns: int) -> None:
-        """Go on after what was settled in a run before, which is earlier than all that is here."""
-        self.settled_ns = self._released_ns = self.weighed_ns = settled_ns
+    def resume(self, settled: mcl.Odometry) -> None:
+        """Go on after the last pose that was settled in a run before, which is earlier than all that is here."""
+        self._released.append(settled)
+        self.settled_ns = self.weighed_ns = settled.t_ns
 
     def skip(self, frame: Frame, why: str) -> None:
         """Leave an image out, and say why."""
