@@ -28,7 +28,8 @@ from localiser.simulate.world import World
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
 IMAGES = EdgeNoise(endpoint_sigma_px=0.2, along_sigma_px=2.0, cut_probability=0.15, detection_probability=0.85)
-IMAGE_SHELVES, CLUTTER_SHELVES = 12, 120
+IMAGE_SHELVES = {"office": 12, "corridor": 4}  # so that as many edges are clutter as in rendered images
+CLUTTER_SHELVES = 120
 LEAD_IN_M, EMPTY_M = 3.0, 10.0
 HOUSE = OdometrySpec(
     distance_scale=0.015,
@@ -162,13 +163,13 @@ def with_spines(structure: Structure, spines: VerticalEdges) -> Structure:
 
 def normal(seed: int) -> Trial:
     """A long run in the office: the whole drive, a turn on the spot, and the way back."""
-    place = place_of("office", IMAGE_SHELVES)
+    place = place_of("office", IMAGE_SHELVES["office"])
     return _trial(place, np.arange(len(place.truth)), seed, IMAGES)
 
 
 def whereabouts(world: str, seed: int, frames: int = 120) -> Trial:
     """No start: a stretch of the drive, or of the way back, from anywhere on it."""
-    place = place_of(world, IMAGE_SHELVES)
+    place = place_of(world, IMAGE_SHELVES[world])
     first = np.random.default_rng([seed, _DRIVE]).integers(0, len(place.truth) - frames)
     trial = _trial(place, np.arange(first, first + frames), seed, IMAGES)
     return replace(trial, start=None)
@@ -176,7 +177,7 @@ def whereabouts(world: str, seed: int, frames: int = 120) -> Trial:
 
 def kidnapped(seed: int, before: int = 60, after: int = 110) -> Trial:
     """The robot is lifted and set down 2 to 6 m away and turned, and its wheels do not notice."""
-    place = place_of("office", IMAGE_SHELVES)
+    place = place_of("office", IMAGE_SHELVES["office"])
     rng = np.random.default_rng([seed, _DRIVE])
     poses = place.truth.poses
     while True:

@@ -8,6 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 import scenarios
+from observable import is_observable
 from scenarios import Trial
 
 from localiser.config import Config, load_config
@@ -51,6 +52,7 @@ class Outcome:
 
     passed: whether it met the scenario's bar. error_m: what was judged. frames: judged. sure_wrong, doubtful_right: how
     many of them the filter was sure and wrong in, doubtful and right in. back_frames: until it was back, -1 if never.
+    excused: whether a start from nowhere is not judged, since the images cannot tell the place; see `observable`.
     """
 
     scenario: str
@@ -63,18 +65,21 @@ class Outcome:
     sure_wrong: int
     doubtful_right: int
     back_frames: int
+    excused: bool
 
 
 def run(scenario: str, observation: str, seed: int, settings: tuple[str, ...] = ()) -> Outcome:
     """Return what the filter makes of one seed of a scenario."""
-    trial = SCENARIOS[scenario](seed)
-    told = told_by(trial, configured(observation, settings), seed)
+    trial, config, excused = SCENARIOS[scenario](seed), configured(observation, settings), False
+    told = told_by(trial, config, seed)
     judged = slice(trial.judged, None)
     wrong, sure, doubtful = told.wrong[judged], told.p_correct[judged] > SURE, told.p_correct[judged] < DOUBTFUL
     back = _back_after(trial, told)
     if scenario.startswith("global"):
         error_m = float(told.error_m[BACK_FRAMES])
         passed = error_m <= BACK_M
+        seen_by = EdgeObservation(trial.camera, config.observation)
+        excused = not passed and not is_observable(trial, seen_by, config.motion, BACK_FRAMES)
     elif trial.carried is not None:
         error_m, passed = float(told.error_m[-1]), back >= 0
     else:
@@ -91,6 +96,7 @@ def run(scenario: str, observation: str, seed: int, settings: tuple[str, ...] = 
         int((wrong & sure).sum()),
         int((~wrong & doubtful).sum()),
         back,
+        excused,
     )
 
 
