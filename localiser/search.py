@@ -59,11 +59,15 @@ class SearchParameters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clues:
-    """What one image says of places: the view of it and its table of evidence."""
+    """What one image says of places: the view of it and its table of evidence.
+
+    power: how much of what an edge tells counts, since others may tell the same.
+    """
 
     view: View
     evidence: Evidence
     places: Places
+    power: float
 
     def by_share(self, particles: Particles) -> Array:
         """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter."""
@@ -71,7 +75,7 @@ class Clues:
 
     def by_pose(self, poses: Array) -> Array:
         """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
-        return ALIKE * score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
+        return self.power * score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +105,8 @@ class Search:
     def clues(self, edges: Edges) -> Clues:
         """Return what an image says of places."""
         view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
-        return Clues(view, evidence_of(view, BLUR_RAD, BLUR_RAD), self.places)
+        in_image = bool(np.isfinite(edges.ends_px).any())  # else of a sensor that tells one bearing of each landmark
+        return Clues(view, evidence_of(view, BLUR_RAD, BLUR_RAD), self.places, ALIKE if in_image else 1.0)
 
     def fresh(
         self, like: Particles, clues: Clues, inliers: InlierShare, count: int, rng: np.random.Generator

@@ -154,12 +154,17 @@ def test_start_can_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> 
     assert np.linalg.norm(first_position(far) - (-0.5, -5)) < 0.5
 
 
-def test_log_without_a_start_starts_from_truth(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    asked = localiser.replay(log, tmp_path / "asked", "--start", "truth")
+def test_log_without_a_start_is_looked_for_on_the_whole_map(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    asked = localiser.replay(log, tmp_path / "asked", "--start", "global")
     drop_from(log / "log.yaml", "start")
-    fallen_back = localiser.replay(log, tmp_path / "back")
+    result = localiser("replay", log, "--out", tmp_path / "back", "--no-rrd")
+    assert "looked for on the whole map" in result.err
+    (fallen_back,) = (tmp_path / "back").glob("*/1")
     assert (asked / "trajectory.csv").read_bytes() == (fallen_back / "trajectory.csv").read_bytes()
-    assert metrics_of(asked)["position_max_m"] < 0.3
+    found = metrics_of(asked)["confidence"]
+    assert found["position_rmse_found_m"] < 0.1 and found["sure_and_wrong"] == 0
+    last = rows_of(asked)[-1]
+    assert float(last["p_correct"]) > 0.9 and last["places"] == "1"
 
 
 def drop_from(log_file: Path, key: str) -> None:
@@ -167,10 +172,10 @@ def drop_from(log_file: Path, key: str) -> None:
     log_file.write_text("".join(line for line in lines if not line.startswith(f"{key}:")))
 
 
-def test_without_start_and_truth_a_start_must_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+def test_a_start_near_the_truth_needs_the_truth(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     drop_from(log / "log.yaml", "start")
     drop_from(log / "log.yaml", "groundtruth")
-    result = localiser("replay", log, "--out", tmp_path / "out")
+    result = localiser("replay", log, "--out", tmp_path / "out", "--start", "truth")
     assert result.exit_code == 2
     assert "start" in result.err
     assert "--start x,z,heading_deg" in result.err
