@@ -30,7 +30,7 @@ BIASES = ("distance_scale", "turn_scale", "veer", CAMERA_YAW)
 class BiasParameters:
     """How far wheels and mount may be wrong for good (one sigma each); 0: not at all."""
 
-    distance_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' distance, as a share")] = 0.03
+    distance_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' distance, as a share")] = 0.02
     turn_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' turn, as a share")] = 0.03
     veer_sigma_deg_per_m: Annotated[
         float, Field(ge=0, le=90, description="turn of the robot while the wheels say straight on (degrees/m)")
