@@ -29,7 +29,7 @@ from localiser.observation import Observation, ObservationParameters, independen
 from localiser.particles import Estimate, Particles
 from localiser.resampling import systematic_resample
 from localiser.rival import Rival
-from localiser.search import Search, only, resampled
+from localiser.search import SEEN_FIRST, Search, only, resampled
 from localiser.weighing import Weighing
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
@@ -212,10 +212,12 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 def _anywhere(mcl: Mcl, state: FilterState, edges: Edges, rng: np.random.Generator) -> Particles:
     """Return particles wherever the edges fit, of a robot that may be anywhere."""
     assert mcl.search is not None
-    count = mcl.search.parameters.particles_most
+    clues, most = mcl.search.clues(edges), mcl.search.most
+    # Proposals are dense where the robot may be; blind draws must be so everywhere.
+    count = most if clues.is_blind else min(most, SEEN_FIRST)
     like = with_biases(particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), count, rng), mcl.motion.bias)
     state.doubt, state.searching = Doubt.of_anywhere(), True
-    return mcl.search.fresh(like, mcl.search.clues(edges), state.doubt.inliers, count, rng)[0]
+    return mcl.search.fresh(like, clues, state.doubt.inliers, count, rng)[0]
 
 
 def _weighed(
@@ -297,9 +299,9 @@ def _lost(state: FilterState) -> float:
 def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Generator) -> Particles:
     """Return the particles that go on: as many as the way needs, from those that explain the edges."""
     weighed, parameters = located.particles, mcl.parameters
-    most = max(parameters.particles, 0 if mcl.search is None else mcl.search.parameters.particles_most)
+    most = max(parameters.particles, 0 if mcl.search is None else mcl.search.most)
     if state.rival is not None:
-        state.rival = state.rival.resampled(parameters.particles, most, rng)
+        state.rival = state.rival.resampled(parameters.particles, max(parameters.particles, SEEN_FIRST), rng)
     if state.searching:
         if confidence.near_weight(weighed, located.estimate.pose) < ALONE:
             return resampled(weighed, parameters.particles, most, rng)

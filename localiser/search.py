@@ -32,10 +32,13 @@ from localiser.observation import EdgeObservation
 from localiser.particles import CAMERA_YAW, Particles
 from localiser.proposals import Places, Region, View, propose, view_of
 from localiser.proposals.evidence import Evidence, evidence_of, score_by_share
+from localiser.proposals.search import FEWEST
 
 CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
 FRESH_SHARE = 0.1  # of an image that must be new for another look around
 NEGLIGIBLE = 1e-3  # odds of the places that an image proposes, below which none of them joins
+SEEN_FIRST = 10_000  # poses that the first image proposes
+PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 ALIKE = 0.5  # one jamb shows as two or three edges: what each of them tells on its own
 BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
@@ -54,20 +57,21 @@ class SearchParameters:
     fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
-    ] = 10_000
+    ] = 100_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clues:
-    """What one image says of places: the view of it and its table of evidence.
-
-    power: how much of what an edge tells counts, since others may tell the same.
-    """
+    """What one image says of places: the view of it and its table of evidence."""
 
     view: View
     evidence: Evidence
     places: Places
-    power: float
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the image shows too little for poses to be proposed from it."""
+        return len(self.view) < FEWEST
 
     def by_share(self, particles: Particles) -> Array:
         """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter."""
@@ -75,7 +79,7 @@ class Clues:
 
     def by_pose(self, poses: Array) -> Array:
         """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
-        return self.power * score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
+        return ALIKE * score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +100,11 @@ class Search:
         places = Places.of(landmark_map, observation.camera, sight, region, sigma_m)
         return cls(observation, places, parameters or SearchParameters())
 
+    @property
+    def most(self) -> int:
+        """The most particles that an image may take, so that it takes a bounded time however large the map is."""
+        return min(self.parameters.particles_most, max(PAIRS_MOST // max(len(self.places), 1), SEEN_FIRST))
+
     def warm_up(self) -> None:
         """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
         angle = np.zeros(1)
@@ -105,8 +114,7 @@ class Search:
     def clues(self, edges: Edges) -> Clues:
         """Return what an image says of places."""
         view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
-        in_image = bool(np.isfinite(edges.ends_px).any())  # else of a sensor that tells one bearing of each landmark
-        return Clues(view, evidence_of(view, BLUR_RAD, BLUR_RAD), self.places, ALIKE if in_image else 1.0)
+        return Clues(view, evidence_of(view, BLUR_RAD, BLUR_RAD), self.places)
 
     def fresh(
         self, like: Particles, clues: Clues, inliers: InlierShare, count: int, rng: np.random.Generator
