@@ -138,15 +138,16 @@ def draw(by_scenario: dict[str, list[Run]], path: Path) -> None:
     """Draw the diagram: what was claimed against what was right, all runs and each scenario."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(5.2, 5.0), dpi=130, layout="constrained")
+    figure, axes = plt.subplots(figsize=(5.6, 5.6), dpi=130, layout="constrained")
     axes.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="claimed = true")
     rows = np.array(reliability(by_scenario["all"]))
-    axes.errorbar(rows[:, 3], rows[:, 4], rows[:, 5], fmt="o-", color="#d97706", capsize=3, label="all runs")
+    reach = np.minimum([rows[:, 5], rows[:, 5]], [rows[:, 4], 1.0 - rows[:, 4]])
+    axes.errorbar(rows[:, 3], rows[:, 4], reach, fmt="o-", color="#d97706", capsize=3, label="all runs", zorder=3)
     for scenario, colour in zip(SCENARIOS, ("#2563eb", "#16a34a", "#9333ea"), strict=True):
         rows = np.array(reliability(by_scenario[scenario]))
         axes.plot(rows[:, 3], rows[:, 4], ".--", color=colour, linewidth=0.8, label=scenario)
     axes.set(xlabel="p_correct, mean of a range", ylabel="share within 0.5 m and 10°", xlim=(0, 1), ylim=(0, 1.02))
-    axes.legend(loc="upper left", frameon=False)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize="small")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
 
