@@ -200,7 +200,8 @@ def test_a_pose_that_is_stated_while_driving_holds_from_then_on() -> None:
     feed = Feed(start=wrong)([*camera(), *drive(4)])
     pose = LOG.groundtruth.at(LOG.frames[4].t_ns)
     stated = MAKE.encode(MAKE.pose_in_map(BEGIN_NS, pose, np.diag([0.01, 0.01, 0.003])))
-    feed([arrival("initialpose", LOG.frames[4].t_ns - 1, stated)])
+    feed([arrival("initialpose", LOG.frames[4].t_ns - 1, stated)] * 3)
+    assert sum(text.startswith("started") for text in feed.said) == 2, "the same message counts once"
     feed.published.clear()
     feed(drive(4, first=5))
     assert feed.times == [frame.t_ns for frame in LOG.frames[5:9]]

@@ -57,6 +57,7 @@ class LiveRun:
     _counts: Counter[str] = field(default_factory=Counter)
     _messages: Messages = field(default_factory=Messages)
     _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
+    _stated: bytes = b""
     _newest_odometry: tuple[int, Array] | None = None
     _intervals_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
     _costs_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
@@ -138,7 +139,10 @@ class LiveRun:
             self._record(arrival)
 
     def _take_initialpose(self, arrival: Arrival, message: Any) -> None:
+        if arrival.content == self._stated:
+            return  # the same message again, as networks and careful senders have it
         mean, cov = np.array(floor_pose(message)), floor_cov(message)
+        self._stated = arrival.content
         self._record(arrival)
         if self.filter is None:
             self.start = mcl.Start(0, mean, cov)

@@ -13,6 +13,7 @@ from localiser.sources import Network
 from localiser.storage.bags.messages import Messages
 
 _PATIENCE_S = 3.0  # until a session that has just begun knows who listens
+_REPEATS, _PAUSE_S = 5, 0.3  # of the same message, which a live run takes once
 
 
 def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str) -> None:
@@ -33,5 +34,6 @@ def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str) -> None
             if time.monotonic() > end:
                 raise InputError(f"expected a live run that listens to {topic}, found none at {', '.join(connect)}")
             time.sleep(0.05)
-        network.publish(topic, content)
-        time.sleep(0.2)  # for it to be on its way before the session ends
+        for _ in range(_REPEATS):  # who has just joined a network is not reached by all at once
+            network.publish(topic, content)
+            time.sleep(_PAUSE_S)
