@@ -7,8 +7,13 @@ can see from the pose, each as likely as the other, else it is clutter, spread e
 
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
-c_el is the squared share of the edge that lies between the landmark's ends: the rim of a picture, high on a wall, is
-no door jamb. It is 1 where the map does not know heights.
+c_el compares the edge's ends with the landmark's: the rim of a picture, high on a wall, is no door jamb. It is the
+squared share of the edge that lies between the landmark's ends, times for each end that should be in the image
+
+    m + (1 - m) H N(e; e_l(pose), σ²)
+
+since an edge either reaches where its landmark ends, or ends anywhere before (m), while clutter ends anywhere on H of
+the image's height. So the floor contact tells the range. Where the map does not know an end, it tells nothing.
 
 How many edges are clutter differs from place to place, so w is not a parameter: the likelihood is computed for every
 share of `inliers`, which learns their distribution and integrates them out.
@@ -35,7 +40,10 @@ from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight, wide
 from localiser.particles import CAMERA_YAW, POSE, Particles, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
-END_TOLERANCE_PX = 6.0  # three sigmas of where an edge ends in the image
+END_SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
+END_TOLERANCE_PX = 6.0  # how far an edge may stick out
+END_MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
+END_CLUTTER = 0.25  # share of the image's height over which clutter ends: it stands on floors and shelves, too
 _UNKNOWN_M = 1e9  # beyond every height
 _FEW = 64  # particles that tell how wide the cloud is
 
@@ -184,8 +192,8 @@ class EdgeObservation:
                 float(np.cos(mount.tilt_rad)),
                 *(np.array(self.camera.upright_bounds) + margin).tolist(),
                 shortest,
-                END_TOLERANCE_PX / focal,
             ),
+            ends=self._ends(),
             range_m=(parameters.range_min_m, parameters.range_max_m),
             widest=widest_tangent(self.camera, parameters),
             gate=(GATE_SIGMAS, largest_var),
@@ -255,14 +263,30 @@ class EdgeObservation:
         return pair, edge, density * self._covered(edges, seen, pair, edge)
 
     def _covered(self, edges: Edges, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]) -> Array | float:
-        """Return c_el: the squared share of each edge that lies between the ends of its pair's landmark, 0 … 1."""
+        """Return c_el: how well the ends of each edge agree with those of its pair's landmark; 1 tells nothing."""
         if not np.isfinite(edges.ends_px).all():
             return 1.0  # measured by something that tells no ends
         ends = self.camera.upright_from_pixels(edges.ends_px)[..., 1]
         low, high = ends.min(axis=1)[edge], ends.max(axis=1)[edge]
-        tolerance = END_TOLERANCE_PX / self.camera.focal_px
-        inside = np.minimum(seen.e_top[pair] + tolerance, high) - np.maximum(seen.e_bottom[pair] - tolerance, low)
-        return np.asarray(np.clip(inside / (high - low), 0.0, 1.0) ** 2)
+        tolerance, per_sigma, missed, found = self._ends()
+        margin = self.parameters.sight.margin_px / self.camera.focal_px
+        _, _, e_low, e_high = self.camera.upright_bounds
+        foot = np.where(seen.e_bottom[pair] > e_low - margin, seen.e_bottom[pair], -np.inf)
+        top = np.where(seen.e_top[pair] < e_high + margin, seen.e_top[pair], np.inf)
+        inside = np.minimum(top, high) - np.maximum(foot, low) + 2 * tolerance
+        covered = np.clip(inside / (high - low), 0.0, 1.0)
+        at_foot, at_top = (
+            np.where(np.isfinite(off), missed + found * np.exp(-0.5 * np.square(off * per_sigma)), 1.0)
+            for off in (low - foot, high - top)
+        )
+        return np.asarray(covered**2 * at_foot * at_top)
+
+    def _ends(self) -> tuple[float, float, float, float]:
+        """Return how far an edge may stick out, 1 / sigma of its ends (both normalised), p(missed) and (1 - p) peak."""
+        _, _, e_low, e_high = self.camera.upright_bounds
+        sigma = END_SIGMA_PX / self.camera.focal_px
+        peak = END_CLUTTER * (e_high - e_low) / (np.sqrt(2 * np.pi) * sigma)
+        return END_TOLERANCE_PX / self.camera.focal_px, 1.0 / sigma, END_MISSED, float((1.0 - END_MISSED) * peak)
 
     def _measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.

@@ -35,11 +35,27 @@ def gain(edges: Edges, bottom_m: float, top_m: float, kind: str = "line") -> flo
     return float(found[0] - found[1])
 
 
-def test_an_edge_between_the_ends_of_its_landmark_counts_in_full() -> None:
-    inside = gain(edge_between(0.2, 0.6), 0.0, 0.9)
-    assert inside > 1.0
-    assert inside == pytest.approx(gain(edge_between(0.2, 0.6, ends=False), 0.0, 0.9))
-    assert inside == pytest.approx(gain(edge_between(0.2, 0.6), np.nan, np.nan))
+def test_ends_that_are_not_known_tell_nothing() -> None:
+    known = gain(edge_between(0.2, 0.6), np.nan, np.nan)
+    assert known > 1.0
+    assert known == pytest.approx(gain(edge_between(0.2, 0.6, ends=False), 0.0, 0.9))
+
+
+def test_an_edge_that_ends_where_its_landmark_does_tells_more() -> None:
+    """An edge may end early, but one that reaches both ends is hardly clutter."""
+    neither, foot, both = (gain(edge_between(*ends), 0.0, 0.6) for ends in ((0.2, 0.4), (0.0, 0.4), (0.0, 0.6)))
+    assert 1.0 < neither < gain(edge_between(0.2, 0.4), np.nan, np.nan) < foot < both
+
+
+def test_the_foot_tells_the_range() -> None:
+    """Half a metre back on the line of sight the bearing is the same, the foot is not."""
+    poses = np.array([[0.0, 0.0, 0.0], [-0.05, 0.5, 0.0]])
+    edges = edge_between(0.0, 0.6)
+    observation = EdgeObservation(CAMERA, ObservationParameters())
+    for bottom_m, top_m, told in ((0.0, 0.6, True), (np.nan, np.nan, False)):
+        landmark_map = LandmarkMap.from_points(JAMB, bottom_m=np.array([bottom_m]), top_m=np.array([top_m]))
+        found = observation.log_likelihood(Particles(POSE, poses.T.copy(), np.zeros(2)), edges, landmark_map)
+        assert (found[0] - found[1] > 1.5) == told
 
 
 def test_an_edge_beyond_the_ends_of_a_landmark_is_not_its_edge() -> None:
@@ -63,4 +79,5 @@ def test_an_edge_of_which_nothing_is_known_says_nothing_of_the_others(kind: str)
         np.concatenate([alone.lean_sigma, unknown]),
     )
     # The unknown edge is as good as clutter: it can only make clutter likelier, the same for both poses.
-    assert 0.3 * gain(alone, 0.0, 0.9, kind) < gain(both, 0.0, 0.9, kind) <= gain(alone, 0.0, 0.9, kind)
+    told = gain(alone, np.nan, np.nan, kind)
+    assert 0.3 * told < gain(both, np.nan, np.nan, kind) <= told

@@ -31,10 +31,10 @@ class Scene:
     landmarks: (L, 5) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
     m². edges: (E, 4) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
     the lower and upper end (∓1e9 where unknown). offset: right, back (m) and yaw (rad) of the camera on the robot.
-    view: (8,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; shortest length
-    and end tolerance, normalised. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the
-    landmark's own sigma: how many sigmas, and the largest variance of an edge. span: of the compared angle (rad).
-    is_slope: whether that is the lean.
+    view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
+    length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
+    own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of
+    its ends, p(missed), (1 - p) times the peak. span: of the compared angle (rad). is_slope: whether that is the lean.
     """
 
     landmarks: Array
@@ -44,6 +44,7 @@ class Scene:
     range_m: tuple[float, float]
     widest: float
     gate: tuple[float, float]
+    ends: tuple[float, float, float, float]
     span: float
     is_slope: bool
 
@@ -87,6 +88,7 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
             scene.view,
             (scene.range_m[0] ** 2, scene.range_m[1] ** 2, scene.widest),
             scene.gate,
+            scene.ends,
             scene.span,
             scene.is_slope,
             rows,

@@ -47,7 +47,7 @@ _HALF_PI = np.pi / 2
 
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)  # rows of a block's camera poses
 _ANGLE, _VARIANCE, _FOOT, _TOP, _FIRST, _END = range(6)  # of one landmark seen from them; _END: -1 where it is not
-_RESIDUAL, _SPREAD, _INSIDE, _PER_LENGTH, _DENSITY = range(5)  # of pairs
+_RESIDUAL, _SPREAD, _INSIDE, _PER_LENGTH, _LOWER, _UPPER, _DENSITY = range(7)  # of pairs
 
 
 # -- which landmarks can be in view from where ------------------------------------------------------------------------
@@ -172,7 +172,7 @@ def _look(
     """
     x, z, bottom, top, position_var = landmark
     nearest, farthest, widest = limits
-    s, c, a_left, a_right, e_low, e_high, length_min, tolerance = view
+    s, c, a_left, a_right, e_low, e_high, length_min = view
     sigmas, largest_var = gate
     bin_low, per_bin, last_bin = bins
     for m in range(lanes):
@@ -226,8 +226,21 @@ def _look(
         first, end = (first if first > 0 else 0.0), (end if end > 0 else 0.0)
         first, end = (first if first < last_bin else last_bin), (end if end < last_bin else last_bin)
         seen[_ANGLE, m], seen[_VARIANCE, m] = angle, variance
-        seen[_FOOT, m], seen[_TOP, m] = foot_e - tolerance, top_e + tolerance
+        seen[_FOOT, m], seen[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
         seen[_FIRST, m], seen[_END, m] = first, end if visible else -1.0
+
+
+@_inlined
+def _edges_near(seen: Array, size: int, first: Indices, visible: Array, near: Indices) -> int:
+    """Turn bins into edges, and count who sees the landmark; return how many have edges near it, in `near`."""
+    some = 0
+    for m in range(size):
+        visible[m] += seen[_END, m] >= 0
+        e, end = first[int(seen[_FIRST, m])], first[int(max(seen[_END, m], 0.0))]
+        seen[_FIRST, m], seen[_END, m] = e, end
+        near[some] = m
+        some += end > e
+    return some
 
 
 @_inlined
@@ -241,7 +254,9 @@ def _pair(
         e = int(seen[_FIRST, m])
         pairs[_RESIDUAL, number] = edges[e, 0] - seen[_ANGLE, m]
         pairs[_SPREAD, number] = edges[e, 1] + seen[_VARIANCE, m]
-        pairs[_INSIDE, number] = min(seen[_TOP, m], edges[e, 3]) - max(seen[_FOOT, m], edges[e, 2])
+        foot, top, lower, upper = seen[_FOOT, m], seen[_TOP, m], edges[e, 2], edges[e, 3]
+        pairs[_INSIDE, number] = min(top, upper) - max(foot, lower)
+        pairs[_LOWER, number], pairs[_UPPER, number] = lower - foot, upper - top
         pairs[_PER_LENGTH, number] = edges[e, 4]
         slot[number] = e * BLOCK + m
         number += 1
@@ -252,21 +267,30 @@ def _pair(
 
 
 @_inlined
-def _add_up(pairs: Array, number: int, slot: Indices, density: Array, touched: Indices, count: int) -> int:
+def _normal(y: float) -> float:
+    """Return exp(16 y) for y ≤ 0, at least e^-18."""
+    y = y if y > _LEAST else _LEAST
+    value = _X0 + y * (_X1 + y * (_X2 + y * (_X3 + y * (_X4 + y * (_X5 + y * _X6)))))
+    value *= value
+    value *= value
+    value *= value
+    return value * value
+
+
+@_inlined
+def _add_up(pairs: Array, number: int, ends: Any, slot: Indices, density: Array, touched: Indices, count: int) -> int:
     """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
+    tolerance, per_sigma, missed, found = ends
     for i in range((number + LANES - 1) // LANES * LANES):
         y = -0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] / pairs[_SPREAD, i]
-        within = y > _LEAST
-        y = y if within else _LEAST
-        normal = _X0 + y * (_X1 + y * (_X2 + y * (_X3 + y * (_X4 + y * (_X5 + y * _X6)))))
-        normal *= normal
-        normal *= normal
-        normal *= normal
-        normal *= normal
-        covered = pairs[_INSIDE, i] * pairs[_PER_LENGTH, i]
-        covered = covered if within & (covered > 0) else 0.0
+        covered = (pairs[_INSIDE, i] + 2 * tolerance) * pairs[_PER_LENGTH, i]
+        covered = covered if (y > _LEAST) & (covered > 0) else 0.0
         covered = covered if covered < 1 else 1.0
-        pairs[_DENSITY, i] = normal * covered * covered / np.sqrt(pairs[_SPREAD, i])
+        lower, upper = pairs[_LOWER, i] * per_sigma, pairs[_UPPER, i] * per_sigma
+        at_foot = missed + found * _normal(-0.5 / 16 * lower * lower)
+        at_top = missed + found * _normal(-0.5 / 16 * upper * upper)
+        told = (at_foot if abs(lower) < UNKNOWN_M else 1.0) * (at_top if abs(upper) < UNKNOWN_M else 1.0)
+        pairs[_DENSITY, i] = _normal(y) * covered * covered * told / np.sqrt(pairs[_SPREAD, i])
     for i in range(number):
         touched[count] = slot[i]
         count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
@@ -292,6 +316,7 @@ def products(
     view: tuple[float, ...],
     limits: tuple[float, float, float],
     gate: tuple[float, float],
+    ends: tuple[float, float, float, float],
     span: float,
     is_slope: bool,
     rows: Array,
@@ -302,7 +327,7 @@ def products(
     d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
     comes near have one. Logarithms of what was too large are added to `aside` (N, LANES); returns whether any was.
     """
-    block, seen, pairs = np.ones((6, BLOCK)), np.ones((6, BLOCK)), np.ones((5, ROOM))
+    block, seen, pairs = np.ones((6, BLOCK)), np.ones((6, BLOCK)), np.ones((7, ROOM))
     near, slot = np.zeros(BLOCK + 1, np.int64), np.zeros(ROOM, np.int64)
     density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.int64)
     visible, factor, each = np.zeros(BLOCK), np.ones((BLOCK, LANES)), np.zeros(LANES)
@@ -320,19 +345,13 @@ def products(
             for k in item[start[c] : start[c + 1]]:
                 landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
                 _look(block, lanes, landmark, limits, view, gate, bins, is_slope, seen)
-                some = 0
-                for m in range(size):
-                    visible[m] += seen[_END, m] >= 0
-                    e, end = first[int(seen[_FIRST, m])], first[int(max(seen[_END, m], 0.0))]
-                    seen[_FIRST, m], seen[_END, m] = e, end
-                    near[some] = m
-                    some += end > e
+                some = _edges_near(seen, size, first, visible, near)
                 while some > 0:  # one edge of each particle, and again with those that have another near
                     if number > ROOM - BLOCK:
-                        count = _add_up(pairs, number, slot, density, touched, count)
+                        count = _add_up(pairs, number, ends, slot, density, touched, count)
                         number = 0
                     number, some = _pair(edges, seen, near, some, pairs, slot, number)
-            count = _add_up(pairs, number, slot, density, touched, count)
+            count = _add_up(pairs, number, ends, slot, density, touched, count)
 
             for m in range(BLOCK):
                 visible[m] = span / np.sqrt(2 * np.pi) / max(visible[m], 1.0)
