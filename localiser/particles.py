@@ -68,6 +68,12 @@ class Estimate:
         return self.mean[:3]
 
     @property
+    def pose_as_seen(self) -> Array:
+        """Mean pose (3,), its heading turned by the camera's own yaw: from where a camera without it sees the same."""
+        yaw = self.mean[self.names.index(CAMERA_YAW)] if CAMERA_YAW in self.names else 0.0
+        return self.pose + np.array([0.0, 0.0, yaw])
+
+    @property
     def pose_cov(self) -> Array:
         """Covariance (3, 3) of the pose."""
         return self.cov[:3, :3]

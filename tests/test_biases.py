@@ -167,3 +167,9 @@ def test_biases_that_cannot_be_wrong_stay_nought() -> None:
         cloud = predict(cloud, increment, replace(NOISE, bias=sure), rng)
     np.testing.assert_allclose(cloud.columns[3:], 0, atol=1e-15)
     np.testing.assert_allclose(cloud.bias_cov, 0, atol=1e-18)
+
+
+def test_an_estimate_says_from_where_its_camera_sees() -> None:
+    found = particles.Estimate((*POSE, *BIASES), np.array([1.0, 2.0, 0.3, 0.01, 0.02, 0.03, 0.05]), np.eye(7))
+    np.testing.assert_allclose(found.pose_as_seen, [1.0, 2.0, 0.35])
+    np.testing.assert_allclose(particles.Estimate(POSE, found.mean[:3], np.eye(3)).pose_as_seen, [1.0, 2.0, 0.3])

@@ -151,7 +151,7 @@ class Replay:
     def _hand_over(self, located: mcl.Located, pending: Pending) -> None:
         truth = self.inputs.log.groundtruth
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
-        matches = self.observation.associate(located.estimate.pose, located.edges, self.inputs.landmark_map)
+        matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.inputs.landmark_map)
         begin = perf_counter()
         for sink in self.sinks:
             sink.frame(LocatedFrame(located, matches, pending.image, true_pose, pending.stage_ms))

@@ -89,7 +89,7 @@ class Filter:
     def show(self, frame: Frame, located: mcl.Located, truth: Array | None) -> None:
         """Hand a result to who looks on."""
         if self.sinks:
-            matches = self.observation.associate(located.estimate.pose, located.edges, self.landmark_map)
+            matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.landmark_map)
             shown = LocatedFrame(located, matches, frame.file or frame.pixels, truth, frame.stage_ms)
             for sink in self.sinks:
                 sink.frame(shown)
