@@ -62,10 +62,12 @@ def test_the_remap_is_the_lens_models_to_a_table_entry(model, distortion, size):
     view = column_view(camera)
     row, column = np.nonzero(~view.unseen)
     exact = camera.pixels_from_upright(view.upright(column.astype(np.float64), row.astype(np.float64)))
-    whole, share = view.map_1[row, column], view.map_2[row, column]
-    looked_up = whole + np.stack([share % 32, share // 32], axis=-1) / 32
-    # Between the centres of two rows, which are averaged before.
+    table = view.table
+    whole = np.stack(np.divmod(table.corner[row, column], camera.width)[::-1], axis=-1)
+    looked_up = whole + np.stack([table.right[row, column], table.down[row, column]], axis=-1) / 32
+    # Between the centres of two rows, which are averaged before; beyond the last one there is no other.
     exact[:, 1] = (exact[:, 1] - (ROWS_AT_ONCE - 1) / 2) / ROWS_AT_ONCE
+    exact[:, 1] = exact[:, 1].clip(0, camera.height // ROWS_AT_ONCE - 1)
     np.testing.assert_allclose(looked_up, exact, atol=1 / 64 + 0.01)
 
 

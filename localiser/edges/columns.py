@@ -47,7 +47,7 @@ class GradientField:
     """Horizontal gradient of a rectified image, averaged over blocks of rows: (B, W), in units of its noise.
 
     fine: at `SCALE_PX`. smooth: the same averaged over neighbouring blocks. coarse: at twice the scale.
-    clutter: sigma of what changes from block to block nearby, noise and texture, at least 1.
+    change: mean size of what changes from block to block nearby, noise and texture.
     unseen: blocks where the image has nothing to show. noise_grey: the noise's sigma (grey levels per px).
     smooth_sigma: the noise's sigma in `smooth`. grey: the rectified image averaged over blocks (grey levels).
     """
@@ -55,7 +55,7 @@ class GradientField:
     fine: NDArray[np.float32]
     smooth: NDArray[np.float32]
     coarse: NDArray[np.float32]
-    clutter: NDArray[np.float32]
+    change: NDArray[np.float32]
     unseen: NDArray[np.bool_]
     noise_grey: float
     smooth_sigma: float
@@ -74,9 +74,7 @@ class Peaks:
 
 def gradient_field(image: Image, camera: Camera) -> GradientField:
     """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
-    rectified, unseen = column_view(camera).of(image), unseen_blocks(camera)
-    rows = rectified.reshape(-1, ROWS_PER_BLOCK, rectified.shape[1]).sum(axis=1, dtype=np.uint16)
-    grey = rows.astype(np.float32) / np.float32(ROWS_PER_BLOCK)
+    grey, unseen = column_view(camera).blocks(image), unseen_blocks(camera)
     kernel = gradient_kernel(SCALE_PX)
     fine = _filtered(grey, kernel.reshape(1, -1), cv2.BORDER_REPLICATE)
     fine[unseen] = 0.0
@@ -87,7 +85,7 @@ def gradient_field(image: Image, camera: Camera) -> GradientField:
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
     smooth_sigma = max(_robust_sigma(smooth, camera), float(np.linalg.norm(ALONG)))
-    return GradientField(fine, smooth, coarse, _clutter(fine), unseen, noise, smooth_sigma, grey)
+    return GradientField(fine, smooth, coarse, _change(fine), unseen, noise, smooth_sigma, grey)
 
 
 def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:
@@ -107,15 +105,19 @@ def _sample(camera: Camera) -> NDArray[np.int64]:
     return np.flatnonzero(~unseen_blocks(camera))[::7]
 
 
-def _clutter(fine: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the sigma (B, W) of noise and texture around each block, 1 where there is only noise.
+def _change(fine: NDArray[np.float32]) -> NDArray[np.float32]:
+    change = np.zeros_like(fine)
+    cv2.absdiff(fine[1:], fine[:-1], dst=change[1:])
+    return np.asarray(cv2.blur(change, (_CLUTTER_COLUMNS, _CLUTTER_BLOCKS)), dtype=np.float32)
+
+
+def clutter(change: Array) -> Array:
+    """Return the sigma (K,) of noise and texture where there is so much change (K,), 1 where there is only noise.
 
     Vertical edges do not change from block to block, texture does. Mean sizes, because one end of a strong edge nearby
     is no texture: of a difference of two normal values it is 2 σ / √π.
     """
-    change = np.abs(np.diff(fine, axis=0, prepend=fine[:1]))
-    nearby = cv2.blur(change, (_CLUTTER_COLUMNS, _CLUTTER_BLOCKS)) * np.float32(np.sqrt(np.pi) / 2)
-    return np.asarray(np.sqrt(1 + _CLUTTER_WEIGHT * np.maximum(nearby**2 - 1, 0)), dtype=np.float32)
+    return np.sqrt(1 + _CLUTTER_WEIGHT * np.maximum(np.pi / 4 * change**2 - 1, 0))
 
 
 @lru_cache(maxsize=8)

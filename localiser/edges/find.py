@@ -50,4 +50,6 @@ def grey_image(image: Image, camera: Camera) -> Image:
     if size != expected:
         found = f"{size[1]}×{size[0]}"
         raise InputError(f"expected {camera.width}×{camera.height} as the camera says, found {found}", field="image")
-    return image if is_grey else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    # Compiled loops are compiled anew for every kind of array.
+    grey = image if is_grey else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.require(grey, dtype=np.uint8, requirements=["C", "W"])

@@ -26,6 +26,44 @@ def _compiled(loop: Callable[..., object]) -> object:
     return numba.njit(cache=True, error_model="numpy")(loop)
 
 
+def pairs_loop(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image (H, W) with two rows averaged to one (H // 2, W); halves are rounded to even."""
+    paired = np.empty((image.shape[0] // 2, image.shape[1]), np.uint8)
+    for r in range(paired.shape[0]):
+        for c in range(paired.shape[1]):
+            both = np.uint16(image[2 * r, c]) + np.uint16(image[2 * r + 1, c])
+            paired[r, c] = (both + ((both >> 1) & 1)) >> 1
+    return paired
+
+
+def blocks_loop(
+    image: NDArray[np.uint8],
+    corner: NDArray[np.int32],
+    right: NDArray[np.uint8],
+    down: NDArray[np.uint8],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    rows: int,
+) -> NDArray[np.float32]:
+    """Return an image looked up by a `Table`, averaged over blocks of `rows`: (B, W), 0 outside columns first … last.
+
+    Bilinear in whole numbers; a loop over one row of one table at a time is what compilers make parallel.
+    """
+    flat, width = image.ravel(), image.shape[1]
+    grey = np.zeros((len(first), corner.shape[1]), np.float32)
+    for b in range(len(first)):
+        for r in range(b * rows, (b + 1) * rows):
+            for c in range(first[b], last[b]):
+                at, x, y = corner[r, c], np.int32(right[r, c]), np.int32(down[r, c])
+                upper_left, lower_left = np.int32(flat[at]), np.int32(flat[at + width])
+                upper = (upper_left << 5) + (np.int32(flat[at + 1]) - upper_left) * x
+                lower = (lower_left << 5) + (np.int32(flat[at + width + 1]) - lower_left) * x
+                grey[b, c] += np.float32(((upper << 5) + (lower - upper) * y + 512) >> 10)
+        for c in range(first[b], last[b]):
+            grey[b, c] /= np.float32(rows)
+    return grey
+
+
 def peaks_loop(
     smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:
@@ -173,3 +211,62 @@ def line_loop(
         spread[of[k]] += from_mean * (x[k] - mean_x[of[k]])
         slope[of[k]] += from_mean * y[k]
     return mean_x, mean_y, slope / np.maximum(spread, 1e-12), total, spread
+
+
+def mount_loop(
+    angle: Array, per_mount: Array, variance: Array, prior_variance: Array, tukey: float, iterations: int
+) -> tuple[Array, Array]:
+    """Return mean (2,) and covariance (2, 2) of tilt and roll that angles (S,) tell: `mount_error`."""
+    mean, cov = np.zeros(2), np.diag(prior_variance)
+    for _ in range(iterations):
+        # Information matrix ((a, b), (b, d)) and vector (p, q).
+        a, b, d, p, q = 1 / prior_variance[0], 0.0, 1 / prior_variance[1], 0.0, 0.0
+        for k in range(len(angle)):
+            t, r = per_mount[k, 0], per_mount[k, 1]
+            remaining = cov[0, 0] * t * t + 2 * cov[0, 1] * t * r + cov[1, 1] * r * r
+            miss = angle[k] + t * mean[0] + r * mean[1]
+            weight = max(1 - miss**2 / (tukey**2 * (variance[k] + remaining)), 0.0) ** 2 / variance[k]
+            a, b, d = a + weight * t * t, b + weight * t * r, d + weight * r * r
+            p, q = p - weight * t * angle[k], q - weight * r * angle[k]
+        cov = np.array([[d, -b], [-b, a]]) / (a * d - b * b)
+        mean = np.array([cov[0, 0] * p + cov[0, 1] * q, cov[1, 0] * p + cov[1, 1] * q])
+    return mean, cov
+
+
+def same_edge_loop(
+    bearing: Array,
+    per_mount: Array,
+    mount_cov: Array,
+    variance: Array,
+    told_apart: Array,
+    extent: Array,
+    polarity: NDArray[np.int8],
+    gate_sigma: float,
+    beside_share: float,
+) -> NDArray[np.int64]:
+    """Return the edge (S,) of each segment, the most certain one gathering first: `same_edge`.
+
+    told_apart: (S, 2) least difference that can be told apart, and by scatter. extent: (S, 2) lowest and highest e.
+    """
+    count = len(bearing)
+    edge = np.full(count, -1, np.int64)
+    edges = 0
+    for first in np.argsort(variance, kind="mergesort"):
+        if edge[first] >= 0:
+            continue
+        for other in range(count):
+            if edge[other] >= 0 or polarity[other] != polarity[first]:
+                continue
+            by_tilt, by_roll = per_mount[other] - per_mount[first]
+            by_mount = mount_cov[0, 0] * by_tilt**2 + 2 * mount_cov[0, 1] * by_tilt * by_roll
+            by_mount += mount_cov[1, 1] * by_roll**2
+            allowed = gate_sigma * np.sqrt(variance[first] + variance[other] + by_mount)
+            common = min(extent[first, 1], extent[other, 1]) - max(extent[first, 0], extent[other, 0])
+            shorter = min(extent[first, 1] - extent[first, 0], extent[other, 1] - extent[other, 0])
+            if common > beside_share * shorter:
+                scatter = np.hypot(told_apart[first, 1], told_apart[other, 1])
+                allowed = min(allowed, max(told_apart[other, 0], scatter))
+            if abs(bearing[other] - bearing[first]) <= allowed:
+                edge[other] = edges
+        edges += 1
+    return edge

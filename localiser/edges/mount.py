@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
+from localiser.edges.loops import compiled, mount_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import ideal_camera
@@ -74,16 +75,9 @@ def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float,
     Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll, and `plumb_sigma_rad`
     for how far real edges are from plumb. Without segments: the prior.
     """
-    information = np.diag(1.0 / np.maximum(prior_sigma_rad, 1e-9) ** 2)
-    error = MountError(np.zeros(2), np.asarray(np.linalg.inv(information), dtype=np.float64))
+    prior_variance = np.maximum(prior_sigma_rad, 1e-9) ** 2
     variance = miss.sigma**2 + plumb_sigma_rad**2
-    for _ in range(iterations):
-        angle, remaining = miss.corrected(error)
-        weight = np.clip(1 - angle**2 / (_TUKEY**2 * (variance + remaining)), 0, None) ** 2 / variance
-        gained = miss.per_mount.T @ (weight[:, None] * miss.per_mount)
-        cov = np.asarray(np.linalg.inv(information + gained), dtype=np.float64)
-        error = MountError(-cov @ (miss.per_mount.T @ (weight * miss.angle)), cov)
-    return error
+    return MountError(*compiled(mount_loop)(miss.angle, miss.per_mount, variance, prior_variance, _TUKEY, iterations))
 
 
 def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.edges.loops import blocks_loop, compiled, pairs_loop
 from localiser.edges.undistort import Image, image_border, remap_tables
 from localiser.geometry import Array
 
@@ -17,12 +17,48 @@ ROWS_AT_ONCE = 2
 """Rows of the image that become one of the rectified one, averaged beforehand: half as much to look up."""
 ROWS_PER_BLOCK = 4
 """The height of the rectified image is a multiple of this: rows that are averaged to one."""
+_AROUND_COLUMNS = 8
+"""Columns beside what is seen that are looked up too: filters reach so far."""
 _WIDEST = 2.5
 """Limit of the rectified width over the image's; only a view of the nadir point itself would want more."""
 _STEEPEST_TANGENT = 3.0
 """Largest |tan b| that is kept: vertical edges beside the camera (72°) cross the image's corner at most."""
 _LEAST_DEPTH = 0.05
 """Least c + e s: nearer to the nadir point all bearings meet."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Between which four pixels of an image of paired rows each pixel (H, W) of a view lies.
+
+    corner: (H, W) flat index of the upper left of them. right, down: (H, W) how far on from it, in 1/32 px.
+    first, last: (B,) columns of each block from which, and up to which, there is something to see.
+    """
+
+    corner: NDArray[np.int32]
+    right: NDArray[np.uint8]
+    down: NDArray[np.uint8]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls, map_1: NDArray[np.int16], map_2: NDArray[np.uint16], unseen: NDArray[np.bool_], shape: tuple[int, int]
+    ) -> Table:
+        """Return the table of maps of `cv2.remap` for images of `shape`; outside, the border goes on."""
+        whole, share = map_1[..., ::-1].astype(np.int64), np.stack([map_2 >> 5, map_2 & 31], axis=-1)
+        most = np.array(shape) - 2
+        row, column = np.moveaxis(whole.clip(0, most), -1, 0)
+        down, right = np.moveaxis(np.where(whole < 0, 0, np.where(whole > most, 32, share)).astype(np.uint8), -1, 0)
+        seen: NDArray[np.bool_] = ~np.all(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1)
+        first, last = seen.argmax(axis=1), seen.shape[1] - seen[:, ::-1].argmax(axis=1)
+        return cls(
+            (row * shape[1] + column).astype(np.int32),
+            np.ascontiguousarray(right),
+            np.ascontiguousarray(down),
+            np.maximum(first - _AROUND_COLUMNS, 0),
+            np.where(np.any(seen, axis=1), np.minimum(last + _AROUND_COLUMNS, seen.shape[1]), 0),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +69,7 @@ class ColumnView:
     as dense as at the image's centre for a tilt of 0.
 
     first_tangent, first_height: of the top-left pixel. columns_per_tangent, rows_per_height: pixels per unit.
-    map_1, map_2: tables of `cv2.remap`. unseen: (H, W) where the taken image has nothing to show.
+    unseen: (H, W) where the taken image has nothing to show. table: where each pixel (H, W) is looked up.
     """
 
     tilt_rad: float
@@ -41,16 +77,16 @@ class ColumnView:
     first_height: float
     columns_per_tangent: float
     rows_per_height: float
-    map_1: NDArray[np.int16]
-    map_2: NDArray[np.uint16]
     unseen: NDArray[np.bool_]
+    table: Table
 
-    def of(self, image: Image) -> Image:
-        """Return the rectified image (H, W) of a taken one."""
-        height = image.shape[0] // ROWS_AT_ONCE
-        paired = cv2.resize(image[: height * ROWS_AT_ONCE], (image.shape[1], height), interpolation=cv2.INTER_AREA)
-        rectified = cv2.remap(paired, self.map_1, self.map_2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(rectified, dtype=np.uint8)
+    def blocks(self, image: Image) -> NDArray[np.float32]:
+        """Return the rectified image of a taken one (H, W), averaged over blocks of rows: (B, W) grey levels."""
+        paired = compiled(pairs_loop)(image)
+        table = self.table
+        return compiled(blocks_loop)(
+            paired, table.corner, table.right, table.down, table.first, table.last, ROWS_PER_BLOCK
+        )
 
     def upright(self, column: Array, row: Array) -> Array:
         """Return upright image coordinates (a, e) (..., 2) of pixels of the rectified image."""
@@ -84,12 +120,10 @@ def column_view(camera: Camera) -> ColumnView:
     density = min(focal, _WIDEST * camera.width / float(np.ptp(tangent)))
     width = int(np.ceil(np.ptp(tangent) * density)) + 1
     height = ROWS_PER_BLOCK * int(np.ceil(np.ptp(border[:, 1]) * focal / ROWS_AT_ONCE / ROWS_PER_BLOCK))
-    empty = np.zeros((0, 0))
     first_height = float(border[:, 1].max()) - (ROWS_AT_ONCE - 1) / 2 / focal
-    view = ColumnView(
-        tilt, float(tangent.min()), first_height, density, focal / ROWS_AT_ONCE,
-        empty.astype(np.int16), empty.astype(np.uint16), empty.astype(np.bool_),
-    )  # fmt: skip
+    nothing = np.ones((ROWS_PER_BLOCK, 1), dtype=np.bool_)
+    no_table = Table.of(np.zeros((ROWS_PER_BLOCK, 1, 2), np.int16), nothing.astype(np.uint16), nothing, (2, 2))
+    view = ColumnView(tilt, float(tangent.min()), first_height, density, focal / ROWS_AT_ONCE, nothing, no_table)
     map_1, map_2, unseen = remap_tables(
         lambda pixels: camera.image_from_upright(view.upright(pixels[..., 0], pixels[..., 1])),
         (width, height),
@@ -97,4 +131,6 @@ def column_view(camera: Camera) -> ColumnView:
         rows_at_once=ROWS_AT_ONCE,
     )
     beyond_nadir = view.depth(np.arange(float(height))) < _LEAST_DEPTH
-    return replace(view, map_1=map_1, map_2=map_2, unseen=unseen | beyond_nadir[:, None])
+    unseen |= beyond_nadir[:, None]
+    paired_shape = (camera.height // ROWS_AT_ONCE, camera.width)
+    return replace(view, unseen=unseen, table=Table.of(map_1, map_2, unseen, paired_shape))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.columns import GradientField, gradient_field, linked, peaks_of
+from localiser.edges.columns import GradientField, clutter, gradient_field, linked, peaks_of
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.rectify import ROWS_PER_BLOCK, ColumnView, column_view
@@ -72,7 +72,7 @@ def _significant(
     on = cells.in_chain & fitted.on_line & (fitted.height > faintest)
     column = np.rint(fitted.lines.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
     blocks = groups.sum(on)
-    score = groups.sum(on * fitted.height / field.clutter[cells.row, column]) / np.sqrt(np.maximum(blocks, 1))
+    score = groups.sum(on * fitted.height / clutter(field.change[cells.row, column])) / np.sqrt(np.maximum(blocks, 1))
     kept = (blocks >= LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.step >= min_step)
     top, bottom = _extent(fitted.height, on, cells)
     return np.flatnonzero(kept), top, bottom

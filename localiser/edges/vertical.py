@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.edges.loops import compiled, same_edge_loop
 from localiser.edges.mount import MountError, NadirMiss, mount_error, nadir_miss
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import ideal_camera
@@ -51,46 +52,24 @@ def _is_met(miss: NadirMiss, mount: MountError, plumb_sigma_rad: float, gate_sig
 def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:
     """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
-    The most certain segment gathers what agrees with it first, so that uncertain ones cannot chain two edges together.
-    """
-    per_px = ideal_camera(camera).bearing_sigma_of_segments(segments.support_px, 1.0)
-    sigma_rad = per_px * segments.across_sigma_px
-    agree = _agree(segments, per_px, camera, mount, gate_sigma)
-    edge = np.full(len(segments), -1, dtype=np.int64)
-    count = 0
-    for first in np.argsort(sigma_rad, kind="stable"):
-        if edge[first] < 0:
-            edge[agree[first] & (edge < 0)] = count
-            count += 1
-    return edge
-
-
-def _agree(
-    segments: Segments, per_px: Array, camera: Camera, mount: MountError, gate_sigma: float
-) -> NDArray[np.bool_]:
-    """Return (S, S) whether two segments may be parts of one edge; per_px: (S,) bearing error per error of the support.
-
-    They are when they look the same way (polarity) and their bearings agree within noise, however long the gap between
-    them: what stands in front of an edge hides it. Segments beside each other are two edges unless they are too close
-    to be told apart, whatever else may have moved them.
+    Segments are of one edge when they look the same way (polarity) and their bearings agree within noise, however long
+    the gap between them: what stands in front of an edge hides it. Segments beside each other are two edges unless they
+    are too close to be told apart, whatever else may have moved them. The most certain segment gathers what agrees with
+    it first, so that uncertain ones cannot chain two edges together.
     """
     ideal = ideal_camera(camera)
+    per_px = ideal.bearing_sigma_of_segments(segments.support_px, 1.0)
     bearing = ideal.bearing_of_segments(segments.support_px)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
-    apart = _differences(bearing + per_mount @ mount.mean)
-    by_mount = sum(_differences(term) ** 2 for term in (per_mount @ np.linalg.cholesky(mount.cov)).T)
-    variance = (per_px * segments.across_sigma_px) ** 2
-    allowed = gate_sigma * np.sqrt(variance + variance[:, None] + by_mount)
-    scatter = gate_sigma * per_px * segments.sigma_px
-    resolved = per_px * _RESOLVED_PX * np.sqrt(2.0)
-    told_apart = np.maximum(resolved, np.hypot(scatter, scatter[:, None]))
-    bottom, top = np.moveaxis(ideal.upright_from_pixels(segments.ends_px)[..., 1], -1, 0)
-    common = np.minimum(top, top[:, None]) - np.maximum(bottom, bottom[:, None])
-    beside = common > _BESIDE_SHARE * np.minimum(top - bottom, (top - bottom)[:, None])
-    alike = segments.polarity == segments.polarity[:, None]
-    return np.asarray(alike & (np.abs(apart) <= np.where(beside, np.minimum(allowed, told_apart), allowed)))
-
-
-def _differences(values: Array) -> Array:
-    return np.asarray(values - values[:, None])
+    return compiled(same_edge_loop)(
+        bearing + per_mount @ mount.mean,
+        per_mount,
+        mount.cov,
+        (per_px * segments.across_sigma_px) ** 2,
+        np.stack([per_px * _RESOLVED_PX * np.sqrt(2.0), gate_sigma * per_px * segments.sigma_px], axis=-1),
+        ideal.upright_from_pixels(segments.ends_px)[..., 1],
+        segments.polarity,
+        gate_sigma,
+        _BESIDE_SHARE,
+    )
