@@ -129,3 +129,22 @@ def test_recovery_ends_at_the_next_pause() -> None:
     position_m = np.array([0.0, 1, 2, 1, 1, 0.1])
     assert recovery_s(t_ns, position_m, pause) == 3.0
     assert np.isnan(recovery_s(t_ns, position_m, pause, until_ns=4 * SECOND))
+
+
+def test_how_sure_a_run_was_and_how_rightly() -> None:
+    """Five images: lost, sure, sure and wrong by position, sure and wrong by heading, unsure but right."""
+    t_ns = np.arange(5) * SECOND
+    poses = np.array([[3.0, 0, 0], [0.1, 0, 0], [0.6, 0, 0], [0, 0, 0.3], [0, 0.2, 0]])
+    track = Track.from_poses(t_ns, poses, p_correct=[0.1, 0.95, 0.91, 0.99, 0.4])
+    reasons = ["several places fit", "", "", "", "no edges"]
+    found = metrics(track, Trajectory(t_ns, np.zeros((5, 3))), log="five", reasons=reasons)["confidence"]
+    assert found["sure"] == 0.6 and found["correct"] == 0.4 and found["sure_and_wrong"] == 0.4
+    assert found["found_s"] == 1.0 and found["p_correct_min"] == 0.1
+    assert found["position_rmse_found_m"] == pytest.approx(np.sqrt((0.01 + 0.36 + 0 + 0.04) / 4), abs=1e-6)
+    assert found["reasons"] == {"no edges": 1, "several places fit": 1}
+
+
+def test_a_trajectory_of_another_program_says_nothing_of_confidence() -> None:
+    track = Track.from_poses([0, SECOND], np.zeros((2, 3)))
+    found = metrics(track, None, log="tum")["confidence"]
+    assert found["sure"] is None and found["p_correct_mean"] is None and found["found_s"] is None
