@@ -61,10 +61,10 @@ def edges_from(pose: Array, rng: np.random.Generator, points: Array = POINTS, fe
     )
 
 
-def followed(before: Edges, after: Edges, feet: bool = True) -> Followed:
+def followed(before: Edges, after: Edges) -> Followed:
     """Return the motion between two frames of which nothing is known but that 0.2 s passed."""
     frames = Frames.of(before, after, CAMERA)
-    return follow(frames, [Belief(ANYTHING, frames.likely_motions(ANYTHING), feet=feet)])
+    return follow(frames, [Belief(ANYTHING, frames.likely_motions(ANYTHING))])
 
 
 motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2, 0.2)).map(np.array)
@@ -118,8 +118,11 @@ def test_twists_are_motions_along_arcs(twist: Array) -> None:
     np.testing.assert_allclose(there_and_back.cov, cov, atol=1e-12)
 
 
-@pytest.mark.parametrize("floor", [1.0, 0.6])
-def test_least_squares_agrees_with_a_general_solver(floor: float) -> None:
+BY_WHEELS = Gaussian(np.array([0.0, -0.096, 0.09]), np.diag([1e-3, 9e-3, 0.01]) ** 2)
+
+
+@pytest.mark.parametrize(("floor", "prior"), [(1.0, ANYTHING), (0.6, ANYTHING), (0.0, BY_WHEELS)])
+def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussian) -> None:
     """The least sum of squares over twist, common errors, typical range and every edge's own unknowns."""
     from scipy.optimize import least_squares
 
@@ -128,8 +131,8 @@ def test_least_squares_agrees_with_a_general_solver(floor: float) -> None:
     model, (one, two), mount = frames.model(), frames.arrays(), CAMERA.robot_from_level
     count = len(POINTS)
     links = np.stack([np.arange(count)] * 2, axis=-1)
-    weight, prior = rng.uniform(0.3, 1.0, count), ANYTHING
-    belief = loops.Belief(prior.mean, np.linalg.inv(prior.cov), True, True)
+    weight = rng.uniform(0.3, 1.0, count)
+    belief = loops.Belief(prior.mean, np.linalg.inv(prior.cov), True)
     found, cov = loops.solve(one, two, links, weight, np.full(count, floor), true, belief, mount, model)
     root = np.linalg.cholesky(belief.information).T
     terms = one.common.shape[2]
@@ -158,6 +161,44 @@ def test_least_squares_agrees_with_a_general_solver(floor: float) -> None:
     # Three steps of Gauss-Newton leave some hundredths of a sigma.
     np.testing.assert_allclose(found[:3] / sigma, best.x[:3] / sigma, atol=0.1)
     np.testing.assert_allclose(cov[:3, :3] / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=0.1)
+
+
+def test_without_feet_the_turn_on_a_known_way_is_as_exact_as_theory_has_it() -> None:
+    """Bearings change by ψ + a ρ with ρ = μ + s n, μ = typical + s m: generalised least squares says how exact ψ is.
+
+    Bearings have errors in both frames, n is of each edge, m of all. Errors of ψ over that sigma are standard normal.
+    """
+    from scipy.stats import chi2
+
+    mount, draws, count, bearing_sigma = np.zeros(3), 200, 20, 1e-4
+    way, rng = np.array([0.0, -0.02, 0.0]), np.random.default_rng(16)  # so short that bearings are linear in ρ
+    belief = loops.Belief(way, np.diag([1e12, 1e12, 1.0]), False)
+    links = np.stack([np.arange(count)] * 2, axis=-1)
+    model = Frames.of(Edges.none(), Edges.none(), CAMERA).model()
+    none, share, errors = np.full(count, np.nan), np.ones(count), []
+    for _ in range(draws):
+        bearing = rng.uniform(-0.5, 0.5, count)
+        inverse = model.typical + model.spread * (rng.standard_normal() + rng.standard_normal(count))
+        turn = rng.uniform(-0.1, 0.1)
+        x, z, _ = loops.camera_moved(np.append(way[:2], turn), mount)
+        seen = np.array([loops.seen_from(b, rho, x, z, turn)[0] for b, rho in zip(bearing, inverse, strict=True)])
+        one, two = (
+            loops.Frame(
+                np.stack([angle + bearing_sigma * rng.standard_normal(count), none], axis=-1),
+                np.stack([np.full(count, bearing_sigma), none], axis=-1),
+                np.zeros((count, 2, 1)),
+            )
+            for angle in (bearing, seen)
+        )
+        found, cov = loops.solve(one, two, links, share, 0.0 * share, way, belief, mount, model)
+        slope = -(np.cos(bearing) * x + np.sin(bearing) * z)
+        error_cov = 2 * bearing_sigma**2 * np.eye(count)
+        error_cov += model.spread**2 * (np.diag(slope**2) + np.outer(slope, slope))
+        sigma = np.linalg.inv(error_cov).sum() ** -0.5
+        assert np.sqrt(cov[2, 2]) == pytest.approx(sigma, rel=0.1)
+        errors.append((found[2] - turn) / sigma)
+    low, high = chi2.ppf([0.001, 0.999], draws)
+    assert low < np.square(errors).sum() < high
 
 
 @pytest.mark.parametrize("motion", [[0.0, -0.1, 0.0], [0.0, 0.0, 0.15], [0.01, -0.08, -0.12], [0.0, 0.0, 0.0]])
@@ -254,6 +295,38 @@ def test_both_sharpen_the_turn_of_wheels_that_hold() -> None:
     assert found.source == "both"
     assert abs(found.mean[2] - motion[2]) < np.radians(0.1) < abs(wheel.mean[2] - motion[2])
     assert np.sqrt(found.cov[2, 2]) < np.radians(0.25)
+
+
+def test_feet_that_all_err_alike_do_not_move_the_way_of_wheels_that_hold() -> None:
+    """A skirting board that hides all feet puts all edges too far away, and would make every step too long."""
+    rng, motion = np.random.default_rng(6), np.array([0.0, -0.1, 0.1])
+    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
+    for edges in frames:
+        edges.foot_range_m[:] *= 1.1
+    wheel = Increment.from_mean([0.0, -0.1, 0.106])
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
+    np.testing.assert_allclose(found.mean[:2], wheel.mean[:2], atol=1e-3)
+    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
+    assert np.sqrt(found.cov[1, 1]) == pytest.approx(np.sqrt(WHEEL_COV[1, 1]), rel=0.05)
+    seen, _ = odometer("vision").increment(wheel, WHEEL_COV, *frames, 0.2)
+    assert seen.mean[1] < -0.105
+
+
+def test_the_turn_for_each_way_goes_with_another_way() -> None:
+    """Draws: a turn that depends on the way as before, on ways drawn from elsewhere."""
+    rng = np.random.default_rng(17)
+    root, other_root = rng.standard_normal((2, 3, 3))
+    one = Gaussian(rng.standard_normal(3), root @ root.T + 0.1 * np.eye(3))
+    other = Gaussian(rng.standard_normal(3), other_root @ other_root.T + 0.1 * np.eye(3))
+    ways = rng.multivariate_normal(other.mean[:2], other.cov[:2, :2], 200_000)
+    information = np.linalg.inv(one.cov)
+    turn_var = 1.0 / information[2, 2]
+    turns = one.mean[2] - turn_var * (ways - one.mean[:2]) @ information[2, :2]
+    draws = np.column_stack([ways, turns + np.sqrt(turn_var) * rng.standard_normal(len(ways))])
+    found = one.with_way_of(other)
+    scale = np.sqrt(np.diag(found.cov))
+    np.testing.assert_allclose(draws.mean(axis=0) / scale, found.mean / scale, atol=0.01)
+    np.testing.assert_allclose(np.cov(draws.T) / np.outer(scale, scale), found.cov / np.outer(scale, scale), atol=0.02)
 
 
 @pytest.mark.parametrize("slip", [[0.0, -0.1, 0.0], [0.0, 0.0, np.radians(10.0)]])

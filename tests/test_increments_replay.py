@@ -43,6 +43,17 @@ def test_a_slip_that_loses_wheels_does_not_lose_both() -> None:
     assert both < 0.05 < wheel
 
 
+def test_wheels_alone_the_default_never_follow_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("edges were followed")
+
+    assert IncrementParameters().source == "wheel"
+    monkeypatch.setattr(Odometer, "increment", never)
+    assert worst_error_m("wheel") > 0.0
+    with pytest.raises(AssertionError, match="followed"):
+        worst_error_m("both")
+
+
 @pytest.mark.parametrize("source", ["vision", "both"])
 def test_replay_by_vision(tmp_path: Path, localiser: Localiser, source: str) -> None:
     log = cut_log(CORRIDOR, tmp_path / "log", 3)

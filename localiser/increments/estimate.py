@@ -109,13 +109,13 @@ class Belief:
     """What may be believed of a twist before edges are followed.
 
     prior: of the twist. starts: twists (3,) to begin at. log_share: of how often the belief is right.
-    feet: whether ranges of feet tell how far the robot moved; they always help to tell edges apart.
+    way: whether edges tell how far the robot moved, and not only how it turned on a way that the prior knows better.
     """
 
     prior: Gaussian
     starts: Sequence[Array]
     log_share: float = 0.0
-    feet: bool = True
+    way: bool = True
 
 
 def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
@@ -176,7 +176,7 @@ class _Solver:
             self._one,
             self._two,
             self._frames.camera.robot_from_level,
-            loops.Belief(prior.mean, self._information, on_floor, self._belief.feet),
+            loops.Belief(prior.mean, self._information, on_floor),
             start,
             _START_SIGMA**2,
             self._model,
@@ -188,9 +188,10 @@ class _Solver:
         share = self._belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
         # Edges of one group are one piece of evidence, not many.
         evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
-        return Followed(
-            Gaussian(mean, cov), pairs.first[chosen], pairs.second[chosen], weight, floor, evidence, on_floor
-        )
+        twist = Gaussian(mean, cov)
+        if not self._belief.way:
+            twist = twist.with_way_of(prior)
+        return Followed(twist, pairs.first[chosen], pairs.second[chosen], weight, floor, evidence, on_floor)
 
     def nothing(self) -> Followed:
         """Return what is believed when no edge can be followed."""

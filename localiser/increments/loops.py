@@ -38,12 +38,11 @@ class Frame(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """Of the twist: mean (3,), information (3, 3). on_floor: lower ends may be feet. feet: and tell how far it went."""
+    """Of the twist: mean (3,), information (3, 3). on_floor: whether lower ends may be feet."""
 
     mean: Array
     information: Array
     on_floor: bool
-    feet: bool
 
 
 class Model(NamedTuple):
@@ -443,7 +442,7 @@ def refine(
         weight = np.maximum(found[chosen, 1] * odds / (1.0 + odds), _LEAST_WEIGHT)
         floor = found[chosen, 2]
         before = unknown[:3]
-        unknown, cov = solve(one, two, pairs[chosen], weight, floor * belief.feet, before, belief, mount, model)
+        unknown, cov = solve(one, two, pairs[chosen], weight, floor, before, belief, mount, model)
         settled = len(previous) == len(chosen)
         for m in range(len(chosen)):
             settled = settled and previous[m] == chosen[m]

@@ -4,6 +4,10 @@ Either the wheels are right to within their sigma, and the edges are followed fr
 are followed from nothing but the robot's pace until then. Each explains the edges more or less well, and Bayes' rule
 weighs them by that: wheels that agree with the edges make the first certain; a slip makes pairs under it impossible,
 and the second takes over, of itself.
+
+Where wheels hold, edges tell the turn alone. What is wrong with their ranges (skirting boards, the tilt, what is
+typical of a room) is wrong alike for metres on end: a hundred frames tell the way no better than one, though each would
+count as news. The ranges still say by how much edges move across the image on the way that the wheels drove.
 """
 
 from __future__ import annotations
@@ -78,9 +82,8 @@ class Odometer:
         # Wheels that stand still know it exactly, edges never do.
         held = twist_gaussian(Gaussian(wheel.mean, wheel_cov + np.diag(_LEAST_SIGMA**2)))
         as_seen = [np.array([*held.mean[:2], start[2]]) for start in slipped[0].starts[:1]]
-        # Feet err alike for metres on end (skirting boards, the tilt); wheels that hold know better how far.
         return [
-            Belief(held, [held.mean, *as_seen], float(np.log1p(-share)), feet=False),
+            Belief(held, [held.mean, *as_seen], float(np.log1p(-share)), way=False),
             *(replace(belief, log_share=belief.log_share + float(np.log(share))) for belief in slipped),
         ]
 
