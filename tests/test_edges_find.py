@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
 
-from localiser.edges import DETECTORS, EdgeParameters, Edges, find_edges
+from localiser.edges import DETECTORS, EdgeParameters, Edges, find_edges, loops, warm_up
 from localiser.errors import InputError
 
 BEARINGS_DEG = [-20.0, -8.0, 3.0, 14.0, 22.0]
@@ -148,6 +148,29 @@ def test_the_common_error_moves_bearings_as_a_wrong_tilt_does(detector):
     np.testing.assert_allclose(shifted.bearing - edges.bearing, predicted, atol=np.deg2rad(0.01))
     assert edges.common.names == ("tilt", "roll")
     np.testing.assert_allclose(edges.common.cov, np.diag(np.deg2rad([0.5, 0.3]) ** 2))
+
+
+def test_beside_clipped_white_the_place_is_less_certain_and_the_lean_is_not():
+    camera = CAMERAS["tilted"]
+    grey, white = (
+        find_edges(wall_image(camera, [3.0], [right - 130.0, right], noise_sigma=1.0), camera, EdgeParameters())
+        for right in (200.0, 255.0)
+    )
+    assert len(grey) == len(white) == 1
+    assert white.bearing_sigma > 3 * grey.bearing_sigma
+    np.testing.assert_allclose(white.lean_sigma, grey.lean_sigma, rtol=0.5)
+
+
+def test_after_warming_up_nothing_is_left_to_compile():
+    camera = CAMERAS["distorted"]
+    warm_up(camera, EdgeParameters())
+    all_loops = [loops.compiled(getattr(loops, name)) for name in dir(loops) if name.endswith("_loop")]
+    compiled = [len(loop.signatures) for loop in all_loops]
+    image = wall_image(camera, BEARINGS_DEG, GREYS, noise_sigma=3.0)
+    image.flags.writeable = False
+    assert len(find_edges(image, camera, EdgeParameters())) > 0
+    assert min(compiled) > 0
+    assert [len(loop.signatures) for loop in all_loops] == compiled
 
 
 @pytest.mark.parametrize(

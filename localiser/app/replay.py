@@ -21,7 +21,7 @@ from localiser.app.sinks import History, Sink, close_all
 from localiser.app.start import start_of
 from localiser.app.stop import stop_request
 from localiser.config import Config, in_force, to_yaml
-from localiser.edges import find_edges
+from localiser.edges import find_edges, warm_up
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.frames import Image, LocatedFrame
 from localiser.identified import observation_of
@@ -209,6 +209,8 @@ def prepare(
     running = Running(mcl.FilterState(), rng, Progress()) if resume is None else resumed(resume, inputs)
     observation = observation_of(log.camera, config.observation)
     filter_ = filter_of(log.camera, landmark_map, observation, config)
+    if log.has_images:
+        warm_up(log.camera, config.edges)
 
     folder = RunFolder.create(outputs.results, log.name)
     history = History()

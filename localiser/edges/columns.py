@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, links_loop, peaks_loop
+from localiser.edges.loops import compiled, links_loop, median_size_loop, peaks_loop
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
@@ -95,8 +95,8 @@ def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border:
 
 def _robust_sigma(values: NDArray[np.float32], camera: Camera) -> float:
     """Return 1.48 times the median size, about 0, of the values (B, W) that are seen."""
-    sample = np.abs(values.ravel()[_sample(camera)])
-    return 1.4826 * float(np.median(sample)) if len(sample) else 0.0
+    sample = _sample(camera)
+    return 1.4826 * compiled(median_size_loop)(values, sample) if len(sample) else 0.0
 
 
 @lru_cache(maxsize=8)

@@ -101,7 +101,7 @@ def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> A
     leaves the image.
     """
     nodes_px = np.linspace(along_px[0], along_px[-1], _NODES)
-    a, e = np.moveaxis(camera.upright_from_pixels(bottom_px)[:, None], -1, 0)
+    a, e = camera.upright_from_pixels(bottom_px).T[:, :, None]
     heights = e + nodes_px / camera.focal_px
     depth = _depth(heights, camera) / _depth(e, camera)
     nodes = camera.pixels_from_upright(np.stack([a * depth, heights], axis=-1))

@@ -46,10 +46,6 @@ class Groups:
         """Return the sum (G,) of values (K,) of each group."""
         return np.asarray(np.bincount(self.of, values, self.count), dtype=np.float64)
 
-    def mean(self, values: Array, mask: NDArray[np.bool_]) -> Array:
-        """Return the mean (G,) of the masked values (K,) of each group; 0 for a group without any."""
-        return self.sum(values * mask) / np.maximum(self.sum(mask), 1)
-
     def lowest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
         """Return the lowest (G,) of the values (K,) of each group, of the masked ones only; inf for none."""
         lowest = np.full(self.count, np.inf)

@@ -62,12 +62,20 @@ class Lines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """All blocks that lines cross, K of them, from two above the chain's first to two below its last."""
+    """All blocks that lines cross, K of them, from two above the chain's first to two below its last.
+
+    in_chain: (K,) whether between those two. blocks: (G,) how many of each line are.
+    """
 
     groups: Groups
     row: NDArray[np.int64]
     polarity: NDArray[np.int8]
     in_chain: NDArray[np.bool_]
+    blocks: Array
+
+    def mean(self, values: Array) -> Array:
+        """Return the mean (G,) of values (K,) over the blocks of each chain."""
+        return self.groups.sum(values * self.in_chain) / self.blocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +84,8 @@ class Fitted:
 
     height: (K,) gradient at each of their blocks. on_line: (K,) whether its peak lies on the line. step: (G,) by how
     many grey levels the sides differ. scatter: (G,) by what factor blocks scatter more than noise says. shift: (G,)
-    columns by which something on one side may have moved the line.
+    columns by which something on one side may have moved the line, one end more than the other. offset: (G,) columns by
+    which all of it may be off.
     """
 
     lines: Lines
@@ -84,10 +93,11 @@ class Fitted:
     on_line: NDArray[np.bool_]
     step: Array
     shift: Array
+    offset: Array
 
     def take(self, index: NDArray[np.int64]) -> Fitted:
         """Return some of the lines, with the cells of all."""
-        of_lines = {name: getattr(self, name)[index] for name in ("step", "shift")}
+        of_lines = {name: getattr(self, name)[index] for name in ("step", "shift", "offset")}
         return replace(self, lines=self.lines.take(index), **of_lines)
 
 
@@ -113,7 +123,9 @@ def cells_of(lines: Lines, field: GradientField) -> Cells:
     line = np.repeat(np.arange(len(size)), size)
     row = np.arange(len(line)) - (np.cumsum(size) - size - top)[line]
     in_chain = (row >= lines.first[line]) & (row <= lines.last[line])
-    return Cells(Groups(line, len(size)), row, lines.polarity[line], in_chain)
+    return Cells(
+        Groups(line, len(size)), row, lines.polarity[line], in_chain, (lines.last - lines.first + 1).astype(np.float64)
+    )
 
 
 def sampled(values: NDArray[np.float32], cells: Cells, column: Array) -> tuple[Array, Array, Array]:
@@ -124,8 +136,8 @@ def sampled(values: NDArray[np.float32], cells: Cells, column: Array) -> tuple[A
 def _steady(curvature: Array, noise: float, cells: Cells) -> Array:
     """Return the curvature (K,) of each block, drawn towards its line's mean as far as it varies by noise only."""
     line = cells.groups.of
-    mean = cells.groups.mean(curvature, cells.in_chain)
-    variance = cells.groups.mean((curvature - mean[line]) ** 2, cells.in_chain)
+    mean = cells.mean(curvature)
+    variance = cells.mean((curvature - mean[line]) ** 2)
     real = np.maximum(variance - noise**2, 0) / np.maximum(variance, 1e-9)
     return np.maximum(mean[line] + real[line] * (curvature - mean[line]), 0.05 * noise)
 
@@ -155,7 +167,8 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         height=height,
         on_line=np.abs(residual) < 2,
         step=_step_grey(height, curvature, cells, field),
-        shift=np.hypot(shift, _CLIPPED_SIGMA_PX * _clipped(fit, cells, field)),
+        shift=shift,
+        offset=_CLIPPED_SIGMA_PX * _clipped(fit, cells, field),
     )
 
 
@@ -163,7 +176,7 @@ def _clipped(fit: LineFit, cells: Cells, field: GradientField) -> Array:
     """Return the share (G,) of each line's blocks whose lighter side is as white as the camera can show."""
     beside = np.rint(fit.at(cells.groups.of, cells.row) + _BESIDE_PX * cells.polarity).astype(np.int64)
     white = field.grey[cells.row, beside.clip(0, field.grey.shape[1] - 1)] > _WHITE_GREY
-    return cells.groups.mean(white.astype(np.float64), cells.in_chain)
+    return cells.mean(white.astype(np.float64))
 
 
 def _coarse_fit(fit: LineFit, inlier: Array, cells: Cells, field: GradientField) -> LineFit:
@@ -232,6 +245,6 @@ def _step_grey(height: Array, curvature: Array, cells: Cells, field: GradientFie
 
     A step D blurred by a Gaussian of scale w has a gradient of height D / (√2π w) and curvature height / w².
     """
-    top = np.maximum(cells.groups.mean(height, cells.in_chain), 0)
-    wide = np.sqrt(top / np.maximum(cells.groups.mean(curvature, cells.in_chain), 1e-9))
+    top = np.maximum(cells.mean(height), 0)
+    wide = np.sqrt(top / np.maximum(cells.mean(curvature), 1e-9))
     return np.asarray(np.sqrt(2 * np.pi) * top * wide * field.noise_grey)

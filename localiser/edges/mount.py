@@ -59,8 +59,8 @@ def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
     c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when the tilt is 0.
     """
     support = ideal_camera(camera).upright_from_pixels(segments.support_px)
-    across, up = np.moveaxis(support[:, 1] - support[:, 0], -1, 0)
-    a, e = np.moveaxis(support.mean(axis=1), -1, 0)
+    across, up = (support[:, 1] - support[:, 0]).T
+    a, e = support.mean(axis=1).T
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     depth = c + e * s
     angle = np.sin(geometry.wrap_half_turn(np.arctan2(across, up) - np.arctan2(a * s, depth)))

@@ -28,7 +28,7 @@ def profiles(ends_px: Array, image: Image, camera: Camera) -> Array:
     points = bottom + (top - bottom) * along + rightwards * PROFILE_OFFSETS_PX[:, None]
     bent = camera.is_distorted
     taken = camera.pixels_from_image(ideal_camera(camera).image_from_pixels(points)) if bent else points
-    u, v = np.moveaxis(taken.astype(np.float32).reshape(len(ends_px), -1, 2), -1, 0)
+    u, v = np.ascontiguousarray(taken.astype(np.float32).reshape(len(ends_px), -1, 2).transpose(2, 0, 1))
     inside = ((u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)).reshape(taken.shape[:-1])
     grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(inside.shape)
     seen = inside.sum(axis=1)

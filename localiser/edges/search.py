@@ -49,6 +49,7 @@ def _columns_of_half(image: Image, camera: Camera, parameters: EdgeParameters) -
         support_px=2 * found.support_px + 0.5,
         sigma_px=2 * found.sigma_px,
         shift_sigma_px=2 * found.shift_sigma_px,
+        offset_sigma_px=2 * found.offset_sigma_px,
     )
 
 
@@ -59,7 +60,7 @@ def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: Gr
     """
     groups = cells.groups
     at_coarse = sampled(field.coarse, cells, fitted.lines.fit.at(groups.of, cells.row))[0]
-    coarse, fine = (groups.mean(height, cells.in_chain)[kept] for height in (at_coarse, fitted.height))
+    coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
     return len(kept) > 0 and float(np.median(coarse / fine)) > _BLURRED_STEEPNESS
 
 
@@ -68,7 +69,7 @@ def _significant(
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return which lines are no accident of noise or texture, and where all lines (G,) begin and end, in blocks."""
     groups, line = cells.groups, cells.groups.of
-    faintest = np.maximum(2.0, _SAME_EDGE_SHARE * groups.mean(fitted.height, cells.in_chain)[line])
+    faintest = np.maximum(2.0, _SAME_EDGE_SHARE * cells.mean(fitted.height)[line])
     on = cells.in_chain & fitted.on_line & (fitted.height > faintest)
     column = np.rint(fitted.lines.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
     blocks = groups.sum(on)
@@ -129,5 +130,6 @@ def _segments(fitted: Fitted, top: Array, bottom: Array, view: ColumnView, camer
         support_px=ideal_px[:, 2:],
         sigma_px=to_px * np.sqrt(2 / fit.weight),
         shift_sigma_px=to_px * fitted.shift,
+        offset_sigma_px=to_px * fitted.offset,
         polarity=fitted.lines.polarity,
     )
