@@ -112,10 +112,13 @@ def _from_known_poses(
     cameras = log.camera.pose_in_map(trajectory.poses)
     sightings = mapping.Sightings.from_edges(edges, log.camera)
     _require_edges(log, sightings)
-    turn_sigma = np.full(len(trajectory), _KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config)
-    track = mapping.follow(sightings, cameras, turn_sigma, parameters.tracks)
     sigma = mapping.measured_sigma(sightings, log.camera.focal_px, parameters)
-    built = mapping.build_from_poses(sightings, track, cameras, sigma, parameters)
+    if exact and np.median(sigma) > mapping.COARSE_RAD:
+        built = mapping.build_from_votes(sightings, cameras, sigma, parameters)
+    else:
+        turn_sigma = np.full(len(trajectory), _KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config)
+        track = mapping.follow(sightings, cameras, turn_sigma, parameters.tracks)
+        built = mapping.build_from_poses(sightings, track, cameras, sigma, parameters)
     source = source if source in (TRUTH, ODOMETRY) else Path(source).name
     landmark_map = mapping.landmark_map_of(
         sightings, built, cameras, sigma, log.camera, parameters, log.name, f"{log.name}, poses: {source}"

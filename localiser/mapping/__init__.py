@@ -4,7 +4,7 @@ from localiser.mapping.align import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, ambiguity, best_spots
 from localiser.mapping.check import ENOUGH, LogFit, doubtful, duplicates, in_view, log_fit
 from localiser.mapping.factors import CONSTANTS, Wheels
-from localiser.mapping.known import build_from_poses
+from localiser.mapping.known import build_from_poses, build_from_votes
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.merge import agreeing, fused, joined_maps
 from localiser.mapping.parameters import MappingParameters
@@ -15,9 +15,11 @@ from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import TrackParameters, follow
 from localiser.mapping.update import existence_after, with_existence
+from localiser.mapping.votes import COARSE_RAD, landmarks_by_votes
 
 __all__ = [
     "ALIKE",
+    "COARSE_RAD",
     "CONSTANTS",
     "ENOUGH",
     "MOST_CELLS",
@@ -38,6 +40,7 @@ __all__ = [
     "best_spots",
     "build_from_log",
     "build_from_poses",
+    "build_from_votes",
     "cells_from_map",
     "direction_of",
     "doubtful",
@@ -48,6 +51,7 @@ __all__ = [
     "in_view",
     "joined_maps",
     "landmark_map_of",
+    "landmarks_by_votes",
     "log_fit",
     "map_from_cells",
     "matches",

@@ -1,14 +1,15 @@
-"""Landmarks from known poses: follow, triangulate, join, and associate again until nothing changes."""
+"""Landmarks from known poses: follow, triangulate, join, and associate again until nothing changes; or by votes."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.mapping.landmarks import Built, joined, long_enough, numbered
+from localiser.mapping.landmarks import Built, fitted, joined, long_enough, numbered
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.reassociate import reassociate
 from localiser.mapping.sightings import Index, Sightings
+from localiser.mapping.votes import landmarks_by_votes
 
 _ROUNDS = 6
 
@@ -24,6 +25,12 @@ def build_from_poses(
             break
         built = joined(sightings, with_leftovers(of, track), cameras, sigma, parameters)
     return built
+
+
+def build_from_votes(sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
+    """Return the landmarks of bearings too coarse to be followed, from cameras (T, 3) whose poses are true."""
+    of = landmarks_by_votes(sightings, cameras, sigma, parameters.range_max_m)
+    return fitted(sightings, numbered(long_enough(of)), cameras, sigma)
 
 
 def with_leftovers(of: Index, track: Index) -> Index:
