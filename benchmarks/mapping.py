@@ -3,6 +3,7 @@
 python benchmarks/mapping.py known              # edges simulated on the drives through configs/worlds
 python benchmarks/mapping.py laps               # two laps with wheels 4 % wrong, nothing else known
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
+python benchmarks/mapping.py bearings LOG…      # logs of coarse bearings with true poses, and a map to judge by
 """
 
 from __future__ import annotations
@@ -122,6 +123,24 @@ def slam(logs: list[Path]) -> None:
         )
 
 
+def bearings(logs: list[Path]) -> None:
+    """Print how many landmarks are found by bearings from known poses; each is matched with one of its own."""
+    from scipy.optimize import linear_sum_assignment
+
+    print("| log | landmarks | built | within 0.25 m | within 0.1 m | median m | seconds |")
+    for path in logs:
+        log = open_log(path)
+        begin = process_time()
+        made = build_map(log, "truth", load_config(None, [], log.settings), lambda: None).landmark_map
+        seconds = process_time() - begin
+        apart = np.linalg.norm(log.landmark_map.points[:, None] - made.points[None], axis=-1)
+        error = apart[linear_sum_assignment(np.minimum(apart, 1.0))]
+        print(
+            f"| {log.name} | {len(apart)} | {len(made)} | {(error < 0.25).sum()} | {(error < 0.1).sum()} | "
+            f"{np.median(error):.3f} | {seconds:.1f} |"
+        )
+
+
 def aligned(found: Array, truth: Array) -> Array:
     """Return the distances (T,) of poses (T, 3) after the best rotation and translation."""
     return np.linalg.norm(rigid(found, truth)(found[:, :2]) - truth[:, :2], axis=1)
@@ -137,7 +156,7 @@ def rigid(found: Array, truth: Array) -> Callable[[Array], Array]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("known", "laps", "slam"))
+    parser.add_argument("what", choices=("known", "laps", "slam", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
@@ -146,5 +165,7 @@ if __name__ == "__main__":
         known(range(arguments.seeds), arguments.clutter)
     elif arguments.what == "laps":
         two_laps(range(arguments.seeds), arguments.clutter)
-    else:
+    elif arguments.what == "slam":
         slam(arguments.logs)
+    else:
+        bearings(arguments.logs)
