@@ -118,7 +118,8 @@ def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     # Another map has other landmarks: who saw which does not count.
     edges = [replace(seen, landmark_id=np.full(len(seen), -1)) for seen in drive.edges(seed=0)[:frames]]
     log = edge_log(tmp_path / "log", edges)
-    assert run("replay", log, "--map", out, "--no-rrd", "--out", tmp_path / "runs", "-q").exit_code == 0
+    options = ("--start", "truth", "--no-rrd", "--out", tmp_path / "runs", "-q")
+    assert run("replay", log, "--map", out, *options).exit_code == 0
     figures = load_json(find_run(tmp_path / "runs" / "drive" / "latest") / "metrics.json")
     assert figures["position_rmse_m"] < 0.2
 

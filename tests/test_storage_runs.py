@@ -169,7 +169,7 @@ def test_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytes
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(OutputError, match=r"config\.yaml: cannot be written: No space left on device"):
         run.write_text("config.yaml", "new")
     assert (tmp_path / "config.yaml").read_text() == "old"
