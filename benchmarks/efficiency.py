@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -100,7 +100,11 @@ def run(setting: Setting, observation: str, particles: int, seed: int) -> Run:
         Increment.from_mean(move) for move in geometry.between(setting.odometry.poses[:-1], setting.odometry.poses[1:])
     ]
     truth = strayed(setting.odometry, increments, rng)
-    edges = simulated_edges(setting.landmark_map, setting.camera, truth, rng, visible=setting.visible)
+    edges = [
+        # The bound is that of bearings alone: where an edge ends would tell the range besides.
+        replace(frame, ends_px=np.full_like(frame.ends_px, np.nan))
+        for frame in simulated_edges(setting.landmark_map, setting.camera, truth, rng, visible=setting.visible)
+    ]
     start = truth.poses[0] + np.sqrt(np.diag(START_COV)) * rng.standard_normal(3)
 
     parameters = ObservationParameters(

@@ -15,15 +15,15 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 
 _MOST_IMAGES = 500
-_SURE, _UNLIKELY = 13.8, 6.0
-"""Squared Mahalanobis distances in two dimensions that chance exceeds in 0.1 % and in 5 % of the cases."""
+_SURE = 13.8  # squared Mahalanobis distance in two dimensions that chance exceeds in 0.1 % of the cases
+_BELIEVED = 1.0  # within one sigma of what is believed the filter reckons with the error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountCheck:
     """What the edges of a run say about tilt and roll: stated (2,), found (2,), cov (2, 2), rad.
 
-    disagrees: that stated and found differ is sure, and it is more than the stated one's own uncertainty explains.
+    disagrees: that stated and found differ is sure, and it is more than the sigma of the stated one.
     """
 
     stated: Array
@@ -49,5 +49,5 @@ def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_si
     cov = covariance_by_views(lines, views_of(poses[used]), plumb.mount, plumb.vertical, plumb.plumb_sigma)
     off = plumb.mount - stated
     sure = off @ np.linalg.solve(cov, off) > _SURE
-    unlikely = off @ np.linalg.solve(cov + np.diag(stated_sigma_rad**2), off) > _UNLIKELY
-    return MountCheck(stated, plumb.mount, cov, bool(sure and unlikely))
+    beyond = off @ np.linalg.solve(cov + np.diag(stated_sigma_rad**2), off) > _BELIEVED
+    return MountCheck(stated, plumb.mount, cov, bool(sure and beyond))
