@@ -6,6 +6,7 @@ from localiser.mapping.check import ENOUGH, LogFit, doubtful, duplicates, in_vie
 from localiser.mapping.factors import CONSTANTS, Wheels
 from localiser.mapping.known import build_from_poses, build_from_votes
 from localiser.mapping.landmarks import Built, measured_sigma
+from localiser.mapping.live_map import Followed, LiveMap
 from localiser.mapping.merge import agreeing, fused, joined_maps
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
@@ -27,6 +28,8 @@ __all__ = [
     "Ambiguity",
     "Built",
     "FloorPlan",
+    "Followed",
+    "LiveMap",
     "LogFit",
     "MappingParameters",
     "Sightings",

@@ -1,0 +1,212 @@
+"""A map that grows while the robot drives: an extended Kalman filter for each landmark, edges associated by gates.
+
+In every image, edges go to the features that are being followed; what is left begins new ones. A feature becomes a
+landmark when directions from far enough apart tell its place, and it is likelier an edge than clutter. What was lost
+from sight is not matched with single edges, which fit some landmark by chance rather often: a new feature that stands
+where an old landmark does, and looks alike, is that landmark seen again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, wrap_angle
+from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping.assign import assign
+from localiser.mapping.landmarks import measured_sigma
+from localiser.mapping.likeness import log_likeness
+from localiser.mapping.live_feature import LiveFeature, started
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.sightings import Index, Sightings
+
+_NARROWEST_SPAN_RAD = np.deg2rad(20.0)
+_MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
+_UNLIKE = -3.0  # log-likelihood ratio of looks below which two features are not one edge
+_ONE_SIGN = 0.6  # four of five sightings show an edge that has a polarity with that one
+_ON_FLOOR = 0.9  # probability of standing on the floor from which a lower end tells a distance
+_WELL_INSIDE = 0.9  # share of the image's width in which an edge is expected to be found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """What became of the edges (E) of one image: number of the feature that each shows, whether it is a landmark."""
+
+    feature: Index
+    is_landmark: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """One image: camera (3,) in the map, its edges (E), headings (E,) in the map and their sigmas."""
+
+    camera: Array
+    edges: Edges
+    side: Array
+    heading: Array
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.heading)
+
+
+class LiveMap:
+    """Landmarks that become known image by image, seen from poses that are known.
+
+    What is kept grows with the landmarks, not with the images; no landmark moves another one.
+    """
+
+    def __init__(self, camera: Camera, parameters: MappingParameters) -> None:
+        self._camera, self._parameters = camera, parameters
+        self._half_view_rad = float(np.arctan(camera.width / 2 / camera.focal_px))
+        self._followed: list[LiveFeature] = []
+        self._landmarks: list[LiveFeature] = []
+        self._frame, self._begun = 0, 0
+
+    def __len__(self) -> int:
+        return len(self._landmarks)
+
+    @property
+    def points(self) -> Array:
+        """Where the landmarks (L, 2) are, in the order in which they were found."""
+        return np.array([feature.filter.x for feature in self._landmarks]).reshape(-1, 2)
+
+    @property
+    def cov(self) -> Array:
+        """Their covariances (L, 2, 2) m²."""
+        return np.array([feature.filter.P for feature in self._landmarks]).reshape(-1, 2, 2)
+
+    def step(self, pose: Array, edges: Edges, turn_sigma_rad: float = 0.0) -> Followed:
+        """Take in the edges (E) of one image, seen by a robot at `pose` (3,) in the map.
+
+        turn_sigma_rad: error of the turn since the image before, as far as it is known.
+        """
+        view = self._view(pose, edges, turn_sigma_rad)
+        row, column, score = self._matched(view)
+        self._expect(view.camera, score, row)
+        shows = {int(edge): self._followed[k] for k, edge in zip(row, column, strict=True)}
+        for edge, feature in shows.items():
+            feature.see(view.camera, float(view.heading[edge]), float(view.sigma[edge]))
+        fresh = {edge: self._begin(view, edge) for edge in range(len(view)) if edge not in shows}
+        shows |= fresh
+        for edge, feature in shows.items():
+            self._note(view, edge, feature)
+        lost = self._frame - self._parameters.tracks.missed_most
+        self._followed = [feature for feature in (*self._followed, *fresh.values()) if feature.last >= lost]
+        again = self._promoted()
+        self._frame += 1
+        features = [again.get(shows[edge].number, shows[edge]) for edge in range(len(view))]
+        numbers = np.array([feature.number for feature in features], dtype=np.int64)
+        return Followed(numbers, np.array([feature.is_point for feature in features], dtype=bool))
+
+    def landmark_map(self, name: str, source: str) -> LandmarkMap:
+        """Return the landmarks as a map: places, covariances and quality; heights and profiles are not known."""
+        found, count = self._landmarks, len(self._landmarks)
+        sightings = np.array([feature.count for feature in found], dtype=np.float64)
+        evidence = np.array([feature.evidence for feature in found])
+        signs = np.array([feature.signs for feature in found], dtype=np.float64)
+        parallax = np.array([feature.parallax for feature in found])
+        return replace(
+            LandmarkMap.from_points(self.points, name=name, source=source),
+            cov=self.cov,
+            polarity=np.where(np.abs(signs) > _ONE_SIGN * sightings, np.sign(signs), 0).astype(np.int8),
+            quality=Quality(sightings, parallax, 1 / (1 + np.exp(-evidence)), np.zeros((count, 0))),
+        )
+
+    def _view(self, pose: Array, edges: Edges, turn_sigma_rad: float) -> _View:
+        camera = self._camera.pose_in_map(pose)
+        seen = Sightings.from_edges([edges], self._camera)
+        sigma = np.hypot(measured_sigma(seen, self._camera.focal_px, self._parameters), turn_sigma_rad)
+        return _View(camera, edges, seen.side, wrap_angle(camera[2] - seen.bearing), sigma)
+
+    def _matched(self, view: _View) -> tuple[Index, Index, Array]:
+        """Return which followed feature (row) shows in which edge (column), and by how much that is likelier.
+
+        Likelier than the feature being missed, and the edge being of something new, anywhere in view.
+        """
+        none = np.zeros(0, dtype=np.int64)
+        if not self._followed or not len(view):
+            return none, none, np.zeros(0)
+        tracks, followed = self._parameters.tracks, self._followed
+        predicted, own = np.array([feature.predicted(view.camera) for feature in followed]).T
+        innovation = wrap_angle(view.heading[None] - predicted[:, None])
+        variance = own[:, None] + view.sigma[None] ** 2
+        fit = -0.5 * innovation**2 / variance - 0.5 * np.log(2 * np.pi * variance)
+        sides = np.array([feature.side for feature in followed])
+        signs = np.array([feature.polarity for feature in followed])
+        looks = log_likeness(sides, signs, view.side, view.edges.polarity)
+        span = max(float(np.ptp(view.heading)), _NARROWEST_SPAN_RAD)
+        odds = tracks.found / (1 - tracks.found)
+        score = fit + looks + np.log(odds * span / max(tracks.new_share * len(view), 1.0))
+        score[innovation**2 > tracks.gate_sigma**2 * variance] = -np.inf
+        row, column = assign(score)
+        return row, column, score[row, column]
+
+    def _expect(self, camera: Array, score: Array, row: Index) -> None:
+        """Weigh for each followed feature whether it was found in the image [Blackman, Popoli 1999, ch. 6]."""
+        gain = np.zeros(len(self._followed))
+        gain[row] = score
+        missed = np.log(1 - self._parameters.tracks.found)
+        for number, feature in enumerate(self._followed):
+            bearing = wrap_angle(camera[2] - feature.predicted(camera)[0])
+            if gain[number] > 0 or abs(bearing) < _WELL_INSIDE * self._half_view_rad:
+                feature.evidence = min(feature.evidence + missed + gain[number], _MOST_EVIDENCE)
+
+    def _begin(self, view: _View, edge: int) -> LiveFeature:
+        self._begun += 1
+        nearest_m = self._parameters.tracks.nearest_m
+        heading, sigma = float(view.heading[edge]), float(view.sigma[edge])
+        return started(self._begun - 1, view.camera, heading, sigma, nearest_m, self._frame)
+
+    def _note(self, view: _View, edge: int, feature: LiveFeature) -> None:
+        """Keep how the feature looks in this image, and where its foot is."""
+        edges = view.edges
+        feature.last, feature.side, feature.polarity = self._frame, view.side[edge], edges.polarity[edge]
+        feature.signs += int(edges.polarity[edge])
+        if edges.foot_probability[edge] > _ON_FLOOR:
+            feature.see_foot(view.camera, float(edges.foot_range_m[edge]), float(edges.foot_range_sigma_m[edge]))
+
+    def _promoted(self) -> dict[int, LiveFeature]:
+        """Make landmarks of what is known well enough; return by their numbers those that are landmarks seen again."""
+        again: dict[int, LiveFeature] = {}
+        for number, feature in enumerate(self._followed):
+            if feature.is_point or not self._is_known(feature):
+                continue
+            feature.become_point(self._parameters.tracks.gate_sigma)
+            old = self._same(feature)
+            if old is None:
+                self._landmarks.append(feature)
+                continue
+            old.join(feature, self._parameters.plumb_sigma_m)
+            self._followed[number] = again[feature.number] = old
+        return again
+
+    def _is_known(self, feature: LiveFeature) -> bool:
+        parameters = self._parameters
+        likely = np.log(parameters.existence_min / (1 - parameters.existence_min))
+        return (
+            feature.count >= parameters.sightings_min
+            and feature.evidence >= likely
+            and feature.parallax >= np.deg2rad(parameters.parallax_min_deg)
+            and feature.is_near_enough_gaussian
+            and feature.distance_m <= parameters.range_max_m
+        )
+
+    def _same(self, feature: LiveFeature) -> LiveFeature | None:
+        """Return the landmark, lost from sight before the feature came, that stands where it does and looks alike."""
+        extra = feature.filter.P + self._parameters.plumb_sigma_m**2 * np.eye(2)
+        nearest, best = self._parameters.tracks.gate_sigma**2, None
+        for old in self._landmarks:
+            distance2 = old.distance2(feature.filter.x, extra) if old.last < feature.begun else np.inf
+            if distance2 < nearest and _alike(old, feature):
+                nearest, best = distance2, old
+        return best
+
+
+def _alike(one: LiveFeature, other: LiveFeature) -> bool:
+    looks = log_likeness(one.side[None], np.array([one.polarity]), other.side[None], np.array([other.polarity]))
+    return bool(looks[0, 0] > _UNLIKE)
