@@ -91,3 +91,35 @@ def test_an_image_taken_with_a_wrong_tilt_gives_the_true_one():
     edges = find_edges(image, stated, EdgeParameters(tilt_sigma_deg=3.0, roll_sigma_deg=1.0))
     error = mount_error_of_edges(edges, stated, prior_rad, PLUMB_RAD)
     np.testing.assert_allclose(np.rad2deg(error.mean), [3.0, -0.5], atol=0.2)
+
+
+@pytest.mark.parametrize("crooked", [0.02, 0.5, 1.0, 2.0])
+def test_sigmas_are_learnt_from_how_crooked_edges_are(crooked):
+    """Ends err by 0.35 px and edges by 0.3° from plumb, times `crooked`: with 40 edges the factor is told."""
+    camera, rng, count = camera_of(tilt_deg=20.0), np.random.default_rng(1), 40
+    exact = vertical_segments(camera, np.linspace(-27, 27, count), (-0.25, 0.2)).ends_px
+    long_px, unknown = exact[:, 0, 1] - exact[:, 1, 1], np.full(count, np.nan)
+    normalised, told = [], []
+    for _ in range(100):
+        ends = exact + crooked * rng.normal(0, 0.35, exact.shape) * [1.0, 0.0]
+        ends[:, 1, 0] += crooked * np.deg2rad(rng.normal(0, 0.3, count)) * long_px
+        edges = Edges.from_columns(unknown, unknown, unknown, np.full(count, 1e-4), ends_px=ends)
+        off = np.deg2rad(rng.normal(0, [0.5, 0.3]))
+        moved = camera.with_mount(tilt_rad=camera.mount.tilt_rad + off[0], roll_rad=off[1])
+        error = mount_error_of_edges(edges, moved, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
+        normalised.append((error.mean + off) / np.sqrt(np.diag(error.cov)))
+        told.append(error.crooked)
+    if crooked < 0.1:
+        assert np.median(told) < 0.3
+    else:
+        np.testing.assert_allclose(np.median(told), crooked, rtol=0.15)
+        np.testing.assert_allclose(np.std(normalised, axis=0), 1.0, atol=0.2)
+
+
+def test_two_edges_are_taken_to_be_as_crooked_as_is_stated():
+    camera = camera_of(tilt_deg=20.0)
+    ends = vertical_segments(camera, np.array([-20.0, 20.0])).ends_px
+    unknown = np.full(2, np.nan)
+    edges = Edges.from_columns(unknown, unknown, unknown, np.full(2, 1e-4), ends_px=ends)
+    error = mount_error_of_edges(edges, camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
+    assert 0.6 < error.crooked < 1.0
