@@ -13,7 +13,7 @@ from localiser.geometry import Trajectory
 
 SECOND = 1_000_000_000
 KEYS = [
-    "log", "observation", "seed", "particles", "frames",
+    "log", "observation", "association", "odometry", "start", "map", "inputs", "particles", "seed", "frames",
     "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
     "odometry_position_rmse_m", "nees_mean", "pcrb_position_m", "efficiency", "edges_per_frame",
     "frame_ms_median", "frame_ms_p95", "stage_ms",
@@ -39,7 +39,7 @@ def run_with_a_pause() -> tuple[Track, Trajectory]:
 def test_every_key_of_the_format_is_there_and_survives_json() -> None:
     track, truth = run_with_a_pause()
     bound = np.tile(np.diag([0.02, 0.02, 0.01]) / 4, (40, 1, 1))
-    figures = metrics(track, truth, log="l", observation="line", seed=3, particles=500, bound=bound)
+    figures = metrics(track, truth, log="l", about={"observation": "line", "seed": 3, "particles": 500}, bound=bound)
     figures |= timing_metrics(
         {"load": [1.0, 2, 3], "edges": [10.0, 10, 40], "filter": [5.0, 5, 5], "sinks": [0.0, 0, 1]}
     )

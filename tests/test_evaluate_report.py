@@ -31,7 +31,9 @@ def run(height: float = 1.0) -> dict[str, Any]:
         edges=edges, matched=edges // 2,
     )  # fmt: skip
     points = rng.uniform(-5, 5, (40, 2)) * [1, height]
-    figures = metrics(track, truth, log="circle", observation="line", seed=1, particles=100, bound=covs / 2)
+    figures = metrics(
+        track, truth, log="circle", about={"observation": "line", "seed": 1, "particles": 100}, bound=covs / 2
+    )
     return {
         "track": track, "figures": figures, "truth": truth, "landmark_map": LandmarkMap.from_points(points),
         "bound": covs / 2,
@@ -54,8 +56,22 @@ def test_map_is_seen_from_above_with_equal_scales() -> None:
     assert right[0] - origin[0] == pytest.approx(ahead[1] - origin[1])  # display coordinates grow upwards
     assert right[0] > origin[0]
     assert [label.get_text() for label in on_map.get_legend().get_texts()] == [
-        "landmark", "odometry", "truth", "3σ", "estimate",
+        "landmark", "odometry alone", "truth", "3σ", "estimate",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [(None, "odometry alone"), ("vision", "odometry alone (vision)"), ("both", "odometry alone (wheels and vision)")],
+)
+def test_it_says_whose_odometry_it_is_and_what_was_run(source: str | None, named: str) -> None:
+    given = run()
+    given["figures"] |= {"odometry": source, "map": "rooms 0a1b2c", "start": "anywhere"}
+    figure = draw_report(**given)
+    assert named in [label.get_text() for label in figure.axes[0].get_legend().get_texts()]
+    about = next(text.get_text() for text in figure.texts if "particles" in text.get_text())
+    assert ("odometry" in about) == (source is not None)
+    assert "map rooms 0a1b2c" in about and "start anywhere" in about
 
 
 def test_whole_path_is_inside_the_map_panel() -> None:

@@ -49,6 +49,32 @@ def test_what_differs_has_a_column_and_fits_a_terminal() -> None:
     assert lines[-1] == "corridor/latest slope 1 0.020 0.030 1.500 1.500 10.50 1.500 3.0 10.0"
 
 
+def test_runs_by_other_odometry_are_of_another_kind() -> None:
+    wheel, vision = (
+        {**run("house", "line", 0, rmse), "odometry": by} for rmse, by in ((0.01, "wheel"), (0.5, "vision"))
+    )
+    lines = rendered({"w0": wheel, "v0": vision, "w1": wheel | {"seed": 1, "position_rmse_m": 0.03}})
+    assert [line.split()[:2] for line in lines[-5:]] == [
+        ["v0", "vision"], ["w0", "wheel"], ["w1", "wheel"], ["median", "0.020"], ["worst", "0.030"],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ["association", "odometry", "start", "map", "inputs", "particles"])
+def test_only_runs_that_differ_by_their_seed_are_summed_up(what: str) -> None:
+    runs = [{**run("house", "line", seed, 0.1), what: "a"} for seed in (0, 1)]
+    assert any(line.startswith("median") for line in rendered({"r0": runs[0], "r1": runs[1]}))
+    lines = rendered({"r0": runs[0], "r1": runs[1] | {what: "b"}})
+    assert not any(line.startswith("median") for line in lines)
+    assert any(what in line for line in lines)
+
+
+def test_a_run_of_before_a_choice_was_written_down_stands_alone() -> None:
+    old = run("house", "line", 0, 0.1)
+    lines = rendered({"old": old, "new": old | {"odometry": "wheel", "map": "house 0a1b2c"}})
+    assert not any(line.startswith("median") for line in lines)
+    assert next(line for line in lines if line.startswith("old")).split()[1:3] == ["–", "–"]
+
+
 def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:
     known = summaries([run("h", "line", 0, None), run("h", "line", 1, 0.2), run("h", "line", 2, 0.1)])
     assert known["median"]["position_rmse_m"] == pytest.approx(0.15)

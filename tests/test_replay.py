@@ -20,7 +20,9 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_log import CAMERA, MAP, ODOMETRY, TRUTH, sightings, write_edge_log
 
 from localiser import storage
+from localiser.app.judge import figures_of
 from localiser.evaluate import report
+from localiser.evaluate.metrics import ABOUT
 from localiser.landmarks import LandmarkMap
 from localiser.view import live, paths
 
@@ -231,6 +233,36 @@ def test_edges_measured_beforehand_take_the_place_of_images(localiser: Localiser
     run = localiser.replay(write_edge_log(tmp_path / "log"), tmp_path / "out", "--start", "1,2,178", rrd=True)
     assert len(rows_of(run)) == 3
     assert not (run / "groundtruth.tum").exists()
+
+
+def test_a_run_says_how_it_was_made_and_is_judged_so_again(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=300", "--seed", 1)
+    by_wheels = metrics_of(localiser.replay(log, tmp_path / "wheel", *settings))
+    run = localiser.replay(log, tmp_path / "both", "--odometry", "both", *settings)
+    figures = metrics_of(run)
+    about = {"observation": "line", "association": "unknown", "odometry": "both", "start": "stated", "seed": 1}
+    assert about.items() <= figures.items()
+    assert {key for key in ABOUT if figures[key] != by_wheels[key]} == {"odometry"}
+    other = metrics_of(localiser.replay(log, tmp_path / "other", *settings, "--set", "motion.alpha1=0.5"))
+    assert {key for key in ABOUT if other[key] != by_wheels[key]} == {"inputs"}
+    assert "odometry: both" in (run / "run.yaml").read_text()
+    again = figures_of(run, run / "groundtruth.tum")
+    assert {key: again[key] for key in ABOUT} == {key: figures[key] for key in ABOUT}
+    assert again["odometry_position_rmse_m"] == pytest.approx(figures["odometry_position_rmse_m"], rel=1e-3)
+
+
+def test_odometry_alone_is_that_which_the_run_goes_by(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    """Cameras do not know the wheels: by vision alone the odometry in the results is what the edges tell."""
+    few = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=300")
+    before = storage.load_track(
+        localiser.replay(log, tmp_path / "as_is", "--odometry", "vision", *few) / "trajectory.csv"
+    )
+    rows = (log / "odometry.csv").read_text().splitlines()
+    still = [f"{row.split(',')[0]},0,0,0" for row in rows[1:]]
+    (log / "odometry.csv").write_text("\n".join([rows[0], *still]) + "\n")
+    run = localiser.replay(log, tmp_path / "still", "--odometry", "vision", *few)
+    np.testing.assert_array_equal(storage.load_track(run / "trajectory.csv").odometry, before.odometry)
+    assert np.hypot(*(before.odometry[-1] - before.odometry[0])[:2]) > 0.3
 
 
 # -- how good it is ---------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,19 @@ def figures_of(path: Path, truth_path: Path | None) -> dict[str, Any]:
     if path.is_file() and path.name != storage.LATEST:
         if truth_path is None:
             raise InputError("a trajectory file needs --truth FILE, found none", path=path)
-        return _judged(_track(path), truth_path, log=path.stem)
+        return _judged(_track(path), truth_path, path.stem)
     run = storage.find_run(path)
     if truth_path is None:
         return storage.load_json(run / "metrics.json")
     recorded = storage.load_json(run / "metrics.json")
-    about = {key: recorded.get(key) for key in ("observation", "seed", "particles")}
     track = storage.load_track(run / "trajectory.csv")
-    return _judged(track, truth_path, log=str(recorded.get("log")), **about)
+    return _judged(track, truth_path, str(recorded.get("log")), recorded)
 
 
-def _judged(track: Track, truth_path: Path, **about: Any) -> dict[str, Any]:
+def _judged(track: Track, truth_path: Path, log: str, about: Mapping[str, Any] | None = None) -> dict[str, Any]:
     truth = load_truth(truth_path)
     try:
-        return evaluate.metrics(track, truth, **about)
+        return evaluate.metrics(track, truth, log=log, about=about)
     except InputError as error:  # of what is in memory: no image in common
         raise InputError(error.problem, path=truth_path) from None
 

@@ -24,6 +24,7 @@ from localiser.config import Config, in_force, to_yaml
 from localiser.edges import find_edges, warm_up
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.frames import Image, LocatedFrame
+from localiser.geometry import compose
 from localiser.identified import observation_of
 from localiser.increments import Odometer
 from localiser.observation import EdgeObservation
@@ -148,7 +149,15 @@ class Replay:
         pending[event.t_ns] = Pending(encoded, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
         return mcl.Sighting(event.t_ns, edges)
 
+    def _by_what_was_followed(self, located: mcl.Located) -> mcl.Located:
+        """Return the result; where increments are not of wheels alone, all of them together are its odometry."""
+        if self.inputs.config.increments.source == "wheel":
+            return located
+        before = self.history.frames[-1].located.odometry if self.history.frames else np.zeros(3)
+        return replace(located, odometry=compose(before, located.increment.mean))
+
     def _hand_over(self, located: mcl.Located, pending: Pending) -> None:
+        located = self._by_what_was_followed(located)
         truth = self.inputs.log.groundtruth
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
         matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.inputs.landmark_map)

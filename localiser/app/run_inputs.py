@@ -15,6 +15,10 @@ from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
 from localiser.storage import Log, load_map
 from localiser.storage.checkpoint import identity_of
+from localiser.storage.packing import fingerprint
+
+_SHORT = 6
+"""As many digits of a fingerprint tell two maps, or two sets of settings, apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +48,28 @@ class RunInputs:
             start=self.start,
         )
 
+    @property
+    def about(self) -> dict[str, Any]:
+        """What makes runs comparable, in few words: see `localiser.evaluate.metrics.ABOUT`.
+
+        The map's name is followed by the beginning of its fingerprint; `inputs` is that of all that has no word of its
+        own: the log's times and poses, the camera, every other setting.
+        """
+        config, others = self.config, self.identity
+        for setting in ("observation.kind", "observation.association", "increments.source", "mcl.particles", "seed"):
+            del others[setting]
+        del others["start"]  # a start that is drawn near the truth is another one for each seed
+        return {
+            "observation": config.observation.kind,
+            "association": config.observation.association,
+            "odometry": config.increments.source,
+            "start": "anywhere" if self.start is None else "stated",
+            "map": f"{self.landmark_map.name} {others.pop('map')[:_SHORT]}".strip(),
+            "inputs": fingerprint(sorted(others.items()))[:_SHORT],
+            "particles": config.mcl.particles,
+            "seed": config.seed,
+        }
+
     def described(self) -> str:
         """Return as YAML what the run was made from; see `config.yaml` for its settings."""
         identity = self.identity
@@ -56,6 +82,7 @@ class RunInputs:
                 "fingerprint": identity["map"],
             },
             "camera": {"name": self.log.camera.name, "fingerprint": identity["camera"]},
+            "odometry": self.config.increments.source,
             "start": "anywhere" if self.start is None else _described_start(self.start),
         }
         return dump(data)

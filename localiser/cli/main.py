@@ -210,7 +210,7 @@ def evaluate(
         Path | None, typer.Option(metavar="FILE", help="True poses (TUM, or CSV t_ns,x,z,heading).")
     ] = None,
 ) -> None:
-    """Compare runs with the truth in one table; with several of a kind, their median and worst too."""
+    """Compare runs with the truth in one table; of runs that differ by their seed alone, median and worst too."""
     from localiser.app.judge import figures_of
     from localiser.evaluate.table import errors_table
 

@@ -22,6 +22,8 @@ from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery
 from localiser.geometry import Array, Trajectory
 
 DECIMALS = 6
+ABOUT = ("observation", "association", "odometry", "start", "map", "inputs", "particles", "seed")
+"""What a run was made from, beside its log: only runs that differ by nothing but the seed may be summed up."""
 
 
 def metrics(
@@ -29,25 +31,22 @@ def metrics(
     truth: Trajectory | None,
     *,
     log: str,
-    observation: str | None = None,
-    seed: int | None = None,
-    particles: int | None = None,
+    about: Mapping[str, Any] | None = None,
     bound: Array | None = None,
     sighted: NDArray[np.bool_] | None = None,
     reasons: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the figures of a run; those that need the truth are None without it.
 
-    bound: (T, 3, 3) posterior Cramér-Rao bound of the poses, for logs with true associations. sighted: (T,) whether a
-    landmark was seen; by default, whether there was any edge (always, where edges are not known). reasons: (T,) why
-    p_correct was low, "" where it was not. Raises InputError when truth and run share no time.
+    about: what the run was made from; see `ABOUT`. bound: (T, 3, 3) posterior Cramér-Rao bound of the poses, for logs
+    with true associations. sighted: (T,) whether a landmark was seen; by default, whether there was any edge (always, where
+    edges are not known). reasons: (T,) why p_correct was low, "" where it was not. Raises InputError when truth and run
+    share no time.
     """
     errors = errors_against(track, truth) if truth is not None else None
     return {
         "log": log,
-        "observation": observation,
-        "seed": seed,
-        "particles": particles,
+        **{key: (about or {}).get(key) for key in ABOUT},
         "frames": len(track),
         **_position(errors),
         "heading_rmse_deg": _figure(np.degrees(rms(errors.heading_rad))) if errors else None,

@@ -29,7 +29,12 @@ FEWEST_THAT_FIX_A_POSE = 3
 
 
 def draw_map(
-    axes: Axes, track: Track, errors: Errors | None, truth: Trajectory | None, landmark_map: LandmarkMap | None
+    axes: Axes,
+    track: Track,
+    errors: Errors | None,
+    truth: Trajectory | None,
+    landmark_map: LandmarkMap | None,
+    odometry_label: str = "odometry",
 ) -> None:
     """Draw landmarks, truth, odometry and estimate as seen from above: x to the right, map -z up, equal scales.
 
@@ -40,7 +45,7 @@ def draw_map(
     if landmark_map is not None:
         axes.plot(*landmark_map.points.T, ".", color=LANDMARK, markersize=4, zorder=1, label="landmark")
     if np.isfinite(odometry).any():
-        axes.plot(*odometry[:, :2].T, "--", color=ODOMETRY, linewidth=1.8, zorder=2, label="odometry")
+        axes.plot(*odometry[:, :2].T, "--", color=ODOMETRY, linewidth=1.8, zorder=2, label=odometry_label)
     if truth is not None:
         during = truth.poses[(truth.t_ns >= track.t_ns[0]) & (truth.t_ns <= track.t_ns[-1])]
         paths.append(during)

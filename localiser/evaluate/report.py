@@ -41,6 +41,18 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 9.5,
     "legend.borderaxespad": 0.2,
 }
+ODOMETRIES = {"wheel": "wheels", "vision": "vision", "both": "wheels and vision"}
+# Key in the metrics, how it reads: what tells runs apart, at the top right.
+ABOUT = (
+    ("observation", "{}"),
+    ("association", "associations {}"),
+    ("odometry", "odometry {}"),
+    ("start", "start {}"),
+    ("map", "map {}"),
+    ("particles", "{} particles"),
+    ("seed", "seed {}"),
+    ("frames", "{} frames"),
+)
 # Label, key in the metrics, format: the figures at the top.
 KEY_FIGURES = (
     ("position RMSE", "position_rmse_m", "{:.3f} m"),
@@ -110,7 +122,7 @@ def _drawn(
     width, height = np.diff(panels.framed([track.poses], landmark_map), axis=1)[:, 0]
     wide = bool(width > WIDE * height)
     on_map, position, heading, edges = _lay_out(figure, wide=wide)
-    panels.draw_map(on_map, track, errors, truth, landmark_map)
+    panels.draw_map(on_map, track, errors, truth, landmark_map, _odometry_label(figures))
     panels.draw_position_error(position, track, errors, bound)
     panels.draw_heading_error(heading, track, errors)
     panels.draw_edges(edges, track)
@@ -118,6 +130,12 @@ def _drawn(
         axes.set_xlabel("time (s)")
     _draw_header(figure, figures)
     return figure
+
+
+def _odometry_label(figures: Mapping[str, Any]) -> str:
+    """Return what the curve is called that the run's odometry alone would have led along."""
+    source = figures.get("odometry")
+    return "odometry alone" if source is None else f"odometry alone ({ODOMETRIES.get(source, source)})"
 
 
 def _broken_at_gaps(track: Track, bound: Array | None) -> tuple[Track, Array | None]:
@@ -139,10 +157,9 @@ def _lay_out(figure: Figure, *, wide: bool) -> list[Axes]:
 
 
 def _draw_header(figure: Figure, figures: Mapping[str, Any]) -> None:
-    figure.text(0.05, 0.955, str(figures["log"]), fontsize=22, fontweight="bold", va="center")
-    units = (("observation", "{}"), ("seed", "seed {}"), ("particles", "{} particles"), ("frames", "{} frames"))
-    parts = [text.format(figures[key]) for key, text in units if figures.get(key) is not None]
-    figure.text(0.975, 0.955, "  ·  ".join(parts), fontsize=12, color=panels.MUTED, ha="right", va="center")
+    figure.text(0.05, 0.948, str(figures["log"]), fontsize=22, fontweight="bold", va="center")
+    parts = [text.format(figures[key]) for key, text in ABOUT if figures.get(key) is not None]
+    figure.text(0.975, 0.98, "  ·  ".join(parts), fontsize=11, color=panels.MUTED, ha="right", va="center")
 
     known = [(label, text.format(figures[key])) for label, key, text in KEY_FIGURES if figures.get(key) is not None]
     for place, (label, value) in enumerate(known):

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from localiser.evaluate.metrics import ABOUT
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -35,12 +37,13 @@ COLUMNS = (
     Column("effi-\nciency", "efficiency", ".2f"),
     Column("edges", "edges_per_frame", ".1f", min),
 )
-NAMES = ("log", "observation", "seed")
+NAMES = ("log", *ABOUT)
+IN_TITLE = tuple(name for name in NAMES if name != "inputs")  # a fingerprint says something only where it differs
 UNKNOWN = "–"
 
 
 def errors_table(runs: Mapping[str, Metrics]) -> Table:
-    """Return the table of named runs' metrics; where several share log and observation, their median and worst too.
+    """Return the table of named runs' metrics; where several differ by their seed alone, their median and worst too.
 
     So that it fits a terminal, what is the same for all runs stands in the title, and figures that no run knows are
     left out.
@@ -49,7 +52,8 @@ def errors_table(runs: Mapping[str, Metrics]) -> Table:
     from rich.table import Table
 
     values = {key: {_text(run.get(key)) for run in runs.values()} for key in NAMES}
-    shared = [f"{key} {found.pop()}" for key, found in values.items() if len(found) == 1 and found != {UNKNOWN}]
+    same = {key: next(iter(found)) for key, found in values.items() if len(found) == 1 and key in IN_TITLE}
+    shared = [f"{key} {value}" for key, value in same.items() if value != UNKNOWN]
     names = [key for key in values if len(values[key]) > 1]
     columns = [column for column in COLUMNS if any(run.get(column.key) is not None for run in runs.values())]
 
@@ -57,7 +61,9 @@ def errors_table(runs: Mapping[str, Metrics]) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("run", overflow="fold", vertical="bottom")
     for key in names:
-        table.add_column(key, justify="right" if key == "seed" else "left", overflow="fold", vertical="bottom")
+        table.add_column(
+            key, justify="right" if key in ("particles", "seed") else "left", overflow="fold", vertical="bottom"
+        )
     for column in columns:
         table.add_column(column.title, justify="right", no_wrap=True)
 
@@ -85,8 +91,8 @@ def summaries(runs: list[Metrics]) -> dict[str, dict[str, float | None]]:
     return {"median": median, "worst": worst}
 
 
-def _kind(run: Metrics) -> tuple[str, str]:
-    return _text(run.get("log")), _text(run.get("observation"))
+def _kind(run: Metrics) -> tuple[str, ...]:
+    return tuple(_text(run.get(key)) for key in NAMES if key != "seed")
 
 
 def _figures(run: Metrics, columns: Iterable[Column]) -> list[str]:
