@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import rerun.blueprint as rrb
 
@@ -16,15 +18,18 @@ STAGES_SHOWN_MS = (0.0, 120.0)
 """The first image fills tables for the whole run; on a scale that holds it too, all others would lie on the floor."""
 
 
-def blueprint(context: Context) -> rrb.Blueprint:
-    """Return the layout: the world large on the left, the image, plots and text beside it."""
-    plots = rrb.Grid(*_plots(context), grid_columns=2)
+def blueprint(context: Context, titles: Mapping[str, str] | None = None, *, margin_m: float = 0.0) -> rrb.Blueprint:
+    """Return the layout: the world large on the left, the image, plots and text beside it.
+
+    titles: of the plots by their paths; by default those of a run. margin_m: to show around map and truth.
+    """
+    plots = rrb.Grid(*_plots(titles or _titles(context)), grid_columns=2)
     if context.images:
         beside = rrb.Vertical(_image(context), plots, _text(), row_shares=[9, 8, 3])
     else:
         beside = rrb.Vertical(plots, _text(), row_shares=[8, 2])
     return rrb.Blueprint(
-        rrb.Horizontal(_world(context), beside, column_shares=[3, 2]),
+        rrb.Horizontal(_world(context, margin_m), beside, column_shares=[3, 2]),
         rrb.TimePanel(state="collapsed", timeline=paths.FRAME),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -32,8 +37,8 @@ def blueprint(context: Context) -> rrb.Blueprint:
     )
 
 
-def _world(context: Context) -> rrb.Spatial3DView:
-    target, position = _eye(context)
+def _world(context: Context, margin_m: float) -> rrb.Spatial3DView:
+    target, position = _eye(context, margin_m)
     so_far = rrb.VisibleTimeRanges(
         [
             rrb.VisibleTimeRange(
@@ -53,12 +58,12 @@ def _world(context: Context) -> rrb.Spatial3DView:
     )
 
 
-def _eye(context: Context) -> tuple[Array, Array]:
+def _eye(context: Context, margin_m: float) -> tuple[Array, Array]:
     """Return target and position (3,) of an eye that has map and truth in sight, map -z up on the screen."""
     points = context.landmark_map.points
     if context.truth is not None:
         points = np.concatenate([points, context.truth.poses[:, :2]])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
     width, depth = np.maximum(high - low, 2.0)
     # Rerun's field of view is 55°, the panel about square: the near edge of the floor just fits, across and along.
     distance = max(width / 1.1, 0.85 * depth) + depth / 4
@@ -77,15 +82,17 @@ def _text() -> rrb.TextLogView:
     return rrb.TextLogView(origin=paths.TEXT, name="Messages", columns=columns)
 
 
-def _plots(context: Context) -> list[rrb.TimeSeriesView]:
-    error = "Position error" if context.truth is not None else "Position 3σ"
-    titles = {
-        paths.ERROR: error,
+def _titles(context: Context) -> dict[str, str]:
+    return {
+        paths.ERROR: "Position error" if context.truth is not None else "Position 3σ",
         paths.P_CORRECT: "Probability of being right",
         paths.ESS: "Effective sample size",
         paths.COUNTS: "Edges",
         paths.STAGES: "Time, ms",
     }
+
+
+def _plots(titles: Mapping[str, str]) -> list[rrb.TimeSeriesView]:
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
     axes = {paths.STAGES: rrb.ScalarAxis(range=STAGES_SHOWN_MS)}
     return [

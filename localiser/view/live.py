@@ -17,15 +17,18 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from threading import Condition, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from localiser.errors import InputError
 from localiser.frames import LocatedFrame
 from localiser.view.context import Context
 
 if TYPE_CHECKING:
+    import rerun as rr
+
     from localiser.view.recorder import Recorder
 
+R = TypeVar("R")
 Kind = str
 """`native`, `web`, or IP:PORT of this machine, to which viewers on others connect."""
 
@@ -42,25 +45,31 @@ _LOCALHOST = "127.0.0.1"
 _REMOTE = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9.]+|localhost):([1-9][0-9]{0,4})")
 
 
-class LiveView:
-    """Shows every frame in a viewer, and never waits for it: what the viewer is too slow for is dropped, oldest first.
+class Feed(Generic[R]):
+    """Shows in a viewer what a recorder (R) draws, and never waits: what is too much is dropped, oldest first.
 
-    Frames are drawn on a worker thread: the arrays handed over must not change afterwards. A viewer that is missing or
-    closed ends the view, not the run.
+    Everything is drawn on a worker thread: the arrays handed over must not change afterwards. A viewer that is missing
+    or closed ends the view, not the run.
     kind: "native" leaves its window open after the run; "web" serves a page, on this machine alone, until the process
-    ends; IP:PORT serves what viewers on other machines show, which connect to `address`. command: what to run instead;
-    it gets the recording on its standard input. Raises InputError for another kind.
+    ends; IP:PORT serves what viewers on other machines show, which connect to `address`. begin: makes the recorder on
+    the stream that the viewer reads, on the worker. command: what to run instead; it gets the recording on its standard
+    input. Raises InputError for another kind.
     """
 
     def __init__(
-        self, kind: Kind, context: Context, *, command: Sequence[str] | None = None, queue_frames: int = QUEUE_FRAMES
+        self,
+        kind: Kind,
+        context: Context,
+        begin: Callable[[rr.RecordingStream], R],
+        *,
+        command: Sequence[str] | None = None,
+        queue_frames: int = QUEUE_FRAMES,
     ) -> None:
         self.address: str | None = None
         if command is None:
             command, self.address = _viewer(kind)
-        self._context = context
-        self._frames = 0
-        self._queue: deque[Callable[[Recorder], None] | None] = deque(maxlen=queue_frames)
+        self._context, self._begin = context, begin
+        self._queue: deque[Callable[[R], None] | None] = deque(maxlen=queue_frames)
         self._changed = Condition()
         self._viewer = _start(command)
         if kind != "native" and self._viewer is not None:
@@ -68,19 +77,12 @@ class LiveView:
         self._worker = Thread(target=self._work, name="live view", daemon=True)
         self._worker.start()
 
-    def frame(self, frame: LocatedFrame) -> None:
-        """Show what the filter knows after one image; see `Recorder.frame`."""
-        number = self._frames
-        self._frames += 1
-        self._put(lambda recorder: recorder.frame(number, frame))
+    def draw(self, item: Callable[[R], None]) -> None:
+        """Have something drawn, when its turn comes."""
+        self._put(item)
 
-    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
-        """Show a line in the text log."""
-        self._put(lambda recorder: recorder.message(t_ns, text, level))
-
-    def close(self, complete: bool) -> None:
+    def end(self) -> None:
         """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
-        self._put(lambda recorder: recorder.end(complete))
         self._put(None)
         self._worker.join(CLOSE_WAIT_S)
 
@@ -96,12 +98,12 @@ class LiveView:
 
     # -- the worker -------------------------------------------------------------------------------------------------
 
-    def _put(self, item: Callable[[Recorder], None] | None) -> None:
+    def _put(self, item: Callable[[R], None] | None) -> None:
         with self._changed:
             self._queue.append(item)
             self._changed.notify()
 
-    def _next(self) -> Callable[[Recorder], None] | None:
+    def _next(self) -> Callable[[R], None] | None:
         with self._changed:
             self._changed.wait_for(lambda: self._queue)
             return self._queue.popleft()
@@ -111,13 +113,11 @@ class LiveView:
             return
         import rerun as rr
 
-        from localiser.view.layout import blueprint
-        from localiser.view.recorder import Recorder, new_stream
+        from localiser.view.recorder import new_stream
 
         stream = new_stream(self._context)
         encoded = rr.binary_stream(stream)
-        stream.send_blueprint(blueprint(self._context))
-        recorder = Recorder(stream, self._context)
+        recorder = self._begin(stream)
         try:
             while log := self._next():
                 log(recorder)
@@ -126,6 +126,41 @@ class LiveView:
         except OSError:
             # The viewer was closed: nobody looks any more, and the queue drops what comes.
             return
+
+
+class LiveView(Feed["Recorder"]):
+    """Shows every frame of a run in a viewer; see `Feed`."""
+
+    def __init__(
+        self, kind: Kind, context: Context, *, command: Sequence[str] | None = None, queue_frames: int = QUEUE_FRAMES
+    ) -> None:
+        self._frames = 0
+        super().__init__(
+            kind, context, lambda stream: _begun(stream, context), command=command, queue_frames=queue_frames
+        )
+
+    def frame(self, frame: LocatedFrame) -> None:
+        """Show what the filter knows after one image; see `Recorder.frame`."""
+        number = self._frames
+        self._frames += 1
+        self.draw(lambda recorder: recorder.frame(number, frame))
+
+    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
+        """Show a line in the text log."""
+        self.draw(lambda recorder: recorder.message(t_ns, text, level))
+
+    def close(self, complete: bool) -> None:
+        """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
+        self.draw(lambda recorder: recorder.end(complete))
+        self.end()
+
+
+def _begun(stream: rr.RecordingStream, context: Context) -> Recorder:
+    from localiser.view.layout import blueprint
+    from localiser.view.recorder import Recorder
+
+    stream.send_blueprint(blueprint(context))
+    return Recorder(stream, context)
 
 
 def _write(descriptor: int, content: bytes) -> None:

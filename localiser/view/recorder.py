@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from localiser import geometry
@@ -40,11 +41,11 @@ def new_stream(context: Context) -> rr.RecordingStream:
     return stream
 
 
-def stream_to_file(path: Path, context: Context) -> rr.RecordingStream:
+def stream_to_file(path: Path, context: Context, layout: rrb.Blueprint | None = None) -> rr.RecordingStream:
     """Return a stream into a new `.rrd` file, its layout with it. Raises OutputError where it cannot be written."""
     stream = new_stream(context)
     try:
-        stream.save(path, default_blueprint=blueprint(context))
+        stream.save(path, default_blueprint=layout or blueprint(context))
     except (OSError, RuntimeError) as error:
         raise OutputError(f"{path}: cannot be written: {error}") from error
     return stream
@@ -95,13 +96,8 @@ class Recorder:
     # -- parts of a frame ---------------------------------------------------------------------------------------
 
     def _set_time(self, t_ns: int) -> None:
-        # Rerun keeps the time per thread: set it where it is used.
         self._t_ns = t_ns
-        self._stream.set_time(paths.FRAME, sequence=self._number)
-        if t_ns >= _EPOCH_LIKELY_NS:
-            self._stream.set_time(paths.TIME, timestamp=np.datetime64(t_ns, "ns"))
-        else:
-            self._stream.set_time(paths.TIME, duration=np.timedelta64(t_ns, "ns"))
+        set_time(self._stream, self._number, t_ns)
 
     def _log_map(self, pose: Array, landmark: NDArray[np.int64], visible: NDArray[np.bool_]) -> None:
         matched = np.unique(landmark[landmark >= 0])
@@ -200,5 +196,19 @@ class Recorder:
         self._log_series(paths.COUNTS, ("edges", "matched"), (palette.UNMATCHED, palette.MATCHED))
 
     def _log_series(self, path: str, names: Sequence[str], colours: Sequence[palette.Colour]) -> None:
-        series = rr.SeriesLines(names=names, colors=list(islice(cycle(colours), len(names))), widths=[1.5] * len(names))
-        self._stream.log(path, series, static=True)
+        self._stream.log(path, series(names, colours), static=True)
+
+
+def set_time(stream: rr.RecordingStream, number: int, t_ns: int) -> None:
+    """Set what is logged from now on, on this thread, to the `number`th frame and its time."""
+    # Rerun keeps the time per thread: set it where it is used.
+    stream.set_time(paths.FRAME, sequence=number)
+    if t_ns >= _EPOCH_LIKELY_NS:
+        stream.set_time(paths.TIME, timestamp=np.datetime64(t_ns, "ns"))
+    else:
+        stream.set_time(paths.TIME, duration=np.timedelta64(t_ns, "ns"))
+
+
+def series(names: Sequence[str], colours: Sequence[palette.Colour]) -> rr.SeriesLines:
+    """Return how the lines of a plot are called and coloured; colours repeat."""
+    return rr.SeriesLines(names=names, colors=list(islice(cycle(colours), len(names))), widths=[1.5] * len(names))
