@@ -39,9 +39,9 @@ def metrics(
     """Return the figures of a run; those that need the truth are None without it.
 
     about: what the run was made from; see `ABOUT`. bound: (T, 3, 3) posterior Cramér-Rao bound of the poses, for logs
-    with true associations. sighted: (T,) whether a landmark was seen; by default, whether there was any edge (always, where
-    edges are not known). reasons: (T,) why p_correct was low, "" where it was not. Raises InputError when truth and run
-    share no time.
+    with true associations. sighted: (T,) whether a landmark was seen; by default, whether there was any edge (always,
+    where edges are not known). reasons: (T,) why p_correct was low, "" where it was not. Raises InputError when truth
+    and run share no time.
     """
     errors = errors_against(track, truth) if truth is not None else None
     return {
