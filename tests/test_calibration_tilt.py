@@ -19,6 +19,7 @@ from localiser.calibration import (
     mount_of_lines,
     views_of,
 )
+from localiser.calibration.log_mount import as_scattered
 from localiser.calibration.plumb import PRIOR_SIGMA_RAD, fitted
 from localiser.edges import EdgeParameters, Edges
 from localiser.storage import open_log
@@ -123,6 +124,43 @@ def test_sigma_covers_the_error():
         normalised.append((found.mount - TRUE) / found.sigma)
     spread = np.sqrt(np.mean(np.square(normalised), axis=0))
     assert np.all((spread > 0.7) & (spread < 1.25)), spread
+
+
+def sides_that_err_alike(rng, images=80, things=5, sigma_rad=3e-3) -> Lines:
+    """Return the lines of images that show posts: both sides of a post, and its trims, have one and the same error."""
+    camera = camera_of(tilt_deg=20.0, roll_deg=1.0)
+    parts = []
+    for frame in range(images):
+        bearings = np.repeat(rng.uniform(-0.45, 0.45, things), 4) + np.tile([0.0, 0.004, 0.008, 0.012], things)
+        turn = np.repeat(rng.normal(0, sigma_rad, things), 4)
+        parts.append(lines_of(edges_at(camera, bearings, turn_rad=turn, sigma_rad=sigma_rad), camera, frame))
+    return Lines.together(parts)
+
+
+def errors_over_sigma(found) -> np.ndarray:
+    return (found.image_mount - TRUE) / np.sqrt(np.diagonal(found.image_cov, axis1=1, axis2=2))
+
+
+@pytest.mark.parametrize("lines_of_images", [sides_that_err_alike, lambda rng: scene(rng, images=80)])
+def test_each_image_is_as_certain_as_images_scatter(lines_of_images):
+    found = mount_of_lines(lines_of_images(np.random.default_rng(8)), np.arange(80), TRUE)
+    spread = np.sqrt(np.mean(np.square(errors_over_sigma(found)), axis=0))
+    assert np.all((spread > 0.75) & (spread < 1.25)), spread
+
+
+def test_one_view_does_not_tell_how_images_scatter():
+    """Eighty images of one view hold one error: nothing says how it compares with those of other views."""
+    lines = sides_that_err_alike(np.random.default_rng(8))
+    alone = errors_over_sigma(mount_of_lines(lines, np.zeros(80, dtype=int), TRUE))
+    assert np.all(np.sqrt(np.mean(np.square(alone), axis=0)) > 1.5)
+
+
+def test_a_wild_image_does_not_speak_for_the_others():
+    rng, cov = np.random.default_rng(0), np.tile(np.diag([1e-6, 1e-6]), (100, 1, 1))
+    off = rng.normal(0, 1e-3, (100, 2))
+    off[7] = 0.1
+    grown = as_scattered(off, cov, np.arange(100))
+    assert np.all(np.sqrt(np.diagonal(grown, axis1=1, axis2=2)) < 1.3e-3)
 
 
 def test_images_of_one_view_count_once():

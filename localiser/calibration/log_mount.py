@@ -24,6 +24,10 @@ _FEWEST_VIEWS = 5
 _VAGUE_RAD = np.deg2rad(0.5)
 """A mount measured by hand is as certain as this."""
 _BORDER_SHARE = 0.9
+_TELLS = 0.5
+"""An image whose sigma is this share of the prior's tells little but the prior."""
+_WILD = 5.0
+"""An image that is off by more than this many sigmas took something else for vertical, and speaks for no other."""
 
 LoadImage = Callable[[int], NDArray[np.uint8]]
 
@@ -32,9 +36,9 @@ LoadImage = Callable[[int], NDArray[np.uint8]]
 class LogMount:
     """Tilt and roll over F images: (2,) rad each.
 
-    cov: (2, 2). image_mount, image_cov: (F, 2), (F, 2, 2) what each image says by itself; where it says nothing, the
-    mean over all with the sigma of the prior. lines, vertical: how many lines there were, and how many of them are
-    vertical edges. plumb_sigma: rad, how far edges are from plumb. views: number of views that count as independent.
+    cov: (2, 2). image_mount, image_cov: (F, 2), (F, 2, 2) what each image says by itself, as certain as images prove to
+    be; where it says nothing, the mean over all with the sigma of the prior. lines, vertical: how many lines there were,
+    and how many of them are vertical edges. plumb_sigma: rad, how far edges are from plumb. views: number of views that count as independent.
     """
 
     stated: Array
@@ -115,12 +119,14 @@ def mount_of_lines(lines: Lines, views: NDArray[np.int64], stated: Array) -> Log
     whole = fitted(lines, stated, voted(lines, stated))
     count = len(views)
     each = [fitted(lines.take(lines.frame == i), whole.mount, whole.mount, whole.plumb_sigma) for i in range(count)]
+    image_mount = np.array([image.mount for image in each]).reshape(-1, 2)
+    image_cov = np.array([image.cov for image in each]).reshape(-1, 2, 2)
     return LogMount(
         stated=stated,
         mount=whole.mount,
         cov=covariance_by_views(lines, views, whole.mount, whole.vertical, whole.plumb_sigma),
-        image_mount=np.array([image.mount for image in each]).reshape(-1, 2),
-        image_cov=np.array([image.cov for image in each]).reshape(-1, 2, 2),
+        image_mount=image_mount,
+        image_cov=as_scattered(image_mount - whole.mount, image_cov, views),
         lines=len(lines),
         vertical=float(whole.vertical.sum()),
         plumb_sigma=whole.plumb_sigma,
@@ -150,6 +156,21 @@ def covariance_by_views(
     root = np.linalg.inv(np.linalg.cholesky(cov))
     excess = float(np.linalg.eigvalsh(root @ scatter @ root.T).max())
     return cov * max(1.0, excess)
+
+
+def as_scattered(off: Array, cov: Array, views: NDArray[np.int64]) -> Array:
+    """Return the covariances (F, 2, 2) of images, grown alike until they cover how far images are off (F, 2) the mean.
+
+    Both sides of a post or a door's frame err alike, and furniture tapers, so that the few long lines that decide in
+    one image err by more than each by itself. How much more is the building's: it is seen where there are views enough.
+    """
+    sigma = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+    tells = np.asarray(np.all(sigma < _TELLS * PRIOR_SIGMA_RAD, axis=1))
+    if len(np.unique(views[tells])) < _FEWEST_VIEWS:
+        return cov
+    squared = np.minimum((off[tells] / sigma[tells]) ** 2, _WILD**2)
+    growth = np.sqrt(np.maximum(squared.mean(axis=0), 1.0))
+    return np.asarray(np.where(tells[:, None, None], cov * np.outer(growth, growth), cov))
 
 
 def views_of(poses: Array) -> NDArray[np.int64]:
