@@ -298,6 +298,29 @@ def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Pa
     assert any("anew" in text for text in again.said)
 
 
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
+    localiser: Localiser, tmp_path: Path, anew: bool
+) -> None:
+    """From the very particles; with other settings from about there."""
+    first = Feed()([*camera(), *drive(N)])
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.filter, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"), record=tmp_path / "drive.db3")
+    rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    elsewhere = np.array([50.0, 0.0, 1.0]) if anew else np.zeros(3)
+    wheels = [
+        odometry(m.at_ns, compose(elsewhere, LOG.odometry.at(m.at_ns))) if m.role == "odometry" else m for m in rest
+    ]
+    again([*camera(), *wheels]).close()
+    assert any("anew" in text for text in again.said) == anew
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    track = load_track(run / "trajectory.csv")
+    assert (track.t_ns - BEGIN_NS).tolist() == again.times and len(again.times) == 6
+    np.testing.assert_allclose(track.poses, again.poses, rtol=0, atol=1e-9)
+    other = localiser.replay(tmp_path / "drive.db3", tmp_path / "other", "--set", "mcl.particles=400")
+    np.testing.assert_allclose(load_track(other / "trajectory.csv").poses, again.poses, rtol=0, atol=0.2)
+
+
 def test_what_is_published_is_what_ros_expects(undisturbed: Feed) -> None:
     """map→odom, applied to the odometry's pose, is the pose in the map."""
     sent: dict[str, bytes] = {}

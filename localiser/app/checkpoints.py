@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from localiser.app.live.state import identity
 from localiser.app.run_inputs import RunInputs
 from localiser.frames import LocatedFrame
 from localiser.mcl import FilterState
-from localiser.storage.checkpoint import load_checkpoint, save_checkpoint
+from localiser.storage.checkpoint import checkpoint_of, load_checkpoint, save_checkpoint
 
 STAGES = ("load", "edges", "filter", "sinks")
 
@@ -51,6 +52,20 @@ class Checkpoints:
     def is_due(self, frames: int) -> bool:
         """Whether one is to be written after this many images."""
         return bool(self.every) and frames % self.every == 0
+
+
+def begun(inputs: RunInputs, rng: np.random.Generator) -> Running:
+    """Return a replay at its beginning: before any event, or, of a live run that was resumed, where that went on.
+
+    A state belongs to its settings, map and camera: with others the replay starts about there, as for any start.
+    Raises InputError when the state is damaged.
+    """
+    log = inputs.log
+    if log.resumed and inputs.start is log.start:
+        saved = checkpoint_of(log.resumed, log.path)
+        if saved.identity == identity(inputs.config, inputs.landmark_map, log.camera):
+            return Running(saved.state, saved.rng, Progress(events=1))  # the start is in the state
+    return Running(FilterState(), rng, Progress())
 
 
 def resumed(path: Path, inputs: RunInputs) -> Running:

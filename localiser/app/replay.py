@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from localiser import mcl, view
-from localiser.app.checkpoints import STAGES, Checkpoints, Progress, Running, resumed
+from localiser.app.checkpoints import STAGES, Checkpoints, Running, begun, resumed
 from localiser.app.filter import filter_of
 from localiser.app.outputs import require_new_file
 from localiser.app.run_figures import write_figures
@@ -215,7 +215,7 @@ def prepare(
         require_new_file(outputs.checkpoints.path)
     rng = np.random.default_rng(config.seed)
     inputs = RunInputs(log, landmark_map, map_file, config, start_of(log, start_option, rng))
-    running = Running(mcl.FilterState(), rng, Progress()) if resume is None else resumed(resume, inputs)
+    running = begun(inputs, rng) if resume is None else resumed(resume, inputs)
     observation = observation_of(log.camera, config.observation)
     filter_ = filter_of(log.camera, landmark_map, observation, config)
     if log.has_images:

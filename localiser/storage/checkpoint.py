@@ -31,11 +31,12 @@ _KINDS = "fiub"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Where a run goes on from. kept: what else it kept, None where nothing was."""
+    """Where a run goes on from. kept: what else it kept, None where nothing was. identity: what it belongs to."""
 
     state: FilterState
     rng: np.random.Generator
     kept: Any
+    identity: Mapping[str, str]
 
 
 def identity_of(settings: Mapping[str, Any], **parts: Any) -> dict[str, str]:
@@ -57,10 +58,14 @@ def _flat(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str]]
 def save_checkpoint(
     path: Path, state: FilterState, rng: np.random.Generator, identity: Mapping[str, str], kept: Any = None
 ) -> None:
-    """Write a checkpoint, whole or not at all, also when the power fails. kept: anything that can be packed.
+    """Write a checkpoint, whole or not at all, also when the power fails. Raises OutputError."""
+    write_bytes(path, checkpoint_bytes(state, rng, identity, kept), durably=True)
 
-    Raises OutputError.
-    """
+
+def checkpoint_bytes(
+    state: FilterState, rng: np.random.Generator, identity: Mapping[str, str], kept: Any = None
+) -> bytes:
+    """Return the content of a checkpoint. kept: anything that can be packed."""
     arrays: list[NDArray[Any]] = []
     header = {
         "identity": dict(identity),
@@ -79,7 +84,7 @@ def save_checkpoint(
     digest = sha256()
     for part in parts:
         digest.update(part)
-    write_bytes(path, b"".join([f"{FORMAT}\n{digest.hexdigest()}\n".encode(), *parts]), durably=True)
+    return b"".join([f"{FORMAT}\n{digest.hexdigest()}\n".encode(), *parts])
 
 
 def load_checkpoint(path: Path, identity: Mapping[str, str], kept: Any = None) -> Checkpoint:
@@ -87,7 +92,13 @@ def load_checkpoint(path: Path, identity: Mapping[str, str], kept: Any = None) -
 
     Raises InputError where the file is damaged, or was made with another `identity`: another map, another setting.
     """
-    content = read_bytes(path, MAX_BYTES)
+    return checkpoint_of(read_bytes(path, MAX_BYTES), path, identity, kept)
+
+
+def checkpoint_of(
+    content: bytes, path: Path, identity: Mapping[str, str] | None = None, kept: Any = None
+) -> Checkpoint:
+    """Return what the content of a checkpoint holds, as `load_checkpoint` does; without `identity`, any run's."""
     magic, _, rest = content.partition(b"\n")
     if magic != FORMAT.encode():
         raise InputError(f"expected a checkpoint ({FORMAT}), found something else", path=path)
@@ -100,7 +111,8 @@ def load_checkpoint(path: Path, identity: Mapping[str, str], kept: Any = None) -
         saved = unpack(dict[str, str], header["identity"], [], "identity")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise _other_version(path, error) from None
-    _require_same(path, saved, identity)
+    if identity is not None:
+        _require_same(path, saved, identity)
     try:
         arrays = _arrays(header["arrays"], data)
         state = unpack(FilterState, header["state"], arrays, "state")
@@ -109,7 +121,7 @@ def load_checkpoint(path: Path, identity: Mapping[str, str], kept: Any = None) -
         rng.bit_generator.state = header["rng"]
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise _other_version(path, error) from None
-    return Checkpoint(state, rng, rest_of_it)
+    return Checkpoint(state, rng, rest_of_it, saved)
 
 
 def _require_same(path: Path, saved: Mapping[str, str], identity: Mapping[str, str]) -> None:

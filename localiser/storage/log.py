@@ -26,7 +26,8 @@ class Log:
     odometry: poses in the odometry's own frame. frames: images, or edges that were measured already, in the order of
     time. landmark_map, start, groundtruth (in the map frame): where the log has them. path: what was read.
     settings: what it says about the robot, as settings of the configuration by name, such as `motion.alpha1`.
-    restarts: where the robot was said to be later on.
+    restarts: where the robot was said to be later on. resumed: the state that a live run went on from, in place of its
+    start, as the content of a checkpoint; empty for any other log.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Log:
     groundtruth: Trajectory | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     restarts: Sequence[mcl.Start] = ()
+    resumed: bytes = b""
 
     @property
     def start_ns(self) -> int:

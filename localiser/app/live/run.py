@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from base64 import b64encode
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +28,7 @@ from localiser.storage.bags.bag import POSE, TEXT, stamp_of
 from localiser.storage.bags.decisions import anywhere_decision, clock_decision, start_decision
 from localiser.storage.bags.messages import Messages
 from localiser.storage.bags.poses import floor_cov, floor_pose
-from localiser.storage.bags.topics import DECISIONS_TOPIC
+from localiser.storage.bags.topics import DECISIONS_TOPIC, STATE_TOPIC
 
 _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
@@ -178,9 +179,12 @@ class LiveRun:
         return number
 
     def _decide(self, decision: str) -> None:
+        self._tell(DECISIONS_TOPIC, decision)
+
+    def _tell(self, topic: str, text: str) -> None:
+        """Record what no message says."""
         if self.recording is not None:
-            content = self._messages.encode(self._messages.text(decision))
-            self.recording.write(DECISIONS_TOPIC, TEXT, time.time_ns(), content)
+            self.recording.write(topic, TEXT, time.time_ns(), self._messages.encode(self._messages.text(text)))
 
     # -- the filter ---------------------------------------------------------------------------------------------------
 
@@ -192,6 +196,7 @@ class LiveRun:
             self.monitor.inform("the camera is known")
             if self.resumed is not None:
                 self._decide(start_decision(self.resumed.begin(self.filter, self.timeline, t_ns)))
+                self._tell(STATE_TOPIC, b64encode(self.resumed.content).decode())
                 self.monitor.inform(self.resumed.text)
             elif self.start is not None:
                 self._restart(replace(self.start, t_ns=t_ns))

@@ -15,19 +15,26 @@ import numpy as np
 from localiser import mcl, particles
 from localiser.app.live.located import Filter
 from localiser.app.live.timeline import Timeline, is_driven
+from localiser.camera import Camera
+from localiser.config import Config
 from localiser.errors import OutputError
-from localiser.storage.checkpoint import identity_of, load_checkpoint, save_checkpoint
+from localiser.landmarks import LandmarkMap
+from localiser.storage.checkpoint import checkpoint_bytes, identity_of, load_checkpoint, save_checkpoint
 
 EVERY_S = 3.0
 
 
-def identity(filter_: Filter) -> dict[str, str]:
+def identity(config: Config, landmark_map: LandmarkMap, camera: Camera) -> dict[str, str]:
     """Return what a state belongs to: settings, map and camera."""
     return identity_of(
-        filter_.config.model_dump(exclude={"versions"}),
-        map=replace(filter_.landmark_map, frame={}, extra=(), header={}),
-        camera=replace(filter_.camera, name=""),
+        config.model_dump(exclude={"versions"}),
+        map=replace(landmark_map, frame={}, extra=(), header={}),
+        camera=replace(camera, name=""),
     )
+
+
+def _identity(filter_: Filter) -> dict[str, str]:
+    return identity(filter_.config, filter_.landmark_map, filter_.camera)
 
 
 @dataclass(slots=True, eq=False)
@@ -58,7 +65,7 @@ class Checkpoints:
         state = filter_.state
         wheels = deque(replace(pose, t_ns=pose.t_ns - offset_ns) for pose in state.odometry)
         moment = replace(state, at_ns=state.at_ns - offset_ns, odometry=wheels, waiting=deque())
-        return moment, copy.deepcopy(filter_.rng), identity(filter_)
+        return moment, copy.deepcopy(filter_.rng), _identity(filter_)
 
     def _save(self, state: mcl.FilterState, rng: np.random.Generator, belongs_to: dict[str, str]) -> None:
         try:
@@ -69,10 +76,11 @@ class Checkpoints:
 
 @dataclass(slots=True, eq=False)
 class Resumed:
-    """A run that goes on from what was saved. text: what there is to say of that."""
+    """A run that goes on from what was saved. text: what there is to say of that. content: what it went on from."""
 
     path: Path
     text: str = field(default="", init=False)
+    content: bytes = field(default=b"", init=False)
 
     def begin(self, filter_: Filter, timeline: Timeline, t_ns: int) -> mcl.Start:
         """Put the saved state into a filter whose first image is at `t_ns`; return about where that is.
@@ -80,7 +88,7 @@ class Resumed:
         Wheels that have gone on counting tell what happened in between; those that begin anew do not, and the robot
         is taken to be where it was. Raises InputError when the state belongs to another map, camera or setting.
         """
-        saved = load_checkpoint(self.path, identity(filter_))
+        saved = load_checkpoint(self.path, _identity(filter_))
         state, first = saved.state, timeline.first_odometry
         if state.odometry and first is not None and is_driven(state.odometry[-1], first):
             timeline.resume(state.odometry[-1])
@@ -90,6 +98,7 @@ class Resumed:
             state.at_ns, state.seen = t_ns if first is None else min(first.t_ns, t_ns), None
             self.text = "resumed; the wheels begin anew, so the robot is taken to be where it was"
         filter_.state, filter_.rng = state, saved.rng
+        self.content = checkpoint_bytes(state, saved.rng, saved.identity)
         assert state.particles is not None
         found = particles.estimate(state.particles)
         return mcl.Start(state.at_ns, found.pose, found.pose_cov)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +22,7 @@ from localiser.storage.bags.images import stated_size
 from localiser.storage.bags.label import FORMAT, Label, camera_of_text, label_of, map_of
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.poses import floor_pose
-from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, MAP_TOPIC, Chosen, choose
+from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, MAP_TOPIC, STATE_TOPIC, Chosen, choose
 from localiser.storage.cameras import load_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.log import Log, require_overlap
@@ -92,6 +93,7 @@ class _Content:
     landmark_map: LandmarkMap | None = None
     camera: Camera | None = None
     decisions: Decisions | None = None
+    resumed: bytes = b""
 
     def take(self, message: Message) -> None:
         """Keep what a message says. Raises InputError."""
@@ -125,6 +127,8 @@ class _Content:
         elif topic == DECISIONS_TOPIC:
             self.decisions = self.decisions or Decisions()
             self.decisions.take(text)
+        elif topic == STATE_TOPIC:
+            self.resumed = b64decode(text, validate=True)
         else:
             self.label = label_of(text, source)
 
@@ -198,6 +202,7 @@ def _log(path: Path, content: _Content, given: Camera | None) -> Log:
             landmark_map=content.landmark_map,
             start=starts[0] if starts else start,
             restarts=[start for start in starts[1:] if start is not None],
+            resumed=content.resumed,
             groundtruth=content.groundtruth.trajectory(path, truth) if truth and content.groundtruth.rows else None,
             settings={f"motion.{name}": value for name, value in (label.motion or {}).items()} | (label.settings or {}),
         )

@@ -13,7 +13,8 @@ from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY,
 
 LOG_TOPIC, MAP_TOPIC = "/localiser/log", "/localiser/map"
 CAMERA_TOPIC, DECISIONS_TOPIC = "/localiser/camera", "/localiser/decisions"
-LABEL_TOPICS = (LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC, DECISIONS_TOPIC)
+STATE_TOPIC = "/localiser/state"
+LABEL_TOPICS = (LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC, DECISIONS_TOPIC, STATE_TOPIC)
 TYPES = {
     "image": (IMAGE, COMPRESSED),
     "camera_info": (CAMERA_INFO,),
