@@ -37,8 +37,9 @@ class LogMount:
     """Tilt and roll over F images: (2,) rad each.
 
     cov: (2, 2). image_mount, image_cov: (F, 2), (F, 2, 2) what each image says by itself, as certain as images prove to
-    be; where it says nothing, the mean over all with the sigma of the prior. lines, vertical: how many lines there were,
-    and how many of them are vertical edges. plumb_sigma: rad, how far edges are from plumb. views: number of views that count as independent.
+    be; where it says nothing, the mean over all with the sigma of the prior. lines, vertical: how many lines there
+    were, and how many of them are vertical edges. plumb_sigma: rad, how far edges are from plumb. views: number of
+    views that count as independent.
     """
 
     stated: Array
