@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -147,6 +149,7 @@ def test_calibrated_camera_file_is_read_back(localiser: Localiser, images: list[
     for text in ("0.png", "3.png", "error (px)", "fx (px)", "k1", "tilt (°)", "height (m)"):
         assert text in result.out
     camera = load_camera(out)
+    assert camera.name == "camera"
     assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert camera.mount.tilt_rad == pytest.approx(CAMERA.mount.tilt_rad, abs=np.deg2rad(0.5))
     assert camera.mount.height_m == pytest.approx(CAMERA.mount.height_m, abs=0.02)
@@ -170,13 +173,42 @@ def test_images_without_the_board_are_listed_and_too_few_refused(
     result = localiser("camera", "calibrate", *images, blank, *OPTIONS)
     assert result.exit_code == 0
     assert "no board found" in next(line for line in result.out.splitlines() if "blank.png" in line)
+    assert "No board was found in blank.png" in result.err
     for arguments, problem in (
         ((blank, blank), "found it in none"),
-        ((*images[:2], blank), "at least 3 images, found it in 2"),
+        ((*images[:2], blank), "at least 3 images, found it in 2 and not in blank.png; --squares counts squares"),
         ((*images, "--floor", blank), f"{blank}: expected a charuco board of 8x6 squares"),
     ):
         result = localiser("camera", "calibrate", *arguments, *OPTIONS)
         assert result.exit_code == 2 and problem in result.err.replace("\n", " "), result.err
+
+
+@pytest.mark.parametrize(("kind", "squares"), [("chessboard", "7x5"), ("charuco", "7x5"), ("charuco", "6x8")])
+def test_a_board_that_is_mistaken_for_another_is_told(
+    localiser: Localiser, tmp_path: Path, kind: Literal["chessboard", "charuco"], squares: str
+) -> None:
+    """OpenCV's own functions take the corners of a chessboard, one fewer each way than its squares."""
+    board, image = replace(BOARD, kind=kind), tmp_path / "board.png"
+    cv2.imwrite(str(image), board_image(CAMERA, board, poses_before(board, 1, seed=5)[0]))
+    result = localiser("camera", "calibrate", image, "--board", kind, "--squares", squares, "--square-m", "0.1")
+    assert result.exit_code == 2
+    said = " ".join(result.err.split())
+    assert "board.png shows one --squares 8x6: squares are counted, not the corners" in said, said
+
+
+def test_images_are_taken_once_and_in_the_order_of_their_names(
+    localiser: Localiser, images: list[Path], tmp_path: Path
+) -> None:
+    names = [tmp_path / name for name in ("view2.png", "view10.png", "view1.png", "view3.png")]
+    for path, image in zip(names, images, strict=True):
+        path.write_bytes(image.read_bytes())
+    out = tmp_path / "front.yaml"
+    result = localiser("camera", "calibrate", *names, names[0], *OPTIONS, "-o", out, "--name", "front left")
+    assert result.exit_code == 0
+    assert [word for word in result.out.split() if word.endswith(".png")] == [f"view{i}.png" for i in (1, 2, 3, 10)]
+    assert "camera_name: front left" in out.read_text()
+    listed = [localiser("camera", "calibrate", *order, *OPTIONS).out for order in (names, names[::-1])]
+    assert listed[0] == listed[1]
 
 
 @pytest.mark.parametrize(

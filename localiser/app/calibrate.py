@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from localiser.app.outputs import require_new_file
 from localiser.calibration import Board, BoardView, FloorMount, Intrinsics, calibrated, mount_over_board
+from localiser.calibration.intrinsics import FEWEST_VIEWS
 from localiser.camera import Camera, Mount
 from localiser.documents import read_bytes
 from localiser.errors import InputError
@@ -18,6 +20,8 @@ from localiser.storage.files import output_errors
 from localiser.storage.images import MAX_IMAGE_BYTES, load_image, measure
 
 _DPI = 600
+_MOST_LOOKED_AT = 3
+"""In as many images another board is looked for when the one that was named is not there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,25 +44,56 @@ class Calibration:
 def calibrate(
     images: Sequence[Path], floor: Path | None, board: Board, lens: str, progress: Callable[[], None]
 ) -> Calibration:
-    """Return what images of a board tell, and one of the board on the floor. Raises InputError."""
-    paths = [*images, *([floor] if floor is not None and floor not in images else [])]
+    """Return what images of a board tell, in the order of their names, and one of the board on the floor.
+
+    Raises InputError.
+    """
+    paths = in_order([*images, *([floor] if floor is not None else [])])
     size = common_size(paths)
     found: dict[Path, BoardView | None] = {}
     for path in paths:
         found[path] = board.find(load_image(path, size), path.name)
         progress()
-    if floor is not None and found[floor] is None:
-        raise InputError(f"expected a {board.kind} board of {board.size} squares, found none", path=floor)
+    without = [path for path, view in found.items() if view is None]
+    wanted = f"expected a {board.kind} board of {board.size} squares"
+    if floor in without:
+        raise InputError(f"{wanted}, found none; {_advice(board, [floor], size)}", path=floor)
     views = {path: view for path, view in found.items() if view is not None}
     if not views:
-        problem = f"expected a {board.kind} board of {board.size} squares in the images, found it in none of them"
+        problem = f"{wanted} in the images, found it in none of them; {_advice(board, without, size)}"
         raise InputError(problem, field="--squares")
+    if without and len(views) < FEWEST_VIEWS:
+        names = ", ".join(path.name for path in without)
+        problem = f"{wanted} in at least {FEWEST_VIEWS} images, found it in {len(views)} and not in {names}"
+        raise InputError(f"{problem}; {_advice(board, without, size)}")
     intrinsics = calibrated(list(views.values()), size, lens)
     return Calibration(
         intrinsics=intrinsics,
-        without_board=tuple(path.name for path, view in found.items() if view is None),
+        without_board=tuple(path.name for path in without),
         floor=None if floor is None else mount_over_board(intrinsics, list(views).index(floor)),
     )
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Return each path once, in the order of names, numbers in them as numbers: 2.png before 10.png."""
+
+    def key(path: Path) -> list[tuple[int, str]]:
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
+
+    return sorted(set(paths), key=key)
+
+
+def _advice(board: Board, images: Sequence[Path], size: tuple[int, int]) -> str:
+    """Return what to do about images in which the board was not found, for people."""
+    for path in images[:_MOST_LOOKED_AT]:
+        other = board.mistaken_for(load_image(path, size))
+        if other is not None:
+            option = f"--squares {other.size}" if other.size != board.size else ""
+            pattern = "" if other.legacy == board.legacy else f" {'with' if other.legacy else 'without'} --legacy"
+            found = f"{path.name} shows one {(option + pattern).strip()}"
+            return f"{found}: squares are counted, not the corners between them" if option else found
+    whole = "a chessboard must be seen whole" if board.kind == "chessboard" else "--dictionary must be the print's"
+    return f"--squares counts squares, not the corners between them, and {whole}"
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
@@ -76,8 +111,8 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     return sizes[0]
 
 
-def write_camera(calibration: Calibration, path: Path) -> None:
-    """Write a camera file, with how good it is as a comment. Raises OutputError."""
+def write_camera(calibration: Calibration, path: Path, name: str) -> None:
+    """Write the file of a camera called `name`, with how good it is as a comment. Raises OutputError."""
     intrinsics = calibration.intrinsics
     names = zip(intrinsics.parameters, intrinsics.sigma, strict=True)
     comment = (
@@ -90,7 +125,7 @@ def write_camera(calibration: Calibration, path: Path) -> None:
             f"\nMount from a board on the floor; 1 sigma: tilt {np.rad2deg(tilt):.2g}°, roll {np.rad2deg(roll):.2g}°, "
             f"height {height:.2g} m. Not measured: right_m, back_m, yaw_deg."
         )
-    save_camera(calibration.camera, path, with_mount=calibration.floor is not None, comment=comment)
+    save_camera(replace(calibration.camera, name=name), path, with_mount=calibration.floor is not None, comment=comment)
 
 
 def draw_board(board: Board, path: Path) -> None:

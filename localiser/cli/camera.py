@@ -92,7 +92,12 @@ def tilt(
 
 
 BoardOption = Annotated[BoardName, typer.Option(help="What is on the board.")]
-Squares = Annotated[str, typer.Option(metavar="CxR", help="How many squares across and down, such as 8x6.")]
+Squares = Annotated[
+    str,
+    typer.Option(
+        metavar="CxR", help="How many squares across and down, such as 8x6: one more than corners between them."
+    ),
+]
 SquareM = Annotated[float, typer.Option(metavar="M", help="Side of a square, measured on the print (m).")]
 MarkerM = Annotated[
     float | None, typer.Option(metavar="M", help="Side of a ChArUco marker (m); by default 0.75 of a square.")
@@ -109,7 +114,12 @@ Legacy = Annotated[bool, typer.Option("--legacy", help="ChArUco pattern of OpenC
 `localiser camera calibrate images/*.png --board chessboard --squares 9x7 --square-m 0.025 --floor floor.png`"""
 )
 def calibrate(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE…", help="JPEG or PNG images that show the board.")],
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="IMAGE…", help="JPEG or PNG images that show the board; taken in the order of their names."
+        ),
+    ],
     board: BoardOption,
     squares: Squares,
     square_m: SquareM,
@@ -122,6 +132,9 @@ def calibrate(
     ] = None,
     lens: Annotated[LensName, typer.Option(help="Model of the lens distortion, as ROS names it.")] = LensName.plumb_bob,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="New camera file.")] = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the camera in that file; by default the file's own.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
@@ -131,12 +144,13 @@ def calibrate(
     if out is not None:
         require_new_file(out)
     wanted = _board(board, squares, square_m, marker_m, dictionary, legacy)
-    with progress("Looking for the board", len(images) + (floor is not None and floor not in images), quiet) as advance:
+    count = len({*images} if floor is None else {*images, floor})
+    with progress("Looking for the board", count, quiet) as advance:
         found = calibration.calibrate(images, floor, wanted, lens.value, advance)
     if not quiet:
         _show_calibration(found)
     if out is not None:
-        calibration.write_camera(found, out)
+        calibration.write_camera(found, out, name or out.stem)
         typer.echo(f"Written to {out}")
         if found.floor is None:
             typer.echo("It has no mount yet: use --floor, or add tilt_deg, height_m, … by hand.", err=True)
@@ -204,6 +218,12 @@ def _show_calibration(found: Calibration) -> None:
     if outliers:
         typer.secho(
             f"Look at {', '.join(outliers)}: blurred, bent or not this board? Leave out what is.", fg="yellow", err=True
+        )
+    if found.without_board:
+        typer.secho(
+            f"No board was found in {', '.join(found.without_board)}: blurred, too small or, a chessboard, cut off?",
+            fg="yellow",
+            err=True,
         )
     if intrinsics.reach < _WELL_REACHED:
         typer.secho(
