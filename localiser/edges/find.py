@@ -16,6 +16,7 @@ from localiser.edges.segments import Detector, hough, lsd
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
+from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
 
 DETECTORS: dict[str, Detector] = {"lsd": lsd, "hough": hough, "columns": columns}
@@ -37,8 +38,13 @@ def find_edges(image: Image, camera: Camera, parameters: EdgeParameters) -> Edge
     edge = same_edge(kept, camera, mount, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
     edges = edges.take(edges.length_px >= parameters.min_length_px)
-    rejected = ideal_camera(camera).image_from_pixels(segments.ends_px[~vertical])
-    return replace(edges, rejected_px=camera.pixels_from_image(rejected))
+    others = segments.take(~vertical)
+    rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
+    return replace(
+        edges,
+        vertical_probability=vertical_probability(edges, others, camera, mount_sigma_rad, plumb_sigma_rad),
+        rejected_px=camera.pixels_from_image(rejected),
+    )
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:

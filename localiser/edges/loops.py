@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import TypeVar, cast
@@ -239,6 +240,32 @@ def mount_loop(
         cov = np.array([[d, -b], [-b, a]]) / (a * d - b * b)
         mean = np.array([cov[0, 0] * p + cov[0, 1] * q, cov[1, 0] * p + cov[1, 1] * q])
     return mean, cov
+
+
+def vertical_loop(
+    miss: Array, variance: Array, crooked_variance: Array, reach: float, prior: float, iterations: int
+) -> Array:
+    """Return how likely lines (S,) are vertical: `vertical_probability`."""
+    count = len(miss)
+    probability = np.empty(count)
+    share, factor = 0.5, 1.0
+    for _ in range(iterations):
+        vertical, crooked = prior / 2, prior
+        says = prior
+        for k in range(count):
+            own = factor * crooked_variance[k]
+            wide = math.sqrt(2 * (variance[k] + own))
+            upright = math.exp(-((miss[k] / wide) ** 2)) / (wide * math.sqrt(math.pi))
+            other = (math.erf((miss[k] + reach) / wide) - math.erf((miss[k] - reach) / wide)) / (4 * reach)
+            upright, other = share * upright, max((1 - share) * other, 1e-300)
+            probability[k] = upright / (upright + other)
+            part = own / (variance[k] + own)
+            expected = part**2 * miss[k] ** 2 + part * variance[k]
+            vertical += probability[k]
+            says += probability[k]
+            crooked += probability[k] * expected / crooked_variance[k]
+        share, factor = vertical / (count + prior), crooked / says
+    return probability
 
 
 def same_edge_loop(

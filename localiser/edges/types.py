@@ -31,6 +31,8 @@ class Edges:
     bearing, bearing_sigma: (E,) rad, from the camera's forward axis, positive right, of the line held through the
         nadir point (observation `line`).
     lean, lean_sigma: (E,) rad, of the free line in the upright image (observation `slope`).
+    vertical_probability: (E,) how likely this is a vertical edge of the scene, and no other line that happens to point
+        at the nadir point.
     length_px: (E,) visible length. polarity: (E,) +1 dark to light from left to right, -1 light to dark, 0 unknown.
     ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included.
     foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
@@ -46,6 +48,7 @@ class Edges:
     bearing_sigma: Array
     lean: Array
     lean_sigma: Array
+    vertical_probability: Array
     length_px: Array
     polarity: NDArray[np.int8]
     ends_px: Array
@@ -68,6 +71,7 @@ class Edges:
         lean: Array,
         lean_sigma: Array,
         *,
+        vertical_probability: Array | None = None,
         length_px: Array | None = None,
         polarity: NDArray[np.int8] | None = None,
         ends_px: Array | None = None,
@@ -88,6 +92,7 @@ class Edges:
             bearing_sigma=bearing_sigma,
             lean=lean,
             lean_sigma=lean_sigma,
+            vertical_probability=unknown if vertical_probability is None else vertical_probability,
             length_px=unknown if length_px is None else length_px,
             polarity=np.zeros(count, dtype=np.int8) if polarity is None else polarity,
             ends_px=np.full((count, 2, 2), np.nan) if ends_px is None else ends_px,

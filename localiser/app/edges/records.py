@@ -15,6 +15,7 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, Edges
 from localiser.edges.mount import mount_error_of_edges
+from localiser.edges.profile import PROFILE_OFFSETS_PX
 
 Row = dict[str, Any]
 
@@ -29,6 +30,7 @@ COLUMNS = {
     "lean_sigma_rad": "its standard deviation",
     "slope": "the paper's slope m = 1 / tan(lean)",
     "slope_deg": "the paper's slope as an angle, from the image's horizontal: 90 is vertical",
+    "vertical_probability": "how likely it is a vertical edge and not another line that points at the nadir point",
     "length_px": "visible length",
     "polarity": "1 dark to light from left to right, -1 light to dark, 0 unknown",
     "bottom_u_px": "lower end in the image as taken, to the right of the top-left pixel's centre",
@@ -43,6 +45,11 @@ COLUMNS = {
     "foot_back_m": "and behind it, so negative ahead",
 }
 
+PROFILE = (
+    f"grey values across it, {PROFILE_OFFSETS_PX[0]:g} … {PROFILE_OFFSETS_PX[-1]:g} px from it in equal steps, left to "
+    "right, means along it; JSON only"
+)
+
 
 def rows_of(edges: Edges) -> list[Row]:
     """Return one row an edge with the keys of `COLUMNS`; what is not known is nan."""
@@ -55,6 +62,7 @@ def rows_of(edges: Edges) -> list[Row]:
         edges.lean_sigma,
         geometry.slope_from_lean(edges.lean),
         slope_deg(edges),
+        edges.vertical_probability,
         edges.length_px,
         edges.polarity,
         *bottom.T,
@@ -68,6 +76,11 @@ def rows_of(edges: Edges) -> list[Row]:
     )
     values = [column.tolist() for column in columns]
     return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*values, strict=True)]
+
+
+def records_of(edges: Edges) -> list[Row]:
+    """Return the rows for JSON: those of CSV, and what is more than a number."""
+    return [{**row, "profile": profile} for row, profile in zip(rows_of(edges), edges.profile.tolist(), strict=True)]
 
 
 def foot_flag(edges: Edges) -> NDArray[np.str_]:

@@ -1,0 +1,49 @@
+"""How surely an edge is a vertical one: its free slope against the slope that its position predicts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from localiser.camera import Camera
+from localiser.edges.loops import compiled, vertical_loop
+from localiser.edges.mount import mount_error_of_edges, nadir_miss, pointing_of_edges
+from localiser.edges.segments import Segments
+from localiser.edges.types import Edges
+from localiser.geometry import Array
+
+REACH_RAD = float(np.arctan(1 / 8))
+"""How far from vertical `columns` looks, a column a block: lines that are not vertical have any direction up to this,
+each as likely."""
+_PRIOR_LINES = 2.0
+"""As how many lines it counts that half of all lines are vertical, and that these are as crooked as is stated."""
+_LEAST_RAD = 1e-6
+_ITERATIONS = 20
+
+
+def vertical_probability(
+    edges: Edges, rejected: Segments, camera: Camera, mount_sigma_rad: Array, plumb_sigma_rad: float
+) -> Array:
+    """Return how likely edges (E) are vertical ones, (E,), and not lines that happen to point at the nadir point.
+
+    p(miss) = v N(0, sigma²) + (1 - v) (uniform within ±`REACH_RAD`, measured with sigma). miss is the free slope less
+    the one that the position predicts ([Taylor06] eq. 7), under the mount that the image's edges tell; sigma is of the
+    slope, of edges that are crooked, and of that mount. v, the share of lines that are vertical, and how crooked these
+    are, are learnt from the image's edges and from the segments (R) that were `rejected`, by expectation maximisation.
+    Edges whose slope is so vague that it tells nothing have v.
+    """
+    if len(edges) == 0:
+        return np.zeros(0)
+    mount = mount_error_of_edges(edges, camera, mount_sigma_rad, plumb_sigma_rad)
+    pointing, crooked_rad = pointing_of_edges(edges, camera, plumb_sigma_rad)
+    others = nadir_miss(rejected, camera)
+    others = others.take(np.abs(others.corrected(mount)[0]) < REACH_RAD)
+    misses, by_mount = zip(pointing.corrected(mount), others.corrected(mount), strict=True)
+    probability = compiled(vertical_loop)(
+        np.concatenate(misses),
+        np.concatenate([pointing.sigma, others.sigma]) ** 2 + np.concatenate(by_mount),
+        np.concatenate([crooked_rad, np.full(len(others.sigma), plumb_sigma_rad)]) ** 2 + _LEAST_RAD**2,
+        REACH_RAD,
+        _PRIOR_LINES,
+        _ITERATIONS,
+    )
+    return probability[: len(edges)]
