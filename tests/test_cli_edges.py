@@ -15,6 +15,7 @@ from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 
 from localiser.camera import Camera
+from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.storage import load_camera, save_camera
 
 BEARINGS_DEG = np.array([-21.0, -6.0, 4.0, 19.0])
@@ -77,6 +78,7 @@ def test_the_table_holds_the_true_edges_from_left_to_right(localiser: Localiser,
     assert column(rows, "foot_right_m") == pytest.approx(2.0 * np.tan(np.deg2rad(BEARINGS_DEG)), rel=0.05)
     assert [row["foot"] for row in rows] == ["floor"] * 4
     assert np.all((column(rows, "foot_probability") > 0.5) & (column(rows, "foot_probability") < 1))
+    assert np.all((column(rows, "vertical_probability") > 0.9) & (column(rows, "vertical_probability") <= 1))
     ends = np.stack([column(rows, name) for name in ("bottom_u_px", "bottom_v_px", "top_u_px", "top_v_px")], axis=-1)
     assert CAMERA.bearing_of_segments(ends.reshape(-1, 2, 2)) == pytest.approx(bearing, abs=2e-3)
 
@@ -93,6 +95,9 @@ def test_json_and_csv_hold_the_same_edges(localiser: Localiser, folder: Path) ->
             assert np.array(found["rejected_px"]).size == found["rejected"] * 4
             for row, edge in zip(own, found["edges"], strict=True):
                 assert set(edge) == set(data["columns"])
+                profile = edge.pop("profile")
+                assert len(profile) == len(PROFILE_OFFSETS_PX)
+                assert np.sign(profile[-1] - profile[0]) == edge["polarity"]
                 for name, value in edge.items():
                     assert row[name] == ("" if value is None else str(value))
 

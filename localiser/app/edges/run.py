@@ -12,7 +12,7 @@ import numpy as np
 from localiser.app.edges.compare import Comparison
 from localiser.app.edges.inputs import Taken
 from localiser.app.edges.overlay import save_overlay
-from localiser.app.edges.records import COLUMNS, csv_text, mount_by_edges, rows_of
+from localiser.app.edges.records import COLUMNS, PROFILE, csv_text, mount_by_edges, records_of, rows_of
 from localiser.app.outputs import require_new
 from localiser.app.stop import stop_request
 from localiser.camera import Camera
@@ -110,7 +110,7 @@ class EdgeRun:
         rows = {name: rows_of(edges) for name, edges in found.items()}
         detectors = {
             name: {
-                "edges": rows[name],
+                "edges": records_of(edges),
                 "rejected_px": edges.rejected_px,
                 "rejected": len(edges.rejected_px),
                 "mount_by_edges": mount_by_edges(edges, self.camera, self._parameters(name)),
@@ -118,7 +118,8 @@ class EdgeRun:
             for name, edges in found.items()
         }
         head = {"format": FORMAT, **about, "width": self.camera.width, "height": self.camera.height}
-        write_text(self.folder / f"{taken.stem}.json", json_text({**head, "columns": COLUMNS, "detectors": detectors}))
+        columns = {**COLUMNS, "profile": PROFILE}
+        write_text(self.folder / f"{taken.stem}.json", json_text({**head, "columns": columns, "detectors": detectors}))
         self._append(
             [*about, "detector", *COLUMNS],
             [{**about, "detector": name, **row} for name in found for row in rows[name]],
