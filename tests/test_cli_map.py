@@ -103,28 +103,76 @@ def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
 
 
-def test_the_recording_shows_landmarks_that_grow_certain(tmp_path: Path) -> None:
+def recorded(path: Path) -> dict[str, list[list[object]]]:
+    """Return the rows of points, lines and numbers of every entity in a recording, in the order of frames."""
     from rerun.chunk import RrdReader
 
-    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60])
-    recording = tmp_path / "map.rrd"
-    assert run("map", "build", log, "-o", tmp_path / "map.yaml", "--rrd", recording, "-q").exit_code == 0
     rows: dict[str, list[list[object]]] = {}
-    for chunk in RrdReader(recording).stream():
+    for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
-            if name.endswith((":positions", ":strips")):
+            if name.endswith((":positions", ":strips", ":scalars", ":text")):
                 rows.setdefault(chunk.entity_path.removeprefix("/"), []).extend(column.to_pylist())
+    return rows
+
+
+def test_the_recording_shows_landmarks_that_grow_certain(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60])
+    recording, out = tmp_path / "map.rrd", tmp_path / "map.yaml"
+    assert run("map", "build", log, "-o", out, "--rrd", recording, "-q").exit_code == 0
+    rows = recorded(recording)
     places, ellipses = rows["world/building/landmarks"], rows["world/building/ellipses"]
-    assert len(places) == len(ellipses) == 60
-    count = [len(row) for row in places]
+    assert len(places) == len(ellipses) == len(rows["world/camera/overlay/edges"]) + 1 == 61
+    count = [len(row) for row in places[:-1]]
     assert count == sorted(count)
-    assert count[-1] > 10 > count[0]
-    # The first ellipse to be drawn is smaller in the end.
-    first = next(row[0] for row in ellipses if row)
-    last = min(np.ptp(np.array(line), axis=0).max() for line in ellipses[-1])
-    assert last < np.ptp(np.array(first), axis=0).max()
+    assert count[-1] > 10 > count[0] == 0
+    assert [row[0] for row in rows["plots/landmarks"]] == [len(row) for row in places]
+    # Ellipses never grow, and shrink much, until all is refined at once.
+    size = np.full((60, count[-1]), np.nan)
+    for row, lines in zip(size, ellipses[:-1], strict=True):
+        row[: len(lines)] = [np.ptp(np.array(line), axis=0).max() for line in lines]
+    assert not (np.diff(size, axis=0) > 1e-6).any()
+    assert np.median(size[-1] / np.nanmax(size, axis=0)) < 0.7
+    # What is drawn last is what is in the file.
+    drawn = np.array([line[0] for line in places[-1]])[:, [0, 2]]
+    assert drawn == pytest.approx(load_map(out).points, abs=1e-3)
+    assert "refined" in str(rows["text"][-1])
     assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
+
+
+def test_the_recording_of_a_log_alone_shows_the_path_before_and_after_loops_were_closed(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60], truth=False)
+    recording, track = tmp_path / "map.rrd", tmp_path / "path.tum"
+    options = ("--poses", "slam", "--trajectory", track, "--rrd", recording, "-q")
+    assert run("map", "build", log, "-o", tmp_path / "map.yaml", *options).exit_code == 0
+    rows = recorded(recording)
+    (before,), (after,) = rows["world/trails/before_loops"], rows["world/trails/after_loops"]
+    assert np.array(after[0])[:, [0, 2]] == pytest.approx(load_tum(track).poses[:, :2], abs=1e-4)
+    assert np.shape(before[0]) == np.shape(after[0])
+
+
+def test_a_build_can_be_watched_and_a_viewer_that_is_missing_is_no_obstacle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    from localiser.view import live
+
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60])
+    code = "import sys, rerun_cli.__main__ as cli; sys.exit(cli.main())"
+    shown, kept = tmp_path / "live.rrd", tmp_path / "file.rrd"
+    command = [sys.executable, "-c", code, "rrd", "merge", "-o", str(shown)]
+    monkeypatch.setattr(live, "_viewer", lambda kind: (command, "http://here"))
+    options = ("--view", "web", "--rrd", kept, "-q")
+    watched = run("map", "build", log, "-o", tmp_path / "map.yaml", *options)
+    assert watched.exit_code == 0
+    assert "Watch at http://here" in watched.stderr
+    assert recorded(shown) == recorded(kept)
+    monkeypatch.setattr(live, "_viewer", lambda kind: (["/no/such/viewer"], None))
+    alone = run("map", "build", log, "-o", tmp_path / "b.yaml", "--view", "native", "-q")
+    assert "without it" in alone.stderr
+    assert load_map(tmp_path / "b.yaml").points == pytest.approx(load_map(tmp_path / "map.yaml").points)
+    assert "native, web, none" in refused("map", "build", log, "-o", tmp_path / "c.yaml", "--view", "cinema")
 
 
 def test_an_existing_map_is_not_overwritten_unasked(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from localiser.errors import InputError, OutputError
 from localiser.geometry import Array, Increment, Trajectory, between, compose
 from localiser.landmarks import LandmarkMap
 from localiser.storage import Log
+
+if TYPE_CHECKING:
+    from localiser.app.map_watch import MapWatch
 
 TRUTH, ODOMETRY, SLAM = "truth", "odometry", "slam"
 _KNOWN_TURN_RAD = 1e-3
@@ -45,15 +49,17 @@ class MapBuilt:
     slam: mapping.Slam | None = None
 
 
-def build_map(log: Log, poses: str, config: Config, progress: Callable[[], None]) -> MapBuilt:
+def build_map(
+    log: Log, poses: str, config: Config, progress: Callable[[], None], watch: MapWatch | None = None
+) -> MapBuilt:
     """Return the map of a log; poses: `truth`, `odometry`, `slam`, or the path of a trajectory (TUM, CSV).
 
+    watch: sees the map grow along these poses, or those of the wheels, while edges are found, and what comes out.
     Raises InputError when poses are missing, the robot stands still, or nothing is seen from two sides.
     """
     known = None if poses == SLAM else known_poses(log, poses)
-    edges = edges_of_log(log, config.edges, progress)
     t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
-    track = log.odometry if known is None else known
+    track = _odometry_in_map(log) if known is None else known
     inside = np.flatnonzero((t_ns >= track.t_ns[0]) & (t_ns <= track.t_ns[-1]))
     if len(inside) < _FEWEST_FRAMES:
         raise InputError(
@@ -64,10 +70,19 @@ def build_map(log: Log, poses: str, config: Config, progress: Callable[[], None]
         )
     trajectory = track.sampled(t_ns[inside])
     _require_motion(log, trajectory)
+    exact = poses not in (ODOMETRY, SLAM)
+    turn_sigma = np.full(len(trajectory), _KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config)
+    if watch is not None:
+        watch.begin(log, trajectory, turn_sigma, config.mapping)
+    edges = edges_of_log(log, config.edges, progress, watch=None if watch is None else watch.frame)
     used = [edges[index] for index in inside]
     if known is None:
-        return _from_log_alone(log, trajectory, used, config)
-    return _from_known_poses(log, trajectory, used, config, exact=poses != ODOMETRY, source=poses)
+        built = _from_log_alone(log, trajectory, used, config)
+    else:
+        built = _from_known_poses(log, trajectory, used, config, turn_sigma, exact=exact, source=poses)
+    if watch is not None:
+        watch.finish(built)
+    return built
 
 
 def known_poses(log: Log, poses: str) -> Trajectory:
@@ -106,7 +121,14 @@ def _require_motion(log: Log, trajectory: Trajectory) -> None:
 
 
 def _from_known_poses(
-    log: Log, trajectory: Trajectory, edges: list[Edges], config: Config, *, exact: bool, source: str
+    log: Log,
+    trajectory: Trajectory,
+    edges: list[Edges],
+    config: Config,
+    turn_sigma: Array,
+    *,
+    exact: bool,
+    source: str,
 ) -> MapBuilt:
     parameters = config.mapping
     cameras = log.camera.pose_in_map(trajectory.poses)
@@ -116,7 +138,6 @@ def _from_known_poses(
     if exact and np.median(sigma) > mapping.COARSE_RAD:
         built = mapping.build_from_votes(sightings, cameras, sigma, parameters)
     else:
-        turn_sigma = np.full(len(trajectory), _KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config)
         track = mapping.follow(sightings, cameras, turn_sigma, parameters.tracks)
         built = mapping.build_from_poses(sightings, track, cameras, sigma, parameters)
     source = source if source in (TRUTH, ODOMETRY) else Path(source).name
@@ -128,14 +149,12 @@ def _from_known_poses(
 
 
 def _from_log_alone(log: Log, odometry: Trajectory, edges: list[Edges], config: Config) -> MapBuilt:
-    """Build from edges and odometry; the first pose is the log's stated start, or the odometry's own."""
+    """Build from edges and odometry (T, 3), which begins at the log's stated start, or where it says itself."""
     parameters = config.mapping
     sightings = mapping.Sightings.from_edges(edges, log.camera)
     _require_edges(log, sightings)
-    first = _odometry_in_map(log).at(int(odometry.t_ns[0]))
-    found = mapping.build_from_log(
-        sightings, wheels_of(log.odometry, odometry.t_ns, config), first, log.camera, parameters
-    )
+    wheels = wheels_of(log.odometry, odometry.t_ns, config)
+    found = mapping.build_from_log(sightings, wheels, odometry.poses[0], log.camera, parameters)
     cameras = found.camera.pose_in_map(found.poses)
     landmark_map = mapping.landmark_map_of(
         sightings, found.built, cameras, found.sigma, found.camera, parameters, log.name, f"{log.name}, poses: {SLAM}"

@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 
@@ -27,34 +27,46 @@ _KEPT_MAPS = 50  # files that the cache holds; the oldest go
 
 
 def edges_of_log(
-    log: Log, parameters: EdgeParameters, progress: Callable[[], None], cache: Path | None = None
+    log: Log,
+    parameters: EdgeParameters,
+    progress: Callable[[], None],
+    cache: Path | None = None,
+    watch: Callable[[int, Edges], None] | None = None,
 ) -> list[Edges]:
     """Return the edges of every frame of a log, from the cache where they were found before.
 
     The cache is keyed by the images' bytes, the camera, the parameters and the program that finds edges; it is never
-    in the log's folder. cache: its folder, by default `cache_folder()`. Raises InputError for a bad image.
+    in the log's folder. cache: its folder, by default `cache_folder()`. watch: gets the edges of each frame, with its
+    time, as soon as they are known. Raises InputError for a bad image.
     """
+    found = []
+    for t_ns, edges in _found(log, parameters, cache or cache_folder()):
+        found.append(edges)
+        if watch is not None:
+            watch(t_ns, edges)
+        progress()
+    return found
+
+
+def _found(log: Log, parameters: EdgeParameters, cache: Path) -> Iterator[tuple[int, Edges]]:
+    """Yield time and edges of every frame; those of images are kept when all are found."""
     if not log.has_images:
-        found = []
         for frame in log.frames:
             assert isinstance(frame, Sighting)
-            found.append(frame.edges)
-            progress()
-        return found
+            yield frame.t_ns, frame.edges
+        return
     images = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
-    path = (cache or cache_folder()) / f"{_key(images, log.camera, parameters)}.npz"
+    path = cache / f"{_key(images, log.camera, parameters)}.npz"
     known = _load(path, len(images))
     if known is not None:
-        for _ in images:
-            progress()
-        return known
+        yield from zip((image.t_ns for image in images), known, strict=True)
+        return
     found = []
     for image in images:
         # What was rejected is only looked at; the profile of a map is what it is built from.
         found.append(_without_rejected(find_edges(image.load(), log.camera, parameters)))
-        progress()
+        yield image.t_ns, found[-1]
     _save(path, found)
-    return found
 
 
 def cache_folder() -> Path:

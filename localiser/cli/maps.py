@@ -22,6 +22,7 @@ from localiser.cli.shared import (
 
 if TYPE_CHECKING:
     from localiser.app.map_build import MapBuilt
+    from localiser.view.mapping import MapView
 
 map_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="markdown", help="Build landmark maps, check and mend them."
@@ -35,7 +36,7 @@ MapOut = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The ma
 
 `localiser map build logs/corridor --poses truth -o maps/mine.yaml`
 
-`localiser map build logs/corridor --poses slam -o maps/mine.yaml --trajectory mine.tum`
+`localiser map build logs/corridor --poses slam -o maps/mine.yaml --trajectory mine.tum --view web`
 
 `localiser map build logs/corridor --poses mine.tum -o maps/mine.yaml --set mapping.parallax_min_deg=8`"""
 )
@@ -58,6 +59,9 @@ def build(
     rrd: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Record for Rerun how the map grew: images, landmarks, path.")
     ] = None,
+    view: Annotated[
+        str, typer.Option(metavar="native|web|IP:PORT|none", help="Watch the map grow in Rerun, as edges are found.")
+    ] = "none",
     config: ConfigFile = None,
     overrides: Overrides = None,
     log_format: Annotated[
@@ -69,7 +73,7 @@ def build(
     quiet: Quiet = False,
 ) -> None:
     """Build a map of the vertical edges that a LOG shows, with what is known of each."""
-    from localiser.app import map_build
+    from localiser.app import map_build, map_watch
     from localiser.storage import save_tum
 
     for file in (out, trajectory, rrd):
@@ -78,17 +82,26 @@ def build(
     recorded, effective = opened(
         log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
     )
-    with progress("Finding edges", len(recorded.frames), quiet) as advance:
-        built = map_build.build_map(recorded, poses, effective, advance)
-    map_build.save(built, out, overwrite=force)
+    with map_watch.watching(rrd, view, lambda address: typer.echo(f"Watch at {address}", err=True)) as watch:
+        with progress("Finding edges", len(recorded.frames), quiet) as advance:
+            built = map_build.build_map(recorded, poses, effective, advance, watch)
+        map_build.save(built, out, overwrite=force)
     if trajectory is not None:
         save_tum(built.trajectory, trajectory)
-    if rrd is not None:
-        from localiser.app.map_record import record
-
-        record(built, recorded, rrd)
     if not quiet:
         _show_built(built, out)
+    if watch.viewer is not None:
+        _stay(watch.viewer)
+
+
+def _stay(viewer: MapView) -> None:
+    """Keep a page served until the user has seen enough; say so where there was no viewer to be had."""
+    if not viewer.is_running:
+        text = "The viewer was closed or could not start (is there a display?); the map was built without it."
+        typer.secho(text, fg="yellow", err=True)
+    elif viewer.address:
+        typer.echo("The page is served until Ctrl-C.", err=True)
+        viewer.wait()
 
 
 def _show_built(built: MapBuilt, out: Path) -> None:

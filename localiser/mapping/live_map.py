@@ -80,6 +80,11 @@ class LiveMap:
         """Their covariances (L, 2, 2) m²."""
         return np.array([feature.filter.P for feature in self._landmarks]).reshape(-1, 2, 2)
 
+    @property
+    def numbers(self) -> Index:
+        """The number (L,) by which `Followed` calls each."""
+        return np.array([feature.number for feature in self._landmarks], dtype=np.int64)
+
     def step(self, pose: Array, edges: Edges, turn_sigma_rad: float = 0.0) -> Followed:
         """Take in the edges (E) of one image, seen by a robot at `pose` (3,) in the map.
 
