@@ -242,6 +242,50 @@ def test_a_camera_of_another_size_than_the_logs(localiser: Localiser, folder: Pa
     assert "--camera: expected a camera of 640×480 pixels, found one of 320×240" in result.err
 
 
+# -- what is told -----------------------------------------------------------------------------------------------------
+
+
+def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, folder: Path) -> None:
+    image = wall_image(CAMERA, np.linspace(-24, 24, 11), [70, 150] * 6, wall_ahead_m=2.0, noise_sigma=1.0)
+    cv2.imwrite(str(folder / "wall.png"), image)
+    for off_deg, told in ((0.0, False), (3.0, True)):
+        mount = CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(off_deg))
+        save_camera(mount, folder / f"{off_deg}.yaml")
+        result = localiser("edges", folder / "wall.png", "--camera", folder / f"{off_deg}.yaml",
+                           "--out", folder / f"{off_deg}", "--no-pictures")  # fmt: skip
+        assert result.exit_code == 0
+        assert ("See `localiser camera tilt`" in result.err) == told
+        assert ("say that the camera's tilt is 20." in result.err or "tilt is 19.9" in result.err) == told
+
+
+def test_an_image_without_edges_is_told_in_a_line(localiser: Localiser, folder: Path) -> None:
+    cv2.imwrite(str(folder / "black.png"), np.zeros((240, 320), dtype=np.uint8))
+    camera = ("--camera", folder / "camera.yaml", "--no-pictures")
+    one = localiser("edges", folder / "black.png", *camera, "--out", folder / "one")
+    assert one.out.splitlines()[0].startswith("No vertical edges in")
+    assert "bearing" not in one.out
+    two = localiser("edges", folder / "black.png", *camera, "--detector", "lsd", "--detector", "columns",
+                    "--out", folder / "two")  # fmt: skip
+    assert two.exit_code == 0
+    assert "nan" not in two.out
+    assert "0%" not in two.out
+
+
+def test_the_last_line_says_what_the_table_of_detectors_is_for(localiser: Localiser, folder: Path) -> None:
+    camera = ("--camera", folder / "camera.yaml", "--no-pictures")
+    assert "detectors.csv sums up." in localiser("edges", folder / "0.png", *camera, "--out", folder / "one").out
+    two = localiser("edges", folder / "0.png", *camera, "--detector", "lsd", "--detector", "columns",
+                    "--out", folder / "two")  # fmt: skip
+    assert "detectors.csv compares them." in two.out
+
+
+def test_a_detector_named_twice(localiser: Localiser, folder: Path) -> None:
+    result = localiser("edges", folder / "0.png", "--camera", folder / "camera.yaml",
+                       "--detector", "lsd", "--detector", "lsd")  # fmt: skip
+    assert result.exit_code == 2
+    assert "--detector: expected each detector once, found lsd 2 times" in result.err
+
+
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 

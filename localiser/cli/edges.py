@@ -40,14 +40,13 @@ def edges(
     quiet: Quiet = False,
 ) -> None:
     """Find the vertical edges in images; write them as CSV and JSON, and a picture of each image."""
-    from localiser.app.edges import EdgeRun, Outputs, inputs_of
+    from localiser.app.edges import EdgeRun, Outputs, inputs_of, mount_warnings
     from localiser.app.edges.tables import tables_of
     from localiser.config import load_config
 
     settings = load_config(config, overrides or [])
-    for name in detector or []:
-        _require_detector(name)
-    names = list(dict.fromkeys(detector or [settings.edges.detector]))
+    names = detector or [settings.edges.detector]
+    _require_detectors(names)
     taken_by, taken = inputs_of(images, camera)
     run = EdgeRun(taken_by, taken, settings, names, Outputs(out, pictures))
     with progress("Finding edges", len(taken), quiet or len(taken) == 1) as advance:
@@ -56,13 +55,19 @@ def edges(
         for table in tables_of(run):
             show(table)
         pictures_too = ", a picture" if pictures else ""
-        typer.echo(f"Results in {run.folder}: edges.csv; of each image JSON{pictures_too}; detectors.csv compares.")
+        summary = "compares them" if len(names) > 1 else "sums up"
+        typer.echo(f"Results in {run.folder}: edges.csv; of each image JSON{pictures_too}; detectors.csv {summary}.")
+        for warning in mount_warnings(run):
+            typer.secho(warning, fg="yellow", err=True)
 
 
-def _require_detector(name: str) -> None:
+def _require_detectors(names: list[str]) -> None:
     from localiser.config import load_config
 
-    try:
-        load_config(None, [f"edges.detector={name}"])
-    except InputError as error:
-        raise InputError(error.problem, field="--detector") from None
+    for name in names:
+        try:
+            load_config(None, [f"edges.detector={name}"])
+        except InputError as error:
+            raise InputError(error.problem, field="--detector") from None
+        if names.count(name) > 1:
+            raise InputError(f"expected each detector once, found {name} {names.count(name)} times", field="--detector")

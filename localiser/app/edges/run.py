@@ -23,6 +23,8 @@ from localiser.storage import Image, RunFolder, json_text, save_camera
 from localiser.storage.files import output_errors, write_text
 
 FORMAT = "localiser-edges/1"
+KEPT_IMAGES = 200
+"""So many images tell whether the stated mount is right; a large batch is not held in memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class Outputs:
 class EdgeRun:
     """Images of one camera, and detectors that all look for edges in each.
 
-    last: what the detectors found in the image that was done last.
+    last: what the detectors found in the image that was done last. kept: what they found in the first `KEPT_IMAGES`.
     """
 
     camera: Camera
@@ -57,6 +59,7 @@ class EdgeRun:
     folder: Path = field(init=False)
     comparison: Comparison = field(init=False)
     last: dict[str, Edges] = field(init=False, default_factory=dict)
+    kept: dict[str, list[Edges]] = field(init=False, default_factory=dict)
 
     def run(self, progress: Callable[[], None]) -> None:
         """Find the edges of all images, calling `progress` after each.
@@ -104,6 +107,10 @@ class EdgeRun:
         self.comparison.add(found, ms, self.camera)
         self._write(taken, image, found)
         self.last = found
+        for name, edges in found.items():
+            frames = self.kept.setdefault(name, [])
+            if len(frames) < KEPT_IMAGES:
+                frames.append(edges)
 
     def _write(self, taken: Taken, image: Image, found: dict[str, Edges]) -> None:
         about = {"image": taken.image, **({} if taken.t_ns is None else {"t_ns": taken.t_ns})}

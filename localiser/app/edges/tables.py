@@ -18,13 +18,15 @@ _MOST_ROWS = 60
 UNKNOWN = "–"
 
 
-def tables_of(run: EdgeRun) -> Iterator[Table]:
-    """Yield the table of edges where one detector saw one image, and the comparison of detectors otherwise."""
+def tables_of(run: EdgeRun) -> Iterator[Table | str]:
+    """Yield the edges (or that there are none) where one detector saw one image, else the comparison of detectors."""
     if len(run.images) == 1 and len(run.detectors) == 1:
         (edges,) = run.last.values()
+        if len(edges) == 0:
+            yield f"No vertical edges in {run.images[0].image}; segments rejected: {len(edges.rejected_px)}"
+            return
         table = _edge_table(rows_of(edges), run.images[0].image)
-        if len(edges):
-            table.caption = _mount_text(run, edges)
+        table.caption = _mount_text(run, edges)
         yield table
     else:
         yield _detector_table(run.comparison.rows())
@@ -44,6 +46,7 @@ def _edge_table(rows: list[Row], image: str) -> Table:
         "lean °",
         "sigma °",
         "slope °",
+        "vertical %",
         "length px",
         "side",
         "foot m",
@@ -59,7 +62,8 @@ def _edge_table(rows: list[Row], image: str) -> Table:
         side = {1: "lighter right", -1: "lighter left"}.get(row["polarity"], UNKNOWN)
         foot = [_text(row[name], ".2f") for name in ("foot_range_m", "foot_range_sigma_m")]
         foot.append(_text(100 * row["foot_probability"], ".0f"))
-        table.add_row(str(row["edge"]), *angles, f"{row['slope_deg']:.2f}", f"{row['length_px']:.0f}", side, *foot)
+        lengths = _text(100 * row["vertical_probability"], ".0f"), f"{row['length_px']:.0f}"
+        table.add_row(str(row["edge"]), *angles, f"{row['slope_deg']:.2f}", *lengths, side, *foot)
     if len(rows) > _MOST_ROWS:
         table.add_row(f"{len(rows) - _MOST_ROWS} more in edges.csv")
     return table
@@ -118,6 +122,8 @@ def _agreement_table(rows: list[dict[str, Any]]) -> Table:
 
 
 def _shared(row: dict[str, Any], other: str) -> str:
+    if row["edges"] == 0:
+        return UNKNOWN
     return f"{row[f'share_also_{other}']:.0%}, {_text(row[f'apart_median_{other}_deg'], '.3f')}°"
 
 
