@@ -31,10 +31,10 @@ class Score:
     def add(self, scene: Scene, edges: Edges) -> None:
         """Match the edges of one image to the truth."""
         truth, measured = undistorted(scene.truth_px, scene.camera), undistorted(edges.ends_px, scene.camera)
-        far = _distances(truth, measured)
+        far = distances(truth, measured)
         found = scene.counted & ((far <= NEAR_PX).any(axis=2).mean(axis=1) >= COVERED_SHARE * scene.share)
         self.found, self.counted = self.found + int(found.sum()), self.counted + int(scene.counted.sum())
-        is_true = (_distances(measured, truth) <= NEAR_PX).any(axis=2).mean(axis=1) >= COVERED_SHARE
+        is_true = (distances(measured, truth) <= NEAR_PX).any(axis=2).mean(axis=1) >= COVERED_SHARE
         self.true, self.reported = self.true + int(is_true.sum()), self.reported + len(edges)
         bearing, lean = scene.camera.bearing_of_segments(scene.truth_px), scene.camera.lean_of_segments(scene.truth_px)
         for index in np.flatnonzero(found & scene.alone):
@@ -88,7 +88,7 @@ def robust_std(values: list[float]) -> float:
     return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if values else float("nan")
 
 
-def _distances(ends_px: Array, others_px: Array) -> Array:
+def distances(ends_px: Array, others_px: Array) -> Array:
     """Return (A, 41, B) how far points along segments (A, 2, 2) are from segments (B, 2, 2)."""
     along = np.linspace(0, 1, 41)[None, :, None]
     points = ends_px[:, :1] * (1 - along) + ends_px[:, 1:] * along
