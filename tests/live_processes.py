@@ -20,24 +20,51 @@ from typing import Any
 PATIENCE_S = 90.0
 """For what takes seconds: a machine that is busy must not fail a test."""
 
+LEAST_HZ = 0.8 * 5.0
+"""What is left of the rate of the log that ships, whatever goes wrong."""
+
 SETTINGS = ("--set", "mcl.start_particles=1000", "--set", "mcl.particles=500", "--set", "search.particles_most=3000")
-_ENVIRONMENT = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+_NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+_ENVIRONMENT = {
+    **os.environ,
+    **_NO_DISPLAY,
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "PYTHONUNBUFFERED": "1",
+}
 
 
 class Program:
-    """A process of the program. lines: what it wrote on standard output; said: on standard error."""
+    """A process of the program, or of a script. said: what it wrote on standard error."""
 
-    def __init__(self, *arguments: object, largest_file: int | None = None) -> None:
-        command = [sys.executable, "-m", "localiser", *map(str, arguments)]
+    def __init__(self, *arguments: object, script: Path | None = None, largest_file: int | None = None) -> None:
+        what = ["-m", "localiser"] if script is None else [str(script)]
+        pipe = subprocess.PIPE
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_ENVIRONMENT
+            [sys.executable, *what, *map(str, arguments)],
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
+            text=True,
+            env=_ENVIRONMENT,
         )
         if largest_file is not None:  # what would be more fails, as on a full disk
             resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
         self._queue: Queue[str] = Queue()
         self.said: list[str] = []
-        for stream, take in ((self.process.stdout, self._queue.put), (self.process.stderr, self.said.append)):
-            Thread(target=lambda stream=stream, take=take: [take(line) for line in stream], daemon=True).start()
+        takes = ((self.process.stdout, self._queue.put), (self.process.stderr, self.said.append))
+        self._readers = [
+            Thread(target=lambda stream=stream, take=take: [take(line) for line in stream], daemon=True)
+            for stream, take in takes
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def tell(self, line: str) -> None:
+        """Write a line on its standard input."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n")
+        self.process.stdin.flush()
 
     def poses(self, count: int) -> list[dict[str, Any]]:
         """Return the next `count` lines of JSON."""
@@ -49,6 +76,18 @@ class Program:
             except Empty:
                 raise AssertionError(f"{len(found)} of {count} poses; said: {''.join(self.said)}") from None
         return found
+
+    def poses_at(self, least_hz: float, count: int) -> list[dict[str, Any]]:
+        """Return the first `count` lines in a row of images that were located at this rate, by their own stamps.
+
+        What a run is slowed down to for good, it never gets out of; a machine that is busy for a while, it does.
+        """
+        end = time.monotonic() + PATIENCE_S
+        lines = self.poses(count)
+        while (rate_hz := (count - 1) / ((lines[-1]["stamp_ns"] - lines[0]["stamp_ns"]) / 1e9)) < least_hz:
+            assert time.monotonic() < end, f"{rate_hz:.2f} Hz; said: {''.join(self.said)}"
+            lines = [*lines[1:], *self.poses(1)]
+        return lines
 
     def rest(self) -> list[dict[str, Any]]:
         """Return the lines that came and were not read yet."""
@@ -70,6 +109,12 @@ class Program:
             self.process.send_signal(number)
         return self.process.wait(PATIENCE_S)
 
+    def all_said(self) -> str:
+        """Return all that it said, once it has ended."""
+        for reader in self._readers:
+            reader.join(PATIENCE_S)
+        return "".join(self.said)
+
     def children(self) -> list[int]:
         """Return the processes that it and its children have started (Linux)."""
         found, parents = [], [self.process.pid]
@@ -82,9 +127,9 @@ class Program:
 
 
 @contextmanager
-def program(*arguments: object, largest_file: int | None = None) -> Iterator[Program]:
-    """Run a process of the program, and end it whatever happens."""
-    running = Program(*arguments, largest_file=largest_file)
+def program(*arguments: object, script: Path | None = None, largest_file: int | None = None) -> Iterator[Program]:
+    """Run a process of the program, or of a script, and end it whatever happens."""
+    running = Program(*arguments, script=script, largest_file=largest_file)
     try:
         yield running
     finally:
