@@ -144,7 +144,8 @@ def same(first: Path, second: Path) -> bool:
 EACH_FRAME = {
     *(paths.VISIBLE, paths.MATCHED, paths.SIGHTS, paths.PARTICLES, paths.ESTIMATE, paths.ELLIPSE, paths.TRUTH),
     *(*paths.TRAILS, paths.CAMERA, paths.IMAGE, paths.REJECTED, paths.PREDICTED, paths.EDGES, paths.JOINS),
-    *(paths.ERROR, paths.P_CORRECT, paths.ESS, paths.COUNTS, paths.STAGES, paths.PLACES, paths.PLACE_ARROWS),
+    *(paths.ERROR, paths.HEADING, paths.P_CORRECT, paths.ESS, paths.COUNTS, paths.STAGES),
+    *(paths.PLACES, paths.PLACE_ARROWS),
 }
 ONCE = {paths.WORLD, paths.LANDMARKS, paths.TRUTH_PATH}
 
@@ -178,6 +179,10 @@ def test_plots_hold_error_and_three_sigma_ess_counts_and_stages(tmp_path: Path) 
         assert error == pytest.approx(np.linalg.norm(located.estimate.pose[:2] - pose[:2]))
         cov = located.estimate.pose_cov
         assert three_sigma == pytest.approx(3 * np.sqrt(cov[0, 0] + cov[1, 1]))
+    headings = np.deg2rad(content[paths.HEADING]["Scalars:scalars"])
+    for located, pose, (error, three_sigma) in zip(recorded, truth().poses, headings, strict=True):
+        assert error == pytest.approx(abs(located.estimate.pose[2] - pose[2]))
+        assert three_sigma == pytest.approx(3 * np.sqrt(located.estimate.pose_cov[2, 2]))
     assert content[paths.ESS]["Scalars:scalars"] == [[pytest.approx(located.ess)] for located in recorded]
     assert content[paths.COUNTS]["Scalars:scalars"] == [[3.0, 2.0]] * FRAMES
     assert content[paths.STAGES]["Scalars:scalars"] == [list(STAGE_MS.values())] * FRAMES
@@ -305,7 +310,7 @@ def test_recording_brings_its_layout(tmp_path: Path) -> None:
     text = "".join(str(chunk.to_record_batch().to_pydict()) for chunk in reader.stream(store=layout))
     for view in ("3D", "2D", "TimeSeries", "TextLog"):
         assert view in text
-    for title in ("unit", "Image", "Position error", "Effective sample size", "Edges", "Messages"):
+    for title in ("unit", "Image", "Position error", "Heading error", "Effective sample size", "Edges", "Messages"):
         assert title in text
 
 

@@ -83,8 +83,10 @@ def _text() -> rrb.TextLogView:
 
 
 def _titles(context: Context) -> dict[str, str]:
+    what = "error and 3σ" if context.truth is not None else "3σ"
     return {
-        paths.ERROR: "Position error" if context.truth is not None else "Position 3σ",
+        paths.ERROR: f"Position {what}, m",
+        paths.HEADING: f"Heading {what}, °",
         paths.P_CORRECT: "Probability of being right",
         paths.ESS: "Effective sample size",
         paths.COUNTS: "Edges",
@@ -93,9 +95,17 @@ def _titles(context: Context) -> dict[str, str]:
 
 
 def _plots(titles: Mapping[str, str]) -> list[rrb.TimeSeriesView]:
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    axes = {paths.STAGES: rrb.ScalarAxis(range=STAGES_SHOWN_MS)}
+    axes = {
+        paths.P_CORRECT: rrb.ScalarAxis(range=(-0.05, 1.05)),  # else a fall by a millionth fills the plot
+        paths.STAGES: rrb.ScalarAxis(range=STAGES_SHOWN_MS),
+    }
+    single = (paths.P_CORRECT, paths.ESS)  # their titles say it all
     return [
-        rrb.TimeSeriesView(origin=path, name=title, plot_legend=legend, axis_y=axes.get(path))
+        rrb.TimeSeriesView(
+            origin=path,
+            name=title,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=path not in single),
+            axis_y=axes.get(path),
+        )
         for path, title in titles.items()
     ]

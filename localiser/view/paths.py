@@ -29,6 +29,7 @@ EDGES = f"{OVERLAY}/edges"
 JOINS = f"{OVERLAY}/joins"
 
 ERROR = "plots/position"
+HEADING = "plots/heading"
 ESS = "plots/ess"
 P_CORRECT = "plots/p_correct"
 COUNTS = "plots/edges"

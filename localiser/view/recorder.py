@@ -171,8 +171,11 @@ class Recorder:
     def _log_plots(self, located: Located, truth: Array | None, matched: int, stage_ms: Mapping[str, float]) -> None:
         estimate = located.estimate
         three_sigma = 3 * float(np.sqrt(np.trace(estimate.pose_cov[:2, :2])))
+        three_sigma_rad = 3 * float(np.sqrt(estimate.pose_cov[2, 2]))
         error = np.nan if truth is None else float(np.hypot(*(estimate.pose - truth)[:2]))
+        error_rad = np.nan if truth is None else abs(geometry.wrap_angle(estimate.pose[2] - truth[2]))
         self._stream.log(paths.ERROR, rr.Scalars([error, three_sigma]))
+        self._stream.log(paths.HEADING, rr.Scalars(np.rad2deg([error_rad, three_sigma_rad])))
         self._stream.log(paths.P_CORRECT, rr.Scalars([located.p_correct]))
         self._stream.log(paths.ESS, rr.Scalars([located.ess]))
         self._stream.log(paths.COUNTS, rr.Scalars([len(located.edges), matched]))
@@ -190,7 +193,9 @@ class Recorder:
         log(paths.CAMERA, world.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         if context.truth is not None:
             log(paths.TRUTH_PATH, world.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
-        self._log_series(paths.ERROR, ("error m", "3σ m"), (palette.ESTIMATE, palette.UNSEEN))
+        errors = (palette.ESTIMATE, palette.UNSEEN)
+        self._log_series(paths.ERROR, ("error", "3σ"), errors)
+        self._log_series(paths.HEADING, ("error", "3σ"), errors)
         self._log_series(paths.P_CORRECT, ("p correct",), (palette.ESTIMATE,))
         self._log_series(paths.ESS, ("effective particles",), (palette.ESTIMATE,))
         self._log_series(paths.COUNTS, ("edges", "matched"), (palette.UNMATCHED, palette.MATCHED))
