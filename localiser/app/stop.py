@@ -10,12 +10,15 @@ from types import FrameType
 
 
 @contextmanager
-def stop_request() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C and SIGTERM back; yields what to call where stopping is right, which raises KeyboardInterrupt then.
+def asked_to_stop() -> Iterator[threading.Event]:
+    """Hold Ctrl-C and SIGTERM back; yields an event that they set. A second one is not held back.
 
-    A second one is not held back. In other threads than the main one, which get no signals, nothing is changed.
+    In other threads than the main one, which get no signals, nothing is changed.
     """
     asked = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
 
     def restore() -> None:
         for number, handler in before.items():
@@ -25,15 +28,20 @@ def stop_request() -> Iterator[Callable[[], None]]:
         asked.set()
         restore()
 
-    def stop_if_asked() -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield stop_if_asked
-        return
     before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield stop_if_asked
+        yield asked
     finally:
         restore()
+
+
+@contextmanager
+def stop_request() -> Iterator[Callable[[], None]]:
+    """Do the same; yields what to call where stopping is right, which raises KeyboardInterrupt then."""
+    with asked_to_stop() as asked:
+
+        def stop_if_asked() -> None:
+            if asked.is_set():
+                raise KeyboardInterrupt
+
+        yield stop_if_asked

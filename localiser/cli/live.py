@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -198,6 +196,7 @@ def _free_endpoint() -> str:
 def _run(options: LiveOptions, seconds: float | None) -> None:
     """Run until the time is over, Ctrl-C or SIGTERM; then say what it came to."""
     from localiser.app.live.prepare import opened
+    from localiser.app.stop import asked_to_stop
 
     with asked_to_stop() as stop, opened(options, _say) as live:
         end = float("inf") if seconds is None else time.monotonic() + seconds
@@ -217,22 +216,3 @@ def _say_figures(run: Any) -> None:
         left_out["odometry"] = run.timeline.late_odometry
     if left_out:
         typer.echo("left out: " + ", ".join(f"{why} {n}" for why, n in left_out.items()), err=True)
-
-
-@contextmanager
-def asked_to_stop() -> Iterator[Event]:
-    """Yield an event that Ctrl-C or SIGTERM sets; a second one ends the program at once."""
-    stop = Event()
-    before: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def ask(number: int, _frame: object) -> None:
-        stop.set()
-        signal.signal(number, before[number])
-
-    for number in before:
-        signal.signal(number, ask)
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

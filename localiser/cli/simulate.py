@@ -55,7 +55,7 @@ def simulate(
 
 def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:
     from localiser.app.serve import Passage, StandIn, drive
-    from localiser.cli.live import asked_to_stop
+    from localiser.app.stop import asked_to_stop
     from localiser.sources import Network
 
     with asked_to_stop() as stop:
