@@ -119,7 +119,8 @@ class DriveSpec(Model):
         radius = np.array([point.corner_radius_m for point in self.path[1:-1]])
         # A turn by half a circle has no arc that touches both straights.
         tangent = np.where(half > np.pi / 2 - 1e-6, np.inf, np.tan(np.minimum(half, np.pi / 2 - 1e-6)))
-        return np.concatenate([[0.0], np.where(radius > 0, radius * tangent, 0.0), [0.0]])
+        cut = np.multiply(radius, tangent, out=np.zeros_like(radius), where=radius > 0)
+        return np.concatenate([[0.0], cut, [0.0]])
 
     @model_validator(mode="after")
     def _corners_fit(self) -> DriveSpec:
