@@ -114,12 +114,13 @@ def _show_built(built: MapBuilt, out: Path) -> None:
     typer.echo(f"{len(built.landmark_map)} landmarks in {out}; `localiser map show {out}` draws them.")
 
 
-@map_app.command("show", epilog="Example: `localiser map show maps/corridor.yaml -o corridor.png`")
+@map_app.command("show", epilog="Example: `localiser map show maps/corridor.yaml -o corridor.png --rrd corridor.rrd`")
 def show_map(
     map_file: map_edit.MapFile,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture; by default MAP.png beside the map.")
     ] = None,
+    rrd: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing picture.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -130,8 +131,14 @@ def show_map(
 
     landmark_map = load_map(map_file)
     picture = out or map_file.with_suffix(".png")
-    require_writable(picture, overwrite=force)
+    for file in (picture, rrd):
+        if file is not None:
+            require_writable(file, overwrite=force)
     map_show.save_picture(landmark_map, picture)
+    if rrd is not None:
+        from localiser.view.landmark_view import record_map
+
+        record_map(rrd, landmark_map)
     if not quiet:
         show(map_show.summary_table(landmark_map))
         typer.echo(f"Picture in {picture}")

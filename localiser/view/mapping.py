@@ -214,14 +214,14 @@ class _Recorder:
         log = self._stream.log
         ends = Context("", self._context.camera, known).landmark_ends
         log(PLACES, world.landmarks(ends, palette.MATCHED, 1.5))
-        log(ELLIPSES, _ellipses(known.points, cov))
+        log(ELLIPSES, ellipses(known.points, cov))
         log(LANDMARKS, rr.Scalars([len(cov)]))
         if len(cov):
             sigma_cm = 100 * np.sqrt(np.trace(cov, axis1=1, axis2=2) / 2)
             log(SIGMA, rr.Scalars(np.quantile(sigma_cm, (0.5, 0.9)).tolist()))
 
 
-def _ellipses(points: Array, cov: Array) -> rr.LineStrips3D:
+def ellipses(points: Array, cov: Array) -> rr.LineStrips3D:
     """Return the 95 % ellipses of landmarks, those that are worse than a metre left out."""
     import rerun as rr
 
