@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from localiser.app.edges.compare import NEAR_PX, Comparison, matches
 from localiser.app.edges.guides import bearings_shown, horizon, meridian
 from localiser.app.edges.inputs import _stems
+from localiser.app.edges.overlay import draw_overlay
 from localiser.app.edges.records import COLUMNS, csv_text, rows_of
 from localiser.camera import Camera
 from localiser.edges import Edges
@@ -127,3 +129,40 @@ def test_the_horizon_is_at_the_cameras_height(camera: Camera) -> None:
 
 def test_a_steep_camera_sees_no_horizon() -> None:
     assert len(horizon(CAMERAS[2])) == 0
+
+
+# -- the picture ------------------------------------------------------------------------------------------------------
+
+
+def test_in_a_dense_row_every_edge_has_its_number_and_none_hides_another() -> None:
+    count = 14
+    edges = edges_of([[[300.0 + 5 * i, 300], [300.0 + 5 * i, 100]] for i in range(count)])
+    figure = draw_overlay(np.full((480, 640), 90, np.uint8), CAMERA, {"columns": edges}, title="row")
+    figure.canvas.draw()
+    (panel,) = (axes for axes in figure.axes if len(axes.images))
+    boxes = {text.get_text(): text.get_window_extent() for text in panel.texts if text.get_text().isdigit()}
+    assert set(boxes) == {str(i + 1) for i in range(count)}
+    for name, box in boxes.items():
+        for other, against in boxes.items():
+            assert name == other or abs(box.y0 - against.y0) > 9 or not box.overlaps(against)
+        column = 300 + 5 * (int(name) - 1)
+        at = panel.transData.inverted().transform(((box.x0 + box.x1) / 2, box.y0))[0]
+        assert at == pytest.approx(column, abs=1.0)  # a number stays on its own edge
+
+
+def test_a_foot_outside_the_image_one_that_is_hidden_and_one_on_the_floor_have_each_a_sign() -> None:
+    edges = edges_of([[[100, 479], [100, 100]], [[300, 400], [300, 100]], [[500, 400], [500, 100]]])
+    feet = replace(
+        edges, foot_range_m=np.array([np.nan, 2.0, 2.0]), foot_range_sigma_m=np.array([np.nan, 0.1, 0.1]),
+        foot_probability=np.array([0.0, 0.2, 0.8]),
+    )  # fmt: skip
+    figure = draw_overlay(np.full((480, 640), 90, np.uint8), CAMERA, {"columns": feet}, title="feet")
+    (panel,) = (axes for axes in figure.axes if len(axes.images))
+    signs = {}
+    for line in panel.lines:
+        for u in line.get_xdata():
+            if line.get_marker() in {"x", "o"}:
+                signs.setdefault(round(float(u)), set()).add((line.get_marker(), line.get_markersize() > 5))
+    assert signs == {100: {("x", True)}, 300: {("o", False)}, 500: {("o", True)}}
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert sum("lower end" in text for text in legend) == 3

@@ -32,6 +32,7 @@ _CERTAINTY = ("#35b6ff", "#9fe3ff", "#fff2a8", "#ffa24d", "#ff5a45")
 _SIGMA_DEG = (0.01, 1.0)
 _DIMMED = 1.45  # the image's white is drawn as this share of full white's inverse, so that lines stand out
 _LINE_PX = 14.0  # height of a label
+_RING_PX = 5.0
 _SURE_SHARE = 0.2  # a range less certain than this is not worth its label
 _BENT_STEPS = 9
 
@@ -129,38 +130,51 @@ def _draw_lines(axes: Axes, camera: Camera, edges: Edges) -> None:
 
 
 def _draw_rings(axes: Axes, edges: Edges) -> None:
-    """Ring every lower end that likely stands on the floor, and dot those that rather do not."""
-    on_floor, elsewhere = (edges.ends_px[foot_flag(edges) == flag, 0] for flag in ("floor", "hidden"))
+    """Ring every lower end that likely stands on the floor, dot what rather does not, cross out what is not seen."""
+    flag = foot_flag(edges)
+    on_floor, elsewhere, unseen = (edges.ends_px[flag == name, 0] for name in ("floor", "hidden", "outside"))
     axes.plot(*elsewhere.T, "o", color=_INK, markeredgecolor="black", markersize=4, markeredgewidth=1, zorder=6)
+    beside = unseen.clip([0, 0], [axes.get_xlim()[1] - 3, axes.get_ylim()[0] - 3])  # whole, inside the picture
+    axes.plot(*beside.T, "x", color="black", markersize=7, markeredgewidth=3.5, zorder=6)
+    axes.plot(*beside.T, "x", color=_INK, markersize=6, markeredgewidth=1.5, zorder=7)
     axes.plot(*on_floor.T, "o", color="none", markeredgecolor="black", markersize=9, markeredgewidth=3, zorder=6)
     axes.plot(*on_floor.T, "o", color="none", markeredgecolor=_INK, markersize=9, markeredgewidth=1.5, zorder=7)
 
 
 def _annotate(axes: Axes, edges: Edges, zoom: int) -> None:
-    """Write an edge's number at its top and its range at its foot; of labels in one place that of the longest edge."""
+    """Write an edge's number at its top and its range at its foot.
+
+    A number in whose place another one stands already is moved up or down along its edge, on which it stays; of ranges
+    in one place that of the longest edge is written.
+    """
     from matplotlib.patheffects import withStroke
 
     halo = [withStroke(linewidth=2.5, foreground="black")]
     style: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 9, "fontweight": "bold", "zorder": 9}
-    placed: list[tuple[Array, float]] = []
+    rings = edges.ends_px[foot_flag(edges) == "floor", 0] * zoom
+    placed: list[tuple[Array, float]] = [(ring, _RING_PX) for ring in rings]
     size = np.array([axes.get_xlim()[1], axes.get_ylim()[0]]) * zoom
     for wanted, text in _labels(edges, zoom):
         half = 4.0 * len(text) + 1
-        place = wanted.clip([half, 8], size - [half, 8])  # kept inside the picture, to which it belongs
-        if not any(abs(place[0] - x) < half + width and abs(place[1] - y) < _LINE_PX for (x, y), width in placed):
-            placed.append((place, half))
-            axes.text(place[0] / zoom, place[1] / zoom, text, path_effects=halo, **style)
+        for place in wanted.clip([half, 8], size - [half, 8]):  # kept inside the picture, to which it belongs
+            if not any(abs(place[0] - x) < half + width and abs(place[1] - y) < _LINE_PX for (x, y), width in placed):
+                placed.append((place, half))
+                axes.text(place[0] / zoom, place[1] / zoom, text, path_effects=halo, **style)
+                break
 
 
 def _labels(edges: Edges, zoom: int) -> Iterator[tuple[Array, str]]:
-    """Yield where on the enlarged picture to write what, the most telling first."""
+    """Yield where (places, 2) on the enlarged picture to write what, best place first, and the most telling text."""
     order = np.argsort(-edges.length_px, kind="stable")
     for index in order:
-        yield edges.ends_px[index, 1] * zoom - [0, 11], str(index + 1)
+        bottom, top = edges.ends_px[index] * zoom
+        down = (bottom - top) / max(float(np.linalg.norm(bottom - top)), 1e-9)
+        along = np.arange(0.0, max(float(np.linalg.norm(bottom - top)) - 2 * _LINE_PX, 1.0), _LINE_PX)
+        yield np.concatenate([[top - [0, 11]], top + down * (along[:, None] + _LINE_PX)]), str(index + 1)
     for index in order:
         is_sure = edges.foot_range_sigma_m[index] < _SURE_SHARE * edges.foot_range_m[index]
         if is_sure and not edges.foot_probability[index] < FLOOR:
-            yield edges.ends_px[index, 0] * zoom + [0, 17], f"{edges.foot_range_m[index]:.1f} m"
+            yield edges.ends_px[index, :1] * zoom + [[0, 17], [0, 31]], f"{edges.foot_range_m[index]:.1f} m"
 
 
 def _bent(ends_px: Array, camera: Camera) -> Array:
@@ -217,7 +231,16 @@ def _draw_legend(figure: Figure, size: Array) -> None:
         Line2D([], [], color=_INK, linestyle="none", marker=5, label="lighter side"),
         Line2D([], [], color=_INK, linestyle="none", label="lower end on the floor, with range", **ring),
         Line2D(
-            [], [], color=_INK, linestyle="none", marker="o", markersize=4, label="lower end, rather not on the floor"
+            [], [], color=_INK, linestyle="none", marker="o", markersize=4, label="lower end, hidden or above the floor"
+        ),
+        Line2D(
+            [],
+            [],
+            color=_INK,
+            linestyle="none",
+            marker="x",
+            markersize=6,
+            label="lower end outside, or above the horizon",
         ),
         Line2D([], [], color=_REJECTED, alpha=0.7, linewidth=1, label="segment, not vertical"),
         Line2D([], [], color=_INK, alpha=0.6, linestyle=":", linewidth=1.2, label="bearing, to the nadir point"),
@@ -225,7 +248,7 @@ def _draw_legend(figure: Figure, size: Array) -> None:
     ]
     figure.legend(
         handles=handles, loc="center right", bbox_to_anchor=(1 - _MARGIN_PX / size[0] / 2, 40 / size[1]),
-        ncols=3, frameon=False, fontsize=9.5, labelcolor=_INK, handlelength=1.6, columnspacing=1.6,
+        ncols=4, frameon=False, fontsize=9.5, labelcolor=_INK, handlelength=1.6, columnspacing=1.6,
     )  # fmt: skip
 
 
