@@ -17,7 +17,7 @@ class Context:
 
     name: of the log. truth: path of the robot in the map, where known. odometry: path by odometry alone, moved so that
     it starts at the start pose; without it, `Located.odometry` is moved onto the first estimate. images: False leaves
-    the image out of the layout, for logs that have none.
+    the image out of the layout, for logs that have none. application: which recordings share a layout in the viewer.
     """
 
     name: str
@@ -26,6 +26,7 @@ class Context:
     truth: Trajectory | None = None
     odometry: Trajectory | None = None
     images: bool = True
+    application: str = "localiser"
 
     @property
     def landmark_ends(self) -> Array:

@@ -27,8 +27,8 @@ def record_map(path: Path, landmark_map: LandmarkMap) -> None:
 
     Raises OutputError where it cannot be written.
     """
-    context = Context(landmark_map.name, _NOBODY, landmark_map, images=False)
-    stream = stream_to_file(path, context, _layout(landmark_map))
+    context = Context(landmark_map.name, _NOBODY, landmark_map, images=False, application="localiser map")
+    stream = stream_to_file(path, context, layout(landmark_map))
     quality = landmark_map.quality or Quality.unknown(len(landmark_map))
     likely = np.where(np.isnan(quality.existence), 1.0, quality.existence)
     colours = np.tile(np.array(palette.MATCHED, dtype=np.uint8), (len(landmark_map), 1))
@@ -60,7 +60,8 @@ def _labels(landmark_map: LandmarkMap, quality: Quality) -> list[str]:
     ]
 
 
-def _layout(landmark_map: LandmarkMap) -> rrb.Blueprint:
+def layout(landmark_map: LandmarkMap) -> rrb.Blueprint:
+    """Return the layout of a map and nothing else: the world from where all landmarks are in sight."""
     low, high = landmark_map.points.min(axis=0), landmark_map.points.max(axis=0)
     distance = 1.1 * float(np.maximum(high - low, 2.0).max())
     target = np.insert((low + high) / 2, 1, 0.0)

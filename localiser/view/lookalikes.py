@@ -33,11 +33,11 @@ def record_lookalikes(
     """
     import rerun as rr
 
-    from localiser.view import palette, world
+    from localiser.view import landmark_view, palette, world
     from localiser.view.recorder import stream_to_file
 
-    context = Context(landmark_map.name, camera, landmark_map, images=False)
-    stream = stream_to_file(path, context)
+    context = Context(landmark_map.name, camera, landmark_map, images=False, application="localiser map check")
+    stream = stream_to_file(path, context, landmark_view.layout(landmark_map))
     stream.log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
     stream.log(f"{WORLD}/map/unseen", world.landmarks(context.landmark_ends, palette.UNSEEN, 1.2), static=True)
     # Of weights, those near the largest are brightest; a place that looks like no other is dark.

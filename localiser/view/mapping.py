@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 PLACES, ELLIPSES = f"{WORLD}/building/landmarks", f"{WORLD}/building/ellipses"
 BEFORE, AFTER = f"{WORLD}/trails/before_loops", f"{WORLD}/trails/after_loops"
 TAILS = f"{paths.OVERLAY}/tracks"
-LANDMARKS, SIGMA = "plots/landmarks", "plots/sigma"
+LANDMARKS, SIGMA, TRACKS = "plots/landmarks", "plots/sigma", "plots/tracks"
 QUEUE_FRAMES = 500
 """What a viewer may lag behind: building from edges that are known already is faster than a viewer starts."""
 
-_TITLES = {LANDMARKS: "Landmarks", SIGMA: "Their 1σ, cm", paths.COUNTS: "Edges"}
+_TITLES = {LANDMARKS: "Landmarks", SIGMA: "Their 1σ, cm", paths.COUNTS: "Edges", TRACKS: "Tracks"}
 _MARGIN_M = 1.5  # around the path: walls stand beside it
 _LARGEST_M = 1.0  # an ellipse beyond this would cover everything and say nothing
 _TAIL = 15  # images that a track is drawn through
@@ -108,7 +108,8 @@ class MapView(live.Feed["_Recorder"]):
 
 def building_context(name: str, camera: Camera, path: Trajectory, *, images: bool) -> Context:
     """Return what a view of a map must know that is yet to be built: the path (T, 3) that it is built along."""
-    return Context(name, camera, LandmarkMap.from_points(np.zeros((0, 2))), truth=path, images=images)
+    nothing = LandmarkMap.from_points(np.zeros((0, 2)))
+    return Context(name, camera, nothing, truth=path, images=images, application="localiser map build")
 
 
 def _layout(context: Context) -> Any:
@@ -153,13 +154,14 @@ class _Recorder:
         from localiser.view.recorder import series
 
         self._stream, self._context, self._tails = stream, context, _Tails()
-        self._number, self._t_ns = -1, 0
+        self._number, self._t_ns, self._newest = -1, 0, -1
         self._last: Array | None = None
         log = stream.log
         log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         log(paths.CAMERA, world.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         log(LANDMARKS, series(("landmarks",), (palette.VISIBLE,)), static=True)
         log(SIGMA, series(("median", "90 % below"), (palette.MATCHED, palette.UNSEEN)), static=True)
+        log(TRACKS, series(("followed", "begun"), (palette.VISIBLE, palette.JOIN)), static=True)
         log(paths.COUNTS, series(("all", "of landmarks"), (palette.UNMATCHED, palette.MATCHED)), static=True)
 
     def frame(self, frame: Growing) -> None:
@@ -184,6 +186,9 @@ class _Recorder:
         self._log_landmarks(LandmarkMap.from_points(frame.points), frame.cov)
         log(paths.SIGHTS, world.sights(self._context.camera, pose, frame.points[frame.shown]))
         log(paths.COUNTS, rr.Scalars([len(frame.edges), int(frame.is_landmark.sum())]))
+        begun = int((frame.feature > self._newest).sum())
+        log(TRACKS, rr.Scalars([len(frame.edges) - begun, begun]))
+        self._newest = int(frame.feature.max(initial=self._newest))
 
     def finish(self, finished: Finished) -> None:
         """Log the map in the end, and the path with loops closed over the one without."""

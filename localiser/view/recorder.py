@@ -32,10 +32,11 @@ _EPOCH_LIKELY_NS = 10**18
 def new_stream(context: Context) -> rr.RecordingStream:
     """Return a stream without a sink whose content depends on nothing but what is logged: no wall clock.
 
-    Rows are gathered into chunks by size, not by time; the default of five ticks a second also makes small chunks.
+    A viewer shows all recordings of one application in the layout that came last. Rows are gathered into chunks by
+    size, not by time; the default of five ticks a second also makes small chunks.
     """
     batches = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1), flush_num_bytes=CHUNK_BYTES)
-    stream = rr.RecordingStream("localiser", send_properties=False, batcher_config=batches)
+    stream = rr.RecordingStream(context.application, send_properties=False, batcher_config=batches)
     stream.send_recording_name(context.name)
     stream.set_log_time_enabled(False)
     return stream
