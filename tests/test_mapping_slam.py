@@ -29,10 +29,10 @@ CAMERA = Camera(
 CONSTANTS = np.array([0.04, -0.02, 0.01, 0.005])
 
 
-def circle(noise: float, seed: int = 0, frames: int = 80) -> tuple[Problem, Array, Array]:
+def circle(noise: float, seed: int = 0, frames: int = 80, laps: int = 1) -> tuple[Problem, Array, Array]:
     """Return a drive round a ring of landmarks with wrong wheels and a wrong mount, true poses, and true landmarks."""
     rng = np.random.default_rng(seed)
-    angle = np.linspace(0, 2 * np.pi, frames)
+    angle = np.linspace(0, 2 * np.pi * laps, frames)
     poses = np.stack([2 - 2 * np.cos(angle), -2 * np.sin(angle), -angle], axis=-1)
     poses = compose(np.zeros(3), between(poses[:1], poses))
     around = rng.uniform(0, 2 * np.pi, 30)

@@ -2,7 +2,8 @@
 
 1. Follow edges, with poses from the wheels; smooth; follow again with the better poses and narrower gates, until gates
    are as narrow as true poses allow. What wheels misjudge from frame to frame is gone then, what adds up is not.
-2. Close loops: join landmarks that are one by the joint covariance, smooth, until no more are.
+2. Close loops: join landmarks that are one by the joint covariance, smooth, open what turns out not to fit, until no
+   more are.
 3. Associate every edge anew, as with known poses, and smooth, until nothing changes.
 
 Feet on the floor tell the scale after each solve.
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.mapping.constellations import seen_before
+from localiser.mapping.contradictions import without_contradictions
 from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
 from localiser.mapping.feet import Scale, scale_by_feet
 from localiser.mapping.known import with_leftovers
@@ -134,10 +136,7 @@ class _Solver:
         """Return the smoothed estimate when `of` (S,) says which landmark each sighting is of."""
         s = self.sightings
         built = fitted(s, of, state.cameras, np.hypot(self.sigma, noise_rad))
-        bearings = Bearings(
-            s.frame[built.used], built.of[built.used], s.bearing[built.used], loose * self.sigma[built.used]
-        )
-        problem = Problem(self.wheels, bearings, self.camera, state.prior)
+        problem = self._problem(state, built, loose)
         smoothed = smooth(problem, state.poses, self._start(built, state), state.constants, converged=converged)
         yaw = self.camera.mount.yaw_rad + float(smoothed.constants[3])
         places = np.full((len(s), 2), np.nan)
@@ -162,14 +161,22 @@ class _Solver:
     def open_wrong_loops(
         self, state: _Estimate, built: Built, smoothed: Smoothed, track: Index
     ) -> tuple[_Estimate, Built, Smoothed]:
-        """Return the estimate after parting tracks from landmarks that they turn out not to fit, until all fit."""
+        """Return the estimate after parting tracks and visits from landmarks that they do not fit, until all fit."""
         for _ in range(_PARTING_ROUNDS):
             parted = without_contradicted(built, smoothed.weight, track)
+            if (parted == built.of).all():
+                parted = without_contradictions(self._problem(state, built), smoothed, built.of, built.used)
             if (parted == built.of).all():
                 break
             of = numbered(long_enough(parted))
             state, built, smoothed = self.solve(state, of, _POSE_BEARING_RAD, converged=_ROUGHLY)
         return state, built, smoothed
+
+    def _problem(self, state: _Estimate, built: Built, loose: float = 1.0) -> Problem:
+        """Return what is measured when landmarks are as built, with bearings taken to be `loose` times as bad."""
+        s, used = self.sightings, built.used
+        bearings = Bearings(s.frame[used], built.of[used], s.bearing[used], loose * self.sigma[used])
+        return Problem(self.wheels, bearings, self.camera, state.prior)
 
     def _start(self, built: Built, state: _Estimate) -> Array:
         """Return the places (L, 2) to start from, each the one that its bearings fit best.

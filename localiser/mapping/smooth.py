@@ -46,7 +46,29 @@ class Smoothed:
         By eliminating the poses, whose own block of the system is banded, because wheels join neighbours only:
         Σ = (D - Bᵀ A⁻¹ B)⁻¹ [Triggs et al. 1999]. Time and memory grow with the log only in proportion.
         """
-        from scipy.linalg import cho_solve_banded, cholesky_banded
+        return self._eliminated()[2][len(CONSTANTS) :, len(CONSTANTS) :]
+
+    def taken_up(self, columns: Any) -> Array:
+        """Return XᵀH⁻¹X (V, 2, 2) of V pairs of neighbouring `columns` (·, 2V), sparse, H being the system's matrix."""
+        chain, cross, cov = self._eliminated()
+        free = cross.shape[0]
+        taken = np.empty((columns.shape[1] // 2, 2, 2))
+        for first in range(0, columns.shape[1], _COLUMNS):
+            part = columns.tocsc()[:, first : first + _COLUMNS].toarray()
+            poses, rest = part[:free], part[free:]
+            solved = _solved(chain, poses)
+            left = rest - cross.T @ solved
+            paired = [x.reshape(len(x), -1, 2) for x in (poses, solved, left, cov @ left)]
+            by_poses, by_rest = (np.einsum("kvi,kvj->vij", *paired[i : i + 2], optimize=True) for i in (0, 2))
+            taken[first // 2 : first // 2 + len(by_poses)] = by_poses + by_rest
+        return taken
+
+    def _eliminated(self) -> tuple[Array, Any, Array]:
+        """Return the factor of the poses' block A, the block B that joins poses to the rest, and the rest's covariance.
+
+        With B (3T - 3, 4 + 2L); the rest are constants and landmarks.
+        """
+        from scipy.linalg import cholesky_banded
 
         free = 3 * (len(self.poses) - 1)
         hessian = self.hessian.tocsc()
@@ -55,9 +77,15 @@ class Smoothed:
         transposed = cross.T.tocsr()
         for first in range(0, rest.shape[1], _COLUMNS):
             part = slice(first, first + _COLUMNS)
-            solved = cho_solve_banded((chain, False), cross[:, part].toarray(), check_finite=False)
-            rest[:, part] -= transposed @ solved
-        return np.asarray(_symmetric_inverse(rest)[len(CONSTANTS) :, len(CONSTANTS) :])
+            rest[:, part] -= transposed @ _solved(chain, cross[:, part].toarray())
+        return chain, cross, _symmetric_inverse(rest)
+
+
+def _solved(chain: Array, columns: Array) -> Array:
+    """Return A⁻¹ times the columns (V, C), by the banded factor of A."""
+    from scipy.linalg import cho_solve_banded
+
+    return np.asarray(cho_solve_banded((chain, False), columns, check_finite=False))
 
 
 def _upper_bands(matrix: Any, bands: int) -> Array:

@@ -1,0 +1,94 @@
+"""Which visits to a landmark contradict everything else: those that would rather show a landmark of their own.
+
+A wrong join bends the poses until its bearings fit, so their residuals do not betray it; the force with which they
+pull does. Let the visit's landmark stand beside the one it was joined to: how far, and by how much the cost would fall,
+follows from the linear problem at the solution, without solving anew (the score test) [Rao 1948].
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+from localiser.mapping.factors import CONSTANTS, Problem, State, linearise
+from localiser.mapping.sightings import Index
+from localiser.mapping.smooth import Smoothed
+
+_GATE = 11.8  # 99.7 % of a Gaussian in the plane
+_LEAST_SIGMA_M = 0.004  # no two visits see one edge nearer to the same place
+_APART_FRAMES = 30  # without a landmark, after which it is visited again
+
+
+def without_contradictions(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
+    """Return the landmarks `of` (S,) with the visit that contradicts each landmark most as one of its own.
+
+    used: (K,) the sightings that are the bearings of the problem. Only one visit of each landmark leaves at a time: it
+    may be the reason why others seem to contradict.
+    """
+    landmark = problem.bearings.landmark
+    visit = visits(landmark, problem.bearings.frame)
+    owner = np.zeros(visit.max(initial=-1) + 1, dtype=np.int64)
+    owner[visit] = landmark
+    several = np.flatnonzero(np.bincount(owner)[owner] > 1)
+    chi2 = contradiction(problem, smoothed, visit, several)
+    worst = np.zeros(len(smoothed.points))
+    np.maximum.at(worst, owner[several], chi2)
+    leaves = several[(chi2 > _GATE) & (chi2 == worst[owner[several]])]
+    parted = of.copy()
+    gone = np.isin(visit, leaves)
+    parted[used[gone]] = len(smoothed.points) + visit[gone]
+    return parted
+
+
+def visits(landmark: Index, frame: Index) -> Index:
+    """Return the number (K,) of the visit that each bearing belongs to: a landmark's sightings without a long pause."""
+    order = np.lexsort((frame, landmark))
+    begins = (np.diff(landmark[order]) != 0) | (np.diff(frame[order]) > _APART_FRAMES)
+    visit = np.zeros(len(landmark), dtype=np.int64)
+    visit[order[1:]] = np.cumsum(begins)
+    return visit
+
+
+def contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> Array:
+    """Return for each visit `asked` (V,) how many squared sigmas its own landmark would stand beside the present one.
+
+    With cost(δ) = cost - 2 λᵀδ + δᵀMδ for a landmark that stands δ beside, all else at its best: λ is the pull of the
+    visit's bearings, M their information less what poses and landmark take up. visit: (K,).
+    """
+    pull, information = _pulls(problem, smoothed, visit, asked)
+    # A visit that tells one direction only has no information along the other.
+    known, axes = np.linalg.eigh(information)
+    variance = 1 / np.maximum(known, 1e-6) + _LEAST_SIGMA_M**2
+    offset = np.einsum("vji,vj->vi", axes, pull) / np.maximum(known, 1e-6)
+    return np.asarray(np.where(known > 1e-3, offset**2 / variance, 0.0).sum(axis=1))
+
+
+def _pulls(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> tuple[Array, Array]:
+    """Return the pull (V, 2) of the bearings of each visit on its landmark, and its information (V, 2, 2)."""
+    state = State(smoothed.poses, smoothed.points, smoothed.constants, smoothed.points)
+    residual, weight, jacobian = linearise(problem, state)
+    base = 3 * (len(smoothed.poses) - 1) + len(CONSTANTS)
+    rows = slice(base, base + len(visit))
+    bearing = jacobian.tocsr()[rows]
+    shift = _by_shift(bearing, base, visit, asked)
+    weighted = shift.multiply(weight[rows][:, None]).tocsc()
+    pull = (weighted.T @ residual[rows]).reshape(-1, 2)
+    own = (weighted.T @ shift).toarray().reshape(len(asked), 2, len(asked), 2)
+    each = np.arange(len(asked))
+    return pull, own[each, :, each, :] - smoothed.taken_up(bearing.T @ weighted)
+
+
+def _by_shift(bearing: Any, base: int, visit: Index, asked: Index) -> Any:
+    """Return the derivatives (K, 2V), sparse, of the bearings by a shift of the landmark of each visit asked."""
+    from scipy.sparse import csc_array
+
+    entries = bearing.tocoo()
+    number = np.full(int(visit.max(initial=-1)) + 1, -1)
+    number[asked] = np.arange(len(asked))
+    kept: NDArray[np.bool_] = (entries.col >= base) & (number[visit[entries.row]] >= 0)
+    row = entries.row[kept]
+    column = 2 * number[visit[row]] + (entries.col[kept] - base) % 2
+    return csc_array((entries.data[kept], (row, column)), shape=(len(visit), 2 * len(asked)))
