@@ -33,6 +33,8 @@ def without_contradictions(problem: Problem, smoothed: Smoothed, of: Index, used
     owner = np.zeros(visit.max(initial=-1) + 1, dtype=np.int64)
     owner[visit] = landmark
     several = np.flatnonzero(np.bincount(owner)[owner] > 1)
+    if len(several) == 0:
+        return of
     chi2 = contradiction(problem, smoothed, visit, several)
     worst = np.zeros(len(smoothed.points))
     np.maximum.at(worst, owner[several], chi2)
