@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from os import kill
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from live_processes import LEAST_HZ, SETTINGS, Program, free_endpoint, program
@@ -132,9 +133,12 @@ def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser:
         assert live.end(signal.SIGINT) == 0
 
 
-def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser) -> None:
-    result = localiser("doctor", "--connect", endpoint, "--seconds", 2, "--map", CORRIDOR / "map.yaml", "--at", "0,0")
+def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path) -> None:
+    options = ("--seconds", 2, "--map", CORRIDOR / "map.yaml", "--at", "0,0", "--picture", tmp_path / "seen.png")
+    result = localiser("doctor", "--connect", endpoint, *options)
     assert result.exit_code == 0, result.out
+    picture = cv2.imread(str(tmp_path / "seen.png"))
+    assert picture is not None and picture.shape[1] > open_log(CORRIDOR).camera.width
     assert "stated" in result.out and "landmarks in view" in result.out and "/odom" in result.out
 
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from live_processes import free_endpoint
+from short_log import Localiser
 
 from localiser.errors import InputError
 from localiser.sources import Arrival, CameraSource, Inbox, Network, topic_of
@@ -117,6 +118,20 @@ def test_a_video_file_is_a_camera(tmp_path: Path) -> None:
     source.close()
     assert [round(float(image.mean()) / 40) for _, image in frames] == [0, 1, 2, 3, 4]
     np.testing.assert_allclose(np.diff([t_ns for t_ns, _ in frames]), 5e7, atol=1e6)
+
+
+def test_doctor_shows_what_a_camera_sees(tmp_path: Path, localiser: Localiser) -> None:
+    path = tmp_path / "drive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (64, 48))
+    for level in (40, 120, 200):
+        writer.write(np.full((48, 64, 3), level, np.uint8))
+    writer.release()
+    result = localiser("doctor", "--image", path, "--seconds", 2, "--picture", tmp_path / "seen.png")
+    assert result.exit_code == 0 and "64×48 pixels" in result.out, result.out
+    seen = cv2.imread(str(tmp_path / "seen.png"))
+    assert seen.shape == (48, 64, 3) and abs(int(seen.mean()) - 200) < 5, "the last frame"
+    result = localiser("doctor", "--image", path, "--seconds", 2, "--picture", tmp_path / "seen.png")
+    assert result.exit_code == 2 and "already" in result.err
 
 
 def test_a_camera_that_is_not_there_is_told(tmp_path: Path) -> None:

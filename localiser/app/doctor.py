@@ -6,15 +6,18 @@ import platform
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from threading import Event, Lock
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 
 from localiser import __version__, mapping
+from localiser.app.edges.overlay import save_overlay
 from localiser.app.live.inbound import CameraFinder, message_of, type_of
 from localiser.calibration import check_mount
 from localiser.camera import Camera
@@ -27,7 +30,8 @@ from localiser.sources import Arrival, CameraSource, Network, topic_of
 from localiser.storage.bags.bag import stamp_of
 from localiser.storage.bags.images import grey_image, image_file
 from localiser.storage.bags.poses import floor_pose
-from localiser.storage.images import check_whole, decoded
+from localiser.storage.files import write_bytes
+from localiser.storage.images import Image, check_whole, decoded, encode_image
 
 State = Literal["ok", "warning", "missing"]
 LIBRARIES = ("numpy", "opencv-python-headless", "numba", "rosbags", "rerun-sdk", "eclipse-zenoh")
@@ -56,21 +60,38 @@ def versions() -> Iterator[Finding]:
             yield Finding(library, "missing", f"not installed{hint}")
 
 
-def camera_check(address: str, seconds: float) -> Finding:
-    """Return whether a camera that OpenCV reads can be opened, and how many frames a second come."""
-    frames: list[tuple[float, tuple[int, ...]]] = []
+def camera_check(address: str, seconds: float) -> tuple[Finding, Image | None]:
+    """Return whether a camera that OpenCV reads can be opened and how many frames a second come, and the last one."""
+    times: list[float] = []
+    newest: deque[Image] = deque(maxlen=1)
+
+    def take(_t_ns: int, image: Image) -> None:
+        times.append(time.monotonic())
+        newest.append(image)
+
     try:
-        source = CameraSource(address, lambda t_ns, image: frames.append((time.monotonic(), image.shape)))
+        source = CameraSource(address, take)
     except InputError as error:
-        return Finding("camera", "missing", str(error))
+        return Finding("camera", "missing", str(error)), None
     source.start()
     time.sleep(seconds)
     source.close()
-    if len(frames) < 2:
-        return Finding("camera", "warning", f"opened, but {len(frames)} frames in {seconds:g} s")
-    height, width = frames[-1][1][:2]
-    rate = (len(frames) - 1) / (frames[-1][0] - frames[0][0])
-    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second")
+    image = newest[0] if newest else None
+    if image is None or len(times) < 2:
+        return Finding("camera", "warning", f"opened, but {len(times)} frames in {seconds:g} s"), image
+    height, width = image.shape[:2]
+    rate = (len(times) - 1) / (times[-1] - times[0])
+    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second"), image
+
+
+def save_picture(path: Path, image: Image, camera: Camera | None, config: Config) -> None:
+    """Write an image (H, W) or (H, W, 3) as PNG, with its edges where the camera is known. Raises OutputError."""
+    if camera is None or image.shape[:2] != (camera.height, camera.width):
+        write_bytes(path, encode_image(image, ".png", 100))
+        return
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
+    edges = find_edges(grey, camera, config.edges)
+    save_overlay(path, grey, camera, {config.edges.detector: edges}, title="what the camera sees")
 
 
 @dataclass(slots=True, eq=False)
@@ -191,6 +212,15 @@ def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Findin
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"
         yield Finding(name, "warning" if check.disagrees else "ok", text)
+
+
+def newest_image(heard: Heard, camera: Camera) -> Image | None:
+    """Return the last image (H, W) that could be read."""
+    newest = None
+    for _, message in heard.messages("image"):
+        with suppress(ValueError, InputError):
+            newest = _grey(message, camera)
+    return newest
 
 
 def _grey(message: Any, camera: Camera) -> Any:

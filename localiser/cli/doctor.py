@@ -19,7 +19,7 @@ EPILOG = """Examples:
 
 `localiser doctor --connect tcp/127.0.0.1:7447 --map maps/house.yaml --at 1.5,-2`
 
-`localiser doctor --image 0`"""
+`localiser doctor --image 0 --picture camera.png`"""
 
 _COLOURS = {"ok": "green", "warning": "yellow", "missing": "red"}
 
@@ -37,6 +37,9 @@ def doctor(
     topics: Annotated[
         list[str] | None, typer.Option("--topic", metavar="KIND=NAME", help="Another topic, as for `localiser live`.")
     ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Write what the camera sees, with the edges found in it.")
+    ] = None,
     seconds: Annotated[float, typer.Option(min=0.5, metavar="S", help="How long to listen.")] = 5.0,
     config: ConfigFile = None,
     overrides: Overrides = None,
@@ -47,13 +50,18 @@ def doctor(
     """
     from localiser.app import doctor as examination
     from localiser.app.live.inbound import TOPICS
+    from localiser.app.outputs import require_new_file
     from localiser.config import load_config
     from localiser.storage import load_camera, load_map
 
+    if picture is not None:
+        require_new_file(picture)
+    settings = load_config(config, overrides or [])
     findings = [*examination.versions()]
+    known, seen = load_camera(camera) if camera else None, None
     if image is not None:
-        findings.append(examination.camera_check(image, seconds))
-    known = load_camera(camera) if camera else None
+        finding, seen = examination.camera_check(image, seconds)
+        findings.append(finding)
     if connect or listen:
         from localiser.sources import Network
 
@@ -68,12 +76,16 @@ def doctor(
             mount = known.mount
             text = f"{known.width}×{known.height} pixels, {mount.height_m:.2f} m high"
             findings.append(examination.Finding("camera", "ok", text))
-            findings += examination.mount_check(heard, known, load_config(config, overrides or []))
+            findings += examination.mount_check(heard, known, settings)
+            seen = examination.newest_image(heard, known) if seen is None else seen
     if map_file is not None:
         landmark_map = load_map(map_file)
         findings.append(examination.Finding("map", "ok", f"{len(landmark_map)} landmarks"))
         if at is not None and known is not None:
             findings.append(examination.map_check(landmark_map, known, _place(at)))
+    if picture is not None and seen is not None:
+        examination.save_picture(picture, seen, known, settings)
+        findings.append(examination.Finding("picture", "ok", str(picture)))
     _show(findings)
     if any(finding.state == "missing" for finding in findings):
         raise typer.Exit(1)
