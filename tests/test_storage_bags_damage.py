@@ -16,6 +16,7 @@ from typing import Any
 import lz4.frame
 import numpy as np
 import pytest
+from fuzzing import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags import rosbag1, rosbag2
@@ -87,7 +88,7 @@ def test_whole_bags_are_read(bags: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", FILES)
-@settings(FUZZ, max_examples=150)
+@settings(FUZZ, max_examples=examples(150))
 @given(data=st.data())
 def test_bytes_that_changed(bags: Path, tmp_path: Path, kind: str, data: st.DataObject) -> None:
     content = bytearray((bags / FILES[kind]).read_bytes())
@@ -100,7 +101,7 @@ def test_bytes_that_changed(bags: Path, tmp_path: Path, kind: str, data: st.Data
 
 
 @pytest.mark.parametrize("kind", FILES)
-@settings(FUZZ, max_examples=40)
+@settings(FUZZ, max_examples=examples(40))
 @given(st.binary(max_size=200))
 def test_arbitrary_bytes(bags: Path, tmp_path: Path, kind: str, content: bytes) -> None:
     assert outcome(written(tmp_path, bags, kind, content)) == "refused"
@@ -132,7 +133,7 @@ def test_a_bag_that_is_cut_off_anywhere(bags: Path, tmp_path: Path, kind: str) -
 
 @pytest.mark.parametrize("ros1", [False, True], ids=["ros2", "ros1"])
 @pytest.mark.parametrize("msgtype", [IMAGE, COMPRESSED, CAMERA_INFO, ODOMETRY, TRANSFORMS, TEXT])
-@settings(FUZZ, max_examples=25)
+@settings(FUZZ, max_examples=examples(25))
 @given(data=st.data())
 def test_messages_that_changed(tmp_path: Path, msgtype: str, ros1: bool, data: st.DataObject) -> None:
     """One message of a good bag is changed; its bag is whole."""
