@@ -174,7 +174,7 @@ class Recorder:
         three_sigma = 3 * float(np.sqrt(np.trace(estimate.pose_cov[:2, :2])))
         three_sigma_rad = 3 * float(np.sqrt(estimate.pose_cov[2, 2]))
         error = np.nan if truth is None else float(np.hypot(*(estimate.pose - truth)[:2]))
-        error_rad = np.nan if truth is None else abs(geometry.wrap_angle(estimate.pose[2] - truth[2]))
+        error_rad = np.nan if truth is None else abs(float(geometry.wrap_angle(estimate.pose[2] - truth[2])))
         self._stream.log(paths.ERROR, rr.Scalars([error, three_sigma]))
         self._stream.log(paths.HEADING, rr.Scalars(np.rad2deg([error_rad, three_sigma_rad])))
         self._stream.log(paths.P_CORRECT, rr.Scalars([located.p_correct]))
