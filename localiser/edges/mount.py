@@ -26,7 +26,7 @@ short edge far and a long one hardly, so that many short edges do not outvote fe
 
 _PRIOR_EDGES = 2.0
 """As how many edges it counts that edges are as crooked as is stated, when an image's own say how crooked they are."""
-_SCATTER_ROUNDS = 12
+_SCATTER_ITERATIONS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,9 +86,8 @@ def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float,
     Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll, and `plumb_sigma_rad`
     for how far real edges are from plumb. Without segments: the prior.
     """
-    prior_variance = np.maximum(prior_sigma_rad, 1e-9) ** 2
     variance = miss.sigma**2 + plumb_sigma_rad**2
-    return MountError(*compiled(mount_loop)(miss.angle, miss.per_mount, variance, prior_variance, _TUKEY, iterations))
+    return _fitted(miss, variance, np.zeros(len(variance)), prior_sigma_rad, (iterations, 0))
 
 
 def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
@@ -98,13 +97,12 @@ def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, p
     How large both are is learnt with the mount, by expectation maximisation: walls that agree to hundredths of a degree
     tell the tilt as well as that, although none is stated to be built so.
     """
-    pointing, crooked_rad = pointing_of_edges(edges, camera, plumb_sigma_rad)
-    error = MountError(np.zeros(2), np.diag(prior_sigma_rad**2))
-    for _ in range(_SCATTER_ROUNDS):
-        sigma = np.hypot(pointing.sigma, error.crooked * crooked_rad)
-        error = replace(mount_error(replace(pointing, sigma=sigma), prior_sigma_rad, 0.0), crooked=error.crooked)
-        error = replace(error, crooked=_crooked(pointing, crooked_rad, error))
-    return error
+    return mount_error_of_pointing(*pointing_of_edges(edges, camera, plumb_sigma_rad), prior_sigma_rad)
+
+
+def mount_error_of_pointing(pointing: NadirMiss, crooked_rad: Array, prior_sigma_rad: Array) -> MountError:
+    """Return what `mount_error_of_edges` does, of edges (E) by what `pointing_of_edges` returns of them."""
+    return _fitted(pointing, pointing.sigma**2, crooked_rad**2, prior_sigma_rad, (5, _SCATTER_ITERATIONS))
 
 
 def pointing_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float) -> tuple[NadirMiss, Array]:
@@ -114,13 +112,12 @@ def pointing_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float) -> t
     return replace(pointing, sigma=edges.lean_sigma), np.hypot(pointing.sigma, plumb_sigma_rad)
 
 
-def _crooked(pointing: NadirMiss, crooked_rad: Array, mount: MountError) -> float:
-    """Return how crooked edges (E) are over what is stated, a mount (2,) given: one step of the maximisation."""
-    angle, by_mount = pointing.corrected(mount)
-    own = (mount.crooked * crooked_rad) ** 2
-    variance = own + pointing.sigma**2
-    says = np.maximum(1 - angle**2 / (_TUKEY**2 * (variance + by_mount)), 0.0) ** 2
-    share = own / variance
-    expected = share**2 * (angle**2 + by_mount) + share * pointing.sigma**2
-    total = _PRIOR_EDGES + float((says * expected / crooked_rad**2).sum()) / _TUKEY_VARIANCE
-    return float(np.sqrt(total / (_PRIOR_EDGES + float(says.sum()))))
+def _fitted(
+    miss: NadirMiss, variance: Array, crooked_variance: Array, prior_sigma_rad: Array, iterations: tuple[int, int]
+) -> MountError:
+    prior_variance = np.maximum(prior_sigma_rad, 1e-9) ** 2
+    tukey = (_TUKEY, _TUKEY_VARIANCE)
+    mean, cov, factor = compiled(mount_loop)(
+        miss.angle, miss.per_mount, variance, crooked_variance, prior_variance, tukey, _PRIOR_EDGES, iterations
+    )
+    return MountError(mean, cov, float(np.sqrt(factor)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.edges.loops import compiled, vertical_loop
-from localiser.edges.mount import mount_error_of_edges, nadir_miss, pointing_of_edges
+from localiser.edges.mount import mount_error_of_pointing, nadir_miss, pointing_of_edges
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.geometry import Array
@@ -33,8 +33,8 @@ def vertical_probability(
     """
     if len(edges) == 0:
         return np.zeros(0)
-    mount = mount_error_of_edges(edges, camera, mount_sigma_rad, plumb_sigma_rad)
     pointing, crooked_rad = pointing_of_edges(edges, camera, plumb_sigma_rad)
+    mount = mount_error_of_pointing(pointing, crooked_rad, mount_sigma_rad)
     others = nadir_miss(rejected, camera)
     others = others.take(np.abs(others.corrected(mount)[0]) < REACH_RAD)
     misses, by_mount = zip(pointing.corrected(mount), others.corrected(mount), strict=True)
