@@ -63,7 +63,7 @@ def _labels(landmark_map: LandmarkMap, quality: Quality) -> list[str]:
 def layout(landmark_map: LandmarkMap) -> rrb.Blueprint:
     """Return the layout of a map and nothing else: the world from where all landmarks are in sight."""
     low, high = landmark_map.points.min(axis=0), landmark_map.points.max(axis=0)
-    distance = 1.1 * float(np.maximum(high - low, 2.0).max())
+    distance = 1.25 * float(np.maximum(high - low, 2.0).max())
     target = np.insert((low + high) / 2, 1, 0.0)
     position = target + distance * np.array([0.0, np.sin(ELEVATION_RAD), np.cos(ELEVATION_RAD)])
     shown = rrb.Spatial3DView(
