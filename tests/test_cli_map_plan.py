@@ -11,6 +11,7 @@ import pytest
 from mapping_worlds import world
 from test_cli_map import edge_log, refused, run
 
+from localiser.app.map_plan import map_of_plan
 from localiser.storage import find_run, load_json, load_map
 from localiser.storage.plans import PlanFile, classify, load_plan
 
@@ -122,6 +123,28 @@ def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     assert run("replay", log, "--map", out, *options).exit_code == 0
     figures = load_json(find_run(tmp_path / "runs" / "drive" / "latest") / "metrics.json")
     assert figures["position_rmse_m"] < 0.2
+
+
+def test_a_plan_is_refined_by_a_log(tmp_path: Path) -> None:
+    """The plan's file itself, merged with a map of the log: corners go to where the log saw them, names stay."""
+    plan, built, out = (tmp_path / name for name in ("plan.yaml", "log.yaml", "whole.yaml"))
+    assert run("map", "draw", WORLD, "-o", plan, "--resolution", 0.05, "-q").exit_code == 0
+    drive = world("corridor")
+    log = edge_log(tmp_path / "log", drive.edges(seed=0))
+    assert run("map", "build", log, "-o", built, "-q").exit_code == 0
+    told = run("map", "merge", plan, built, "-o", out)
+    assert told.exit_code == 0
+    drawn, whole = map_of_plan(plan)[0], load_map(out)
+    assert whole.ids[: len(drawn)] == drawn.ids
+    both = np.flatnonzero(np.isfinite(whole.quality.sightings[: len(drawn)]))
+    assert len(both) > 15  # doors are shut on the drive, and open on a plan
+    truth = drive.landmark_map.points
+
+    def off(points: np.ndarray) -> float:
+        return float(np.median(np.linalg.norm(points[:, None] - truth[None], axis=-1).min(axis=1)))
+
+    assert off(whole.points[both]) < 0.5 * off(drawn.points[both])
+    assert run("map", "align", plan, built).exit_code == 0
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,13 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import FloorPlan, plan_landmarks
-from localiser.storage.plans import load_plan
+from localiser.storage import load_map
+from localiser.storage.plans import is_plan, load_plan
+
+
+def map_or_plan(path: Path) -> LandmarkMap:
+    """Return the landmark map of a file, or of a floor plan where it is one. Raises InputError."""
+    return map_of_plan(path)[0] if is_plan(path) else load_map(path)
 
 
 def map_of_plan(path: Path) -> tuple[LandmarkMap, FloorPlan]:

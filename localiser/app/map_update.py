@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from localiser.camera import Camera
 from localiser.config import Config
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
+from localiser.storage.files import write_bytes
 
 _GONE = 0.1
 """Probability of existence below which a landmark leaves the map: one miss or two only make it less certain."""
@@ -25,6 +27,15 @@ class Updated:
     gone: tuple[int | str, ...]
     new: tuple[int | str, ...]
     again: int
+
+
+def keep_old(path: Path) -> Path:
+    """Copy a map file beside itself, under the first free name MAP.1.yaml, MAP.2.yaml, …; return that name."""
+    number = 1
+    while (kept := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
+        number += 1
+    write_bytes(kept, path.read_bytes())
+    return kept
 
 
 def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, config: Config, within_m: float) -> Updated:

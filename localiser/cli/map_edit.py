@@ -85,7 +85,9 @@ def export(
 
 
 def align(
-    first: Annotated[Path, typer.Argument(metavar="A", help="The map that stays.")],
+    first: Annotated[
+        Path, typer.Argument(metavar="A", help="The map, or the floor plan of ROS map_server, that stays.")
+    ],
     second: Annotated[Path, typer.Argument(metavar="B", help="The map that is laid over it.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MAP", help="Write B in A's frame.")] = None,
     scale: Annotated[bool, typer.Option("--scale", help="Find the scale, too.")] = False,
@@ -95,11 +97,12 @@ def align(
     """Find how map B lies over map A, when nobody says which landmark is which; print what does not fit."""
     from localiser.app import map_merge
     from localiser.app.map_build import require_writable
+    from localiser.app.map_plan import map_or_plan
     from localiser.storage import load_map, save_map
 
     if out is not None:
         require_writable(out, overwrite=force)
-    one, other = load_map(first), load_map(second)
+    one, other = map_or_plan(first), load_map(second)
     alignment = map_merge.aligned(one, other, within, similarity=scale)
     typer.echo(map_merge.alignment_text(one, other, alignment))
     show(map_merge.alignment_table(one, other, alignment))
@@ -111,7 +114,8 @@ def align(
 
 def merge(
     first: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="The map whose frame and ids stay, as of a floor plan.")
+        Path,
+        typer.Argument(metavar="PLAN", help="The map, or the floor plan of ROS map_server, whose frame and ids stay."),
     ],
     second: Annotated[Path, typer.Argument(metavar="LOG-MAP", help="The map that refines it, as built from a log.")],
     out: MapOut,
@@ -125,10 +129,11 @@ def merge(
     """Refine a PLAN by a LOG-MAP: landmarks of both are fused by their covariances, the others are kept."""
     from localiser.app import map_merge
     from localiser.app.map_build import require_writable
+    from localiser.app.map_plan import map_or_plan
     from localiser.storage import load_map, save_map
 
     require_writable(out, overwrite=force)
-    one, other = load_map(first), load_map(second)
+    one, other = map_or_plan(first), load_map(second)
     if find_frame:
         alignment = map_merge.aligned(one, other, within, similarity=False)
         if doubt := map_merge.warning(alignment):

@@ -28,7 +28,7 @@ def update(
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
     from localiser.app import map_build
-    from localiser.app.map_update import updated
+    from localiser.app.map_update import keep_old, updated
     from localiser.storage import load_map, save_map
 
     map_build.require_writable(out, overwrite=force)
@@ -37,8 +37,11 @@ def update(
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         built = map_build.build_map(recorded, poses, effective, advance)
     changed = updated(old, built, recorded.camera, effective, within)
+    kept = keep_old(map_file) if out.resolve() == map_file.resolve() else None
     save_map(changed.landmark_map, out)
     if not quiet:
+        if kept is not None:
+            typer.echo(f"The map as it was is {kept}")
         typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")
         typer.echo(f"Gone: {', '.join(map(str, changed.gone)) or 'none'}")
         typer.echo(f"New: {', '.join(map(str, changed.new)) or 'none'}")

@@ -47,6 +47,12 @@ class PlanFile(BaseModel):
         return self
 
 
+def is_plan(path: Path) -> bool:
+    """Whether a YAML file describes a floor plan, and not a landmark map. Raises InputError."""
+    content = load(path).value
+    return isinstance(content, dict) and "image" in content and "format" not in content
+
+
 def load_plan(path: Path) -> FloorPlan:
     """Return the floor plan that a map_server YAML file describes; its image may lie anywhere. Raises InputError."""
     document = load(path)
