@@ -17,7 +17,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-CHROMIUM = shutil.which("chromium")
+
+def _found() -> str | None:
+    """Return the browser, if there is one that can be started."""
+    path = shutil.which("chromium")
+    works = path is not None and subprocess.run([path, "--version"], capture_output=True, check=False).returncode == 0
+    return path if works else None
+
+
+CHROMIUM = _found()
 _SWITCHES = (
     "--headless=new",
     "--no-sandbox",  # root of a container has none

@@ -76,7 +76,6 @@ def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program,
     """Its page is opened by nobody either."""
     with program(*LIVE, "--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--view", "web") as live:
         live.wait_to_say("Watch at")
-        live.poses(10)
         live.poses_at(LEAST_HZ, IMAGES)
         viewers = live.children()
         assert viewers
@@ -94,7 +93,7 @@ def test_a_viewer_that_is_not_there_changes_nothing(robot: Program, endpoint: st
     """There is no display for it."""
     arguments = ("--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--view", "native")
     with program(*LIVE, *arguments) as live:
-        live.poses(10)
+        live.poses(5)
         assert live.end() == 0
     assert "Traceback" not in live.all_said()
 

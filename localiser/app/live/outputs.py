@@ -26,7 +26,7 @@ class Published:
     """One image's result as it goes out. stamp_ns, now_ns: of the image and of the wheels' last pose, by the robot.
 
     now: (3,) pose in the map then. by_wheels: whether wheels were ever heard. latency_ms: from the image's stamp, by
-    this machine's calendar.
+    this machine's calendar. error_m: where the robot tells the truth beside.
     """
 
     located: Located
@@ -35,6 +35,7 @@ class Published:
     now: Array
     by_wheels: bool
     latency_ms: float
+    error_m: float | None = None
 
     def line(self) -> str:
         """Return the line of JSON."""
@@ -53,7 +54,7 @@ class Published:
             "p_correct": round(float(located.p_correct), 4),
             "latency_ms": round(self.latency_ms, 3),
         }
-        return json.dumps(data)
+        return json.dumps(data | ({} if self.error_m is None else {"error_m": round(self.error_m, 6)}))
 
 
 def pose_now(located: Located, odometry_now: Array) -> Array:

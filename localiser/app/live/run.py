@@ -257,6 +257,8 @@ class LiveRun:
         now_ns, odometry_now = self._newest_odometry or (frame.t_ns, located.odometry)
         if now_ns < frame.t_ns:
             now_ns, odometry_now = frame.t_ns, located.odometry
+        truth = self._true_pose(frame.t_ns)
+        error_m = None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2]))
         published = Published(
             located,
             frame.stamp_ns,
@@ -264,13 +266,12 @@ class LiveRun:
             pose_now(located, odometry_now),
             self._newest_odometry is not None,
             (time.time_ns() - frame.stamp_ns) / 1e6,
+            error_m,
         )
         for publish in self.publish:
             content = publish(published)
             if content is not None and self.recording is not None:
                 self.recording.write(POSE_TOPIC, POSE, time.time_ns(), content)
-        truth = self._true_pose(frame.t_ns)
-        error_m = None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2]))
         work_ms = frame.stage_ms["edges"] + frame.stage_ms["filter"]
         self.monitor.located(published.latency_ms, work_ms, error_m)
 
