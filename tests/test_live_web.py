@@ -28,7 +28,7 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="processes as Linux has them"),
 ]
 
-PATIENCE_S = 120.0  # a browser that draws by software, on a machine that is busy
+PATIENCE_S = 180.0  # a browser that draws by software, on a machine that is busy
 FRAMES = 5
 PARTICLES = 500
 
