@@ -18,7 +18,7 @@ from pydantic import Field
 from localiser import confidence, geometry, particles
 from localiser.biases import at_start, with_biases
 from localiser.clusters import Clusters
-from localiser.doubt import Doubt
+from localiser.doubt import Doubt, probability_of
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.increments import Gaussian, Odometer
@@ -29,7 +29,7 @@ from localiser.observation import Observation, ObservationParameters, independen
 from localiser.particles import Estimate, Particles
 from localiser.resampling import systematic_resample
 from localiser.rival import Rival
-from localiser.search import SEEN_FIRST, Search, only, resampled
+from localiser.search import SEEN_FIRST, Search, only, renewed
 from localiser.weighing import Weighing
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
@@ -228,9 +228,9 @@ def _weighed(
     search, moved = mcl.search, _moved(mcl, state.particles, moves, rng)
     if search is None:
         return _tracked(mcl, state, moved, edges, share, rng)
-    clues = search.clues(edges)
+    clues, news = search.clues(edges), search.news(moves, share)
     if state.searching:
-        weighed, state.doubt, _ = search.followed(moved, state.doubt, clues, share, rng)
+        weighed, state.doubt, _ = search.followed(moved, state.doubt, clues, news, rng)
         return weighed
     weighed = _tracked(mcl, state, moved, edges, share, rng)
 
@@ -239,12 +239,14 @@ def _weighed(
     few = only(moved, slice(None, None, max(len(moved) // FEW, 1)))
     by_share = clues.by_share(few)
     log_evidence = state.doubt.log_evidence(by_share, few.log_weight)
-    log_odds = state.doubt.log_odds - log_evidence
-    state.doubt = state.doubt.after(by_share, few.log_weight, share, search.parameters.carried)
+    news = state.doubt.news(log_evidence, news)
+    doubt = state.doubt.ahead(news, search.parameters.carried)
+    log_odds = doubt.log_odds - log_evidence
+    state.doubt = doubt.after(by_share, few.log_weight, news)
     if state.rival is not None:
         others = _moved(mcl, state.rival.particles, moves, rng)
-        state.rival = state.rival.followed(search, others, clues, share, share * log_evidence, inliers, rng)
-    elif search.looks_around(state.doubt, clues, share):
+        state.rival = state.rival.followed(search, others, clues, news, log_evidence, inliers, rng)
+    elif search.looks_around(probability_of(log_odds), clues, news):
         state.rival = Rival.begun(search, weighed, state.doubt, log_odds, clues, rng)
     if state.rival is not None:
         state.rival = state.rival.elsewhere(particles.estimate(weighed).pose)
@@ -304,7 +306,7 @@ def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Ge
         state.rival = state.rival.resampled(parameters.particles, max(parameters.particles, SEEN_FIRST), rng)
     if state.searching:
         if confidence.near_weight(weighed, located.estimate.pose) < ALONE:
-            return resampled(weighed, parameters.particles, most, rng)
+            return renewed(weighed, parameters.particles, most, rng)
         state.searching = False
     if located.ess < parameters.resample_below * len(weighed) or len(weighed) != parameters.particles:
         index = systematic_resample(weighed.weight, parameters.particles, rng)

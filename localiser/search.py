@@ -9,11 +9,13 @@ image, so
 Bayes decides, and next to nothing goes to them while the particles explain the edges. Several places stay until one
 has won; the number of particles follows from the cells that they occupy [Fox 2003].
 
-What tells places apart is more than what tells centimetres: beside the bearings, where the edges' feet are.
+What tells places apart is the filter's own likelihood, a little blurred. What is in view stays in view for a while, so
+an image counts by how much of the scene is new (`doubt`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -23,15 +25,14 @@ from pydantic import Field
 
 from localiser import resampling
 from localiser.clusters import poses_per_cell
-from localiser.doubt import Doubt
+from localiser.doubt import Doubt, News
 from localiser.edges import Edges
-from localiser.geometry import Array, wrap_angle
-from localiser.inliers import INLIER_SHARES, InlierShare
+from localiser.geometry import Array, Increment, wrap_angle
+from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.particles import CAMERA_YAW, Particles
-from localiser.proposals import Places, Region, View, propose, view_of
-from localiser.proposals.evidence import Evidence, evidence_of, score_by_share
+from localiser.particles import CAMERA_YAW, POSE, Particles, effective_sample_size
+from localiser.proposals import Places, Region, View, evidence, propose, view_of
 from localiser.proposals.search import FEWEST
 
 CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
@@ -42,6 +43,9 @@ PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 ALIKE = 0.5  # one jamb shows as two or three edges: what each of them tells on its own
 BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
+EFFECTIVE = 0.5  # share of effective samples below which particles at several places are resampled
+ROOM = 1.25  # times as many particles as are wanted, that looks around may add until then
+SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)  # driving and turning after which other things are in view
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +57,7 @@ class SearchParameters:
     ] = 3e-4
     doubt: Annotated[
         float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
-    ] = 0.005
+    ] = 0.001
     fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
@@ -62,11 +66,12 @@ class SearchParameters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clues:
-    """What one image says of places: the view of it and its table of evidence."""
+    """What one image says of places: its edges for a likelihood, and the view of it for proposals."""
 
     view: View
-    evidence: Evidence
-    places: Places
+    edges: Edges
+    observation: EdgeObservation
+    landmark_map: LandmarkMap
 
     @property
     def is_blind(self) -> bool:
@@ -75,11 +80,11 @@ class Clues:
 
     def by_share(self, particles: Particles) -> Array:
         """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter."""
-        return self.by_pose(seen_from(particles))
+        return ALIKE * self.observation.by_share(particles, self.edges, self.landmark_map, BLUR_RAD)
 
     def by_pose(self, poses: Array) -> Array:
         """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
-        return ALIKE * score_by_share(self.evidence, self.places, poses, INLIER_SHARES)
+        return self.by_share(Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +92,7 @@ class Search:
     """Everything about the search for poses that stays the same during a run."""
 
     observation: EdgeObservation
+    landmark_map: LandmarkMap
     places: Places
     parameters: SearchParameters
 
@@ -98,7 +104,7 @@ class Search:
         sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m
         region = Region.around(landmark_map.points, BESIDE_MAP_M)
         places = Places.of(landmark_map, observation.camera, sight, region, sigma_m)
-        return cls(observation, places, parameters or SearchParameters())
+        return cls(observation, landmark_map, places, parameters or SearchParameters())
 
     @property
     def most(self) -> int:
@@ -109,12 +115,20 @@ class Search:
         """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
         angle = np.zeros(1)
         edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
-        self.clues(edges).by_pose(np.zeros((1, 3)))
+        clues = self.clues(edges)
+        clues.by_pose(np.zeros((1, 3)))
+        evidence.warm_up(clues.view, self.places)
+
+    def news(self, moves: Sequence[Increment], share: float) -> News:
+        """Return what is new in an image after these moves, of whose measuring errors `share` is new."""
+        return News(
+            share, float(np.tanh(sum(move.path_m / SCENE_M + move.turned_rad / SCENE_RAD for move in moves) / 2))
+        )
 
     def clues(self, edges: Edges) -> Clues:
         """Return what an image says of places."""
         view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
-        return Clues(view, evidence_of(view, BLUR_RAD, BLUR_RAD), self.places)
+        return Clues(view, edges, self.observation, self.landmark_map)
 
     def fresh(
         self, like: Particles, clues: Clues, inliers: InlierShare, count: int, rng: np.random.Generator
@@ -132,26 +146,38 @@ class Search:
         log_weight = log_prior_over_q + log_likelihood(poses)
         others = resampling.multinomial_resample(like.weight, count, rng)
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
-        poses[:, 2] = wrap_angle(poses[:, 2] - yaw_of(drawn))
-        return placed(drawn, poses), float(np.logaddexp.reduce(log_weight) - np.log(count))
+        return placed(drawn, self._seeing_the_same(poses, drawn)), float(
+            np.logaddexp.reduce(log_weight) - np.log(count)
+        )
 
-    def looks_around(self, doubt: Doubt, clues: Clues, share: float) -> bool:
-        """Whether the robot may be lost and an image, of which `share` is new, can tell where else it may be."""
-        return len(clues.view) > 0 and share >= FRESH_SHARE and doubt.probability >= self.parameters.doubt
+    def _seeing_the_same(self, poses: Array, particles: Particles) -> Array:
+        """Return where robots (N, 3) are whose cameras, turned as the particles say, see what those at `poses` do."""
+        if CAMERA_YAW not in particles.names:
+            return poses
+        turned, camera = poses.copy(), self.observation.camera
+        turned[:, 2] = wrap_angle(poses[:, 2] - particles[CAMERA_YAW])
+        turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
+        return turned
+
+    def looks_around(self, lost: float, clues: Clues, news: News) -> bool:
+        """Whether the robot is lost with enough probability, and the image can tell where else it may be."""
+        return len(clues.view) > 0 and news.errors >= FRESH_SHARE and lost >= self.parameters.doubt
 
     def followed(
-        self, moved: Particles, doubt: Doubt, clues: Clues, share: float, rng: np.random.Generator
+        self, moved: Particles, doubt: Doubt, clues: Clues, news: News, rng: np.random.Generator
     ) -> tuple[Particles, Doubt, float]:
-        """Return particles at several places weighed by `share` of the image, their doubt and log-evidence.
+        """Return particles at several places weighed by what is new in the image, their doubt and log-evidence.
 
         Poses that the image proposes join them, unless those at the present places explain it far better.
         """
         by_share = clues.by_share(moved)
-        weighed = replace(moved, log_weight=moved.log_weight + share * doubt.inliers.log_mean(by_share))
+        news = doubt.news(doubt.log_evidence(by_share, moved.log_weight), news)
+        doubt = doubt.ahead(news, self.parameters.carried)
+        weighed = replace(moved, log_weight=moved.log_weight + news.scene * doubt.inliers.log_mean(by_share))
         log_evidence = _log_sum(weighed.log_weight) - _log_sum(moved.log_weight)
         log_odds = doubt.log_odds - doubt.log_evidence(by_share, moved.log_weight)
-        doubt = doubt.after(by_share, moved.log_weight, share, self.parameters.carried)
-        if not self.looks_around(doubt, clues, share):
+        doubt = doubt.after(by_share, moved.log_weight, news)
+        if not self.looks_around(doubt.probability, clues, news):
             return weighed, doubt, log_evidence
         fresh, fresh_evidence = self.fresh(weighed, clues, doubt.inliers, self.parameters.fresh, rng)
         log_odds += fresh_evidence  # both sides weighed by all of the image
@@ -162,18 +188,6 @@ class Search:
 
 def _log_sum(log_weight: Array) -> float:
     return float(np.logaddexp.reduce(log_weight))
-
-
-def yaw_of(particles: Particles) -> Array:
-    """Return how far (N,) each particle has the camera turned from where it is stated to look."""
-    return particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
-
-
-def seen_from(particles: Particles) -> Array:
-    """Return the poses (N, 3) of robots that see the same with a camera that looks where it is stated to."""
-    poses = particles.poses
-    poses[:, 2] += yaw_of(particles)
-    return poses
 
 
 def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
@@ -194,6 +208,16 @@ def joined(particles: Particles, others: Particles, log_odds: float) -> Particle
     log_others = others.log_weight - np.logaddexp.reduce(others.log_weight) + log_odds
     columns = np.concatenate([particles.columns, others.columns], axis=1)
     return replace(particles, columns=columns, log_weight=np.concatenate([log_weight, log_others]))
+
+
+def renewed(particles: Particles, fewest: int, most: int, rng: np.random.Generator) -> Particles:
+    """Return the particles resampled, or as they are while many of them carry the weight.
+
+    To resample moves them a little. Done at every image it would blur what images that tell little have told together.
+    """
+    if len(particles) <= ROOM * most and effective_sample_size(particles.weight) >= EFFECTIVE * len(particles):
+        return particles
+    return resampled(particles, fewest, most, rng)
 
 
 def resampled(particles: Particles, fewest: int, most: int, rng: np.random.Generator) -> Particles:
