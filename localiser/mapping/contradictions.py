@@ -23,10 +23,10 @@ _APART_FRAMES = 30  # without a landmark, after which it is visited again
 
 
 def without_contradictions(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
-    """Return the landmarks `of` (S,) with the visit that contradicts each landmark most as one of its own.
+    """Return the landmarks `of` (S,) with the visits that contradict their landmarks as landmarks of their own.
 
-    used: (K,) the sightings that are the bearings of the problem. Only one visit of each landmark leaves at a time: it
-    may be the reason why others seem to contradict.
+    used: (K,) the sightings that are the bearings of the problem. Of visits at one time only the worst leaves: it may
+    be why the others seem to contradict.
     """
     landmark = problem.bearings.landmark
     visit = visits(landmark, problem.bearings.frame)
@@ -36,13 +36,23 @@ def without_contradictions(problem: Problem, smoothed: Smoothed, of: Index, used
     if len(several) == 0:
         return of
     chi2 = contradiction(problem, smoothed, visit, several)
-    worst = np.zeros(len(smoothed.points))
-    np.maximum.at(worst, owner[several], chi2)
-    leaves = several[(chi2 > _GATE) & (chi2 == worst[owner[several]])]
+    leaves = several[_worst_of_their_time(problem.bearings.frame, visit, several, chi2)]
     parted = of.copy()
     gone = np.isin(visit, leaves)
     parted[used[gone]] = len(smoothed.points) + visit[gone]
     return parted
+
+
+def _worst_of_their_time(frame: Index, visit: Index, asked: Index, chi2: Array) -> Index:
+    """Return which of the visits asked (V,) contradict, but for those that share a frame with a worse one."""
+    taken = np.zeros(int(frame.max()) + 1, dtype=bool)
+    leaving = []
+    for index in np.argsort(-chi2, kind="stable"):
+        frames = frame[visit == asked[index]]
+        if chi2[index] > _GATE and not taken[frames.min() : frames.max() + 1].any():
+            taken[frames.min() : frames.max() + 1] = True
+            leaving.append(int(index))
+    return np.array(leaving, dtype=np.int64)
 
 
 def visits(landmark: Index, frame: Index) -> Index:

@@ -37,7 +37,7 @@ _TRUE_TURN_RAD = 7e-4  # how far turns of smoothed poses may be off between two 
 _ROUGHLY = 2e-3  # fall of the cost that ends a solution which is only a step on the way
 _CONSTELLATION_ROUNDS = 4
 _LOOSE = (100.0, 20.0, 4.0, 1.0)  # bearings are taken to be so much worse while a large loop is pulled together
-_LOOP_ROUNDS = 12
+_LOOP_ROUNDS, _LAST_LOOP_ROUNDS = 12, 4
 _PARTING_ROUNDS = 4
 _REPEATED = 2.0  # errors of an edge repeat from frame to frame: four sightings say what one independent one would
 _ASSOCIATION_ROUNDS = 3
@@ -92,7 +92,7 @@ def build_from_log(
         track = solver.follow(state, np.full(sightings.frames, _TRUE_TURN_RAD))
         of = reassociate(sightings, built, state.cameras, np.hypot(solver.sigma, _POSE_BEARING_RAD), parameters)
         state, built, smoothed = solver.solve(state, with_leftovers(of, track), noise)
-        state, built, smoothed = solver.close_loops(state, built, smoothed, track, 1)
+        state, built, smoothed = solver.close_loops(state, built, smoothed, track, _LAST_LOOP_ROUNDS)
         if (built.of == previous).all():
             break
     return _in_map(solver, state, built, smoothed, before, first_pose)
