@@ -26,7 +26,7 @@ from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.particles import normalised
 
 SOME = 0.3  # of the edges: from here on they are not the landmarks of chance
-OVERLOOKED = 0.5  # how often the poses that one image proposes miss the true one
+OVERLOOKED = 0.4  # how often the poses that one image proposes miss the true one
 MOST = 0.0  # log-odds that unexplained edges alone never exceed: they may as well be new to the map
 
 
