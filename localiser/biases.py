@@ -73,22 +73,39 @@ def at_start(particles: Particles, parameters: BiasParameters, rng: np.random.Ge
     return found
 
 
-def drawn_step(particles: Particles, by_bias: Array, noise: Array, rng: np.random.Generator) -> tuple[Array, Particles]:
-    """Return how each particle's step (along, left, turn) (3, N) deviates from odometry's, and what that told it.
+@dataclass(frozen=True, slots=True, eq=False)
+class StepSpread:
+    """What is not known of a step before it is made: covariance H P Hᵀ + noise, as axes (3, 3) and variances (3,)."""
 
-    by_bias: H (3, B). noise: covariance (3, 3). A step is drawn from N(H m, H P Hᵀ + noise), m being the particle's
-    mean of the biases and P their covariance; then both are updated by it as by a measurement, the camera's heading
-    staying where it is.
+    axes: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, particles: Particles, by_bias: Array, noise: Array) -> StepSpread:
+        """Return the spread of a step that depends on biases by H (3, B), with noise of covariance (3, 3)."""
+        variance, axes = np.linalg.eigh(by_bias @ particles.bias_cov @ by_bias.T + noise)
+        return cls(axes, variance)
+
+    @property
+    def root(self) -> Array:
+        """S^½ (3, 3): a step is its mean plus this times three standard normal draws."""
+        return np.asarray(self.axes * np.sqrt(np.maximum(self.variance, 0.0)))
+
+    @property
+    def whitened(self) -> Array:
+        """S^(-½) (3, 3), 0 along directions in which nothing can happen."""
+        floor = 1e-14 * self.variance[-1]
+        return np.asarray(self.axes / np.sqrt(np.where(self.variance > floor, self.variance, np.inf)))
+
+
+def learnt(particles: Particles, by_bias: Array, spread: StepSpread, normal: Array) -> Particles:
+    """Return the particles with what their steps told them of the biases, the camera's heading being as it was.
+
+    normal: (3, N) how each step was drawn, standardised: S^(-½) (step - H m), m being the particle's mean of the biases
+    and S = H P Hᵀ + noise. Both mean and P are updated by it as by a measurement.
     """
-    mean, cov = particles.columns[3:], particles.bias_cov
-    variance, axes = np.linalg.eigh(by_bias @ cov @ by_bias.T + noise)
-    root = axes * np.sqrt(np.maximum(variance, 0.0))
-    normal = rng.standard_normal((3, len(particles)))
-    # K S^½ = P Hᵀ S^(-½): nothing is learnt along directions in which nothing can happen.
-    whitened = axes / np.sqrt(np.where(variance > 1e-14 * variance[-1], variance, np.inf))
-    gain = cov @ by_bias.T @ whitened
-    learnt = _moved(particles, gain @ normal)
-    return by_bias @ mean + root @ normal, replace(learnt, bias_cov=cov - gain @ gain.T)
+    gain = particles.bias_cov @ by_bias.T @ spread.whitened
+    return replace(_moved(particles, gain @ normal), bias_cov=particles.bias_cov - gain @ gain.T)
 
 
 def projected(particles: Particles) -> Particles:

@@ -19,7 +19,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.inliers import INLIER_SHARES
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, Matches, ObservationParameters
+from localiser.observation import EdgeObservation, Matches, ObservationParameters, Targets
 from localiser.particles import POSE, Particles
 
 
@@ -40,6 +40,19 @@ class IdentifiedObservation(EdgeObservation):
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
         ratio = np.where(np.isfinite(density), density, 0.0) * self._span()
         return np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+
+    def targets(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float) -> Targets:
+        """Return the edges that are said to belong to a landmark."""
+        edges = edges.take(edges.landmark_id >= 0)
+        variance = np.nanmedian(self._residuals(particles, edges, landmark_map)[1], axis=0)
+        measured = self._measured(edges)[0]
+        known = np.isfinite(variance) & np.isfinite(measured)
+        return Targets(
+            points=landmark_map.points[edges.landmark_id[known]],
+            angle=measured[known],
+            variance=variance[known],
+            is_slope=self.parameters.kind == "slope",
+        )
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the landmark that each edge is said to belong to."""

@@ -39,6 +39,11 @@ class InlierShare:
         """The probability (K,) of each of `INLIER_SHARES` in the next frame."""
         return np.asarray(self.count / self.count.sum())
 
+    @property
+    def mean(self) -> float:
+        """The inlier share expected of the next frame."""
+        return float(self.probability @ INLIER_SHARES)
+
     def after(self, independent_frames: float) -> InlierShare:
         """Return the distribution after moving on: what was counted long ago is forgotten."""
         return replace(self, count=_PRIOR + np.exp(-independent_frames / MEMORY_FRAMES) * (self.count - _PRIOR))

@@ -21,6 +21,7 @@ from localiser.clusters import Clusters
 from localiser.doubt import Doubt, probability_of
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
+from localiser.guide import Guide
 from localiser.increments import Gaussian, Odometer
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
@@ -225,21 +226,21 @@ def _weighed(
 ) -> Particles:
     """Return the particles, moved and weighed by `share` of the edges' evidence, or those of a rival that has won."""
     assert state.particles is not None
-    search, moved = mcl.search, _moved(mcl, state.particles, moves, rng)
-    if search is None:
-        return _tracked(mcl, state, moved, edges, share, rng)
-    clues, news = search.clues(edges), search.news(moves, share)
-    if state.searching:
-        weighed, state.doubt, _ = search.followed(moved, state.doubt, clues, news, rng)
+    search, cloud = mcl.search, state.particles
+    if search is not None and state.searching:
+        moved, news = _moved(mcl, cloud, moves, rng), search.news(moves, share)
+        weighed, state.doubt, _ = search.followed(moved, state.doubt, search.clues(edges), news, rng)
         return weighed
-    weighed = _tracked(mcl, state, moved, edges, share, rng)
+    few = _moved(mcl, only(cloud, slice(None, None, max(len(cloud) // FEW, 1))), moves, rng)
+    weighed = _tracked(mcl, state, moves, few, edges, share, rng)
+    if search is None:
+        return weighed
 
     # Is the robot where the particles are? A few of them tell.
-    inliers = state.doubt.inliers
-    few = only(moved, slice(None, None, max(len(moved) // FEW, 1)))
+    clues, inliers = search.clues(edges), state.doubt.inliers
     by_share = clues.by_share(few)
     log_evidence = state.doubt.log_evidence(by_share, few.log_weight)
-    news = state.doubt.news(log_evidence, news)
+    news = state.doubt.news(log_evidence, search.news(moves, share))
     doubt = state.doubt.ahead(news, search.parameters.carried)
     log_odds = doubt.log_odds - log_evidence
     state.doubt = doubt.after(by_share, few.log_weight, news)
@@ -262,11 +263,30 @@ def _moved(mcl: Mcl, cloud: Particles, moves: list[Increment], rng: np.random.Ge
 
 
 def _tracked(
-    mcl: Mcl, state: FilterState, moved: Particles, edges: Edges, share: float, rng: np.random.Generator
+    mcl: Mcl,
+    state: FilterState,
+    moves: list[Increment],
+    few: Particles,
+    edges: Edges,
+    share: float,
+    rng: np.random.Generator,
 ) -> Particles:
-    inliers, blurred = state.inliers.after(share), not state.weighed
-    weighing = Weighing(mcl.observation, mcl.landmark_map, mcl.parameters.stage_below)
-    weighed, state.inliers, _ = weighing.weigh(moved, edges, inliers, share, blurred, rng)
+    """Return the particles moved and weighed by `share` of the edges' evidence. few: some of them, moved blindly."""
+    assert state.particles is not None
+    parameters, inliers = mcl.parameters, state.inliers.after(share)
+    weighing = Weighing(mcl.observation, mcl.landmark_map, parameters.stage_below)
+    if state.weighed and len(edges) and share > 0:
+        targets = mcl.observation.targets(few, edges, mcl.landmark_map, inliers.mean)
+        guide = Guide(mcl.observation.camera, targets, share, parameters.stage_below, parameters.resample_below)
+        *earlier, last = moves
+        moved = guide.moved(_moved(mcl, state.particles, earlier, rng), last, mcl.motion, rng)
+        at_once = weighing.at_once(moved, edges, inliers, share)
+        if at_once is not None:
+            weighed, state.inliers = at_once
+            return weighed
+    # The first image, and one whose edges were taken for those of other landmarks.
+    moved = _moved(mcl, state.particles, moves, rng)
+    weighed, state.inliers, _ = weighing.weigh(moved, edges, inliers, share, not state.weighed, rng)
     return weighed
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from localiser import geometry
-from localiser.biases import BIASES, BiasParameters, drawn_step, forgotten, projected, sensitivity
+from localiser.biases import BIASES, BiasParameters, StepSpread, forgotten, learnt, projected, sensitivity
 from localiser.geometry import Array, Increment, wrap_angle
 from localiser.particles import CAMERA_YAW, Particles
 
@@ -57,29 +57,58 @@ def direction_of_travel(increment: Increment) -> float:
     return float((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
-def predict(
-    particles: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
-) -> Particles:
-    """Return the particles moved by `increment`, each with its own draw of the noise and of what it knows of biases.
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """How N particles are about to move.
+
+    poses: (3, N) where the step that is expected leads, with the camera's heading. axes: (3, 3, N), their derivatives
+    by the standardised step, which is three standard normal draws. by_bias: (3, B) of (along, left, turn).
+    """
+
+    poses: Array
+    axes: Array
+    by_bias: Array
+    spread: StepSpread
+
+
+def expected_step(particles: Particles, increment: Increment, parameters: MotionParameters) -> Step:
+    """Return how particles move by `increment`, each by what it knows of the biases.
 
     Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
     correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own covariance
     (vision) errs by a draw from that instead, and tells nothing of the biases.
     """
-    direction, ahead = direction_of_travel(increment), _ahead_m(increment)
     by_bias = _by_bias(particles.names[3:], increment)
-    (along, left, turn), learnt = drawn_step(particles, by_bias, step_noise(increment, parameters), rng)
-
-    way = particles["heading"] + direction  # of the camera, by which the biases are seen
+    spread = StepSpread.of(particles, by_bias, step_noise(increment, parameters))
+    way = particles["heading"]  # of the camera, by which the biases are seen
     if CAMERA_YAW in particles.names:
         way = way + particles[CAMERA_YAW]
-    cos, sin = np.cos(way), np.sin(way)
-    columns = learnt.columns.copy()
-    columns[0] = particles["x"] - sin * (ahead + along) - cos * left
-    columns[1] = particles["z"] - cos * (ahead + along) + sin * left
-    columns[2] = wrap_angle(columns[2] + increment.mean[2] + turn)
-    moved = replace(learnt, columns=columns)
-    return forgotten(projected(moved) if by_bias.any() else moved, increment.path_m, parameters.bias)
+    to_map = _to_map(way + direction_of_travel(increment))
+    expected = by_bias @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+    poses = np.stack([particles["x"], particles["z"], way]) + np.einsum("pjn,jn->pn", to_map, expected)
+    return Step(poses, np.einsum("pjn,jk->pkn", to_map, spread.root), by_bias, spread)
+
+
+def stepped(
+    particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
+) -> Particles:
+    """Return the particles after steps drawn as `normal` (3, N), and what these told them of the biases."""
+    moved = learnt(particles, step.by_bias, step.spread, normal)
+    columns = moved.columns.copy()
+    columns[:3] = step.poses + np.einsum("pkn,kn->pn", step.axes, normal)
+    if CAMERA_YAW in particles.names:
+        columns[2] -= moved[CAMERA_YAW]
+    columns[2] = wrap_angle(columns[2])
+    moved = replace(moved, columns=columns)
+    return forgotten(projected(moved) if step.by_bias.any() else moved, increment.path_m, parameters.bias)
+
+
+def predict(
+    particles: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
+) -> Particles:
+    """Return the particles moved by `increment`, each with its own draw of the noise."""
+    step = expected_step(particles, increment, parameters)
+    return stepped(particles, step, rng.standard_normal(step.poses.shape), increment, parameters)
 
 
 def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
@@ -129,6 +158,10 @@ def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
 
 def _map_from_step(pose: Array, increment: Increment) -> Array:
     """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map."""
-    way = pose[2] + direction_of_travel(increment)
-    cos, sin = np.cos(way), np.sin(way)
-    return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
+    return _to_map(np.asarray(pose[2] + direction_of_travel(increment)))
+
+
+def _to_map(way: Array) -> Array:
+    """Return the rotations (3, 3, ...) from (along, left, turn) to (x, z, heading), for directions of travel (...)."""
+    cos, sin, nought = np.cos(way), np.sin(way), np.zeros_like(way)
+    return np.array([[-sin, -cos, nought], [-cos, sin, nought], [nought, nought, nought + 1.0]])

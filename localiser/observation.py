@@ -36,14 +36,15 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.inliers import INLIER_SHARES, InlierShare
-from localiser.landmarks import LandmarkMap, Sight, SightParameters, sight, widest_tangent
-from localiser.particles import CAMERA_YAW, POSE, Particles, take
+from localiser.landmarks import LandmarkMap, Sight, SightParameters, in_camera, sight, widest_tangent
+from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 END_SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
 END_TOLERANCE_PX = 6.0  # how far an edge may stick out
 END_MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
 END_CLUTTER = 0.25  # share of the image's height over which clutter ends: it stands on floors and shelves, too
+SETTLED = 0.9  # probability from which on an edge guides particles to where it is of its landmark
 _UNKNOWN_M = 1e9  # beyond every height
 _FEW = 64  # particles that tell how wide the cloud is
 
@@ -76,8 +77,27 @@ class ObservationParameters:
     sight: SightParameters = field(default_factory=SightParameters)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Edges of which it is known which landmark they belong to: K of them.
+
+    points: (K, 2) of the landmarks. angle: (K,) measured, rad. variance: (K,) rad². is_slope: whether angles are leans,
+    not bearings.
+    """
+
+    points: Array
+    angle: Array
+    variance: Array
+    is_slope: bool
+
+
 class Observation(Protocol):
     """Anything that weighs particles by edges."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that saw them."""
+        ...
 
     def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
         """Return log p(edges | particle) (N,), up to a constant that all particles share."""
@@ -88,6 +108,10 @@ class Observation(Protocol):
 
         blur_rad: sigma that is added to every edge's own.
         """
+        ...
+
+    def targets(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float) -> Targets:
+        """Return what the edges say of landmarks, `inlier_share` being how many edges belong to any."""
         ...
 
     def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
@@ -221,6 +245,47 @@ class EdgeObservation:
         position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
         sigma = np.sqrt(np.nanmedian(variance) + np.median(position_sigma) ** 2)
         return float(np.sqrt(np.median(np.maximum(square - mean**2, 0.0)))), float(sigma)
+
+    def targets(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float) -> Targets:
+        """Return the edges whose landmark is in no doubt, wherever among these particles the robot may be.
+
+        Of the landmarks (K) in view from the mean pose, the k-th has an edge as its own with probability
+
+            β_ek = w/K c_ek N(q_e; q_k, σ_ek² + s_k²) / ((1 - w)/span + Σ_l w/K c_el N(q_e; q_l, σ_el² + s_l²)),
+
+        s_k² being how much the particles' predictions of it spread. It must have one of `SETTLED`.
+        """
+        mean = self.camera.pose_in_map(estimate(particles).pose_as_seen)
+        seen = sight(self.camera, mean[None], landmark_map, self.parameters.sight)
+        measured, measured_var = self._measured(edges)
+        known = np.isfinite(measured) & np.isfinite(measured_var)
+        edges, measured, measured_var = edges.take(np.flatnonzero(known)), measured[known], measured_var[known]
+        predicted, per_bearing = self._predicted(seen.tangent)
+        position_var = (per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m) ** 2
+        spread_var = self._spread_var(particles, landmark_map.points[seen.landmark])
+
+        variance = (spread_var + position_var)[:, None] + measured_var
+        own = np.exp(-0.5 * (measured - predicted[:, None]) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+        pair, of_edge = (index.ravel() for index in np.indices(own.shape))
+        own *= np.reshape(self._covered(edges, seen, pair, of_edge) * np.ones(own.size), own.shape)
+        own *= inlier_share / max(len(predicted), 1)
+        beta = own / ((1 - inlier_share) / self._span() + own.sum(axis=0))
+        landmark, edge = np.nonzero(beta >= SETTLED)
+        return Targets(
+            points=landmark_map.points[seen.landmark[landmark]],
+            angle=measured[edge],
+            variance=measured_var[edge] + position_var[landmark],
+            is_slope=self.parameters.kind == "slope",
+        )
+
+    def _spread_var(self, particles: Particles, points: Array) -> Array:
+        """Return the variance (K,) of the angle at which particles expect points (K, 2), over those that face them."""
+        right, ahead = in_camera(self.camera_poses(particles), points)
+        faced = ahead > 0
+        weight = np.where(faced, particles.weight[:, None], 0.0)
+        weight /= np.maximum(weight.sum(axis=0), 1e-300)
+        predicted, _ = self._predicted(right / np.where(faced, ahead, 1.0))
+        return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""

@@ -71,6 +71,16 @@ class Weighing:
             coarser_rad = blur_rad
         return weighed, inliers.given(by_share, weighed.weight, share), log_evidence
 
+    def at_once(
+        self, moved: Particles, edges: Edges, inliers: InlierShare, share: float
+    ) -> tuple[Particles, InlierShare] | None:
+        """Return what `weigh` does, in one stage; None where that would leave too few effective samples."""
+        by_share = self.observation.by_share(moved, edges, self.landmark_map)
+        weighed = replace(moved, log_weight=moved.log_weight + share * inliers.log_mean(by_share))
+        if particles.effective_sample_size(weighed.weight) < self.stage_below * len(moved):
+            return None
+        return weighed, inliers.given(by_share, weighed.weight, share)
+
     def _blurs(self, moved: Particles, edges: Edges) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
 

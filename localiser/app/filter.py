@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from localiser import mcl
+from localiser import guide, mcl
 from localiser.camera import Camera
 from localiser.config import Config
 from localiser.increments import Odometer
@@ -14,6 +14,8 @@ from localiser.search import Search
 def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> mcl.Mcl:
     """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
     observation.warm_up()
+    guide.warm_up()
+    guide.warm_up()
     search = None  # looks for poses by edges that do not say what they are
     if config.observation.association == "unknown":
         search = Search.of(observation, landmark_map, config.search)
