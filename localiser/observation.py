@@ -43,8 +43,8 @@ GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: not
 END_SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
 END_TOLERANCE_PX = 6.0  # how far an edge may stick out
 END_MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
-END_CLUTTER = 0.25  # share of the image's height over which clutter ends: it stands on floors and shelves, too
 SETTLED = 0.9  # probability from which on an edge guides particles to where it is of its landmark
+END_ROW_PX = 10.0  # how far from each other things that stand in a row end
 _UNKNOWN_M = 1e9  # beyond every height
 _FEW = 64  # particles that tell how wide the cloud is
 
@@ -133,6 +133,22 @@ class Matches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Ends:
+    """Where the edges of a frame end, lower and upper end each: (E, 2) in the order of the columns.
+
+    e: upright heights in the image. per_length: (E,) 1 / length in e, 1e9 where unknown. room: the height over which
+    clutter ends, were it everywhere as dense as here. peak: what an edge that reaches where its landmark ends has there
+    beside clutter. missed: how often an edge ends before its landmark does; 1 where nothing is known of ends.
+    """
+
+    e: Array
+    per_length: Array
+    room: Array
+    peak: Array
+    missed: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EdgeObservation:
     """The observation of vertical edges, as `slope` or as `line`, seen by one camera."""
 
@@ -191,9 +207,7 @@ class EdgeObservation:
         # Edges of which this observation knows nothing go to the end: no landmark comes near them.
         known = np.isfinite(measured) & np.isfinite(variance)
         measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
-        ends = np.sort(self.camera.upright_from_pixels(edges.ends_px)[..., 1], axis=1)
-        if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
-            ends = np.tile([-_UNKNOWN_M, _UNKNOWN_M], (len(edges), 1))
+        ends = self._ends(edges)
         order = np.argsort(measured, kind="stable")
         mount, parameters, focal = self.camera.mount, self.parameters.sight, self.camera.focal_px
         margin = parameters.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
@@ -209,7 +223,7 @@ class EdgeObservation:
                     self._landmark_sigma(landmark_map) ** 2,
                 ]
             ),
-            edges=np.column_stack([measured, variance, ends])[order],
+            edges=np.column_stack([measured, variance, ends.e, ends.per_length, ends.room, ends.peak])[order],
             offset=(mount.right_m, mount.back_m, mount.yaw_rad),
             view=(
                 float(np.sin(mount.tilt_rad)),
@@ -217,7 +231,7 @@ class EdgeObservation:
                 *(np.array(self.camera.upright_bounds) + margin).tolist(),
                 shortest,
             ),
-            ends=self._ends(),
+            ends=(END_TOLERANCE_PX / focal, focal / END_SIGMA_PX, ends.missed),
             range_m=(parameters.range_min_m, parameters.range_max_m),
             widest=widest_tangent(self.camera, parameters),
             gate=(GATE_SIGMAS, largest_var),
@@ -259,15 +273,15 @@ class EdgeObservation:
         seen = sight(self.camera, mean[None], landmark_map, self.parameters.sight)
         measured, measured_var = self._measured(edges)
         known = np.isfinite(measured) & np.isfinite(measured_var)
-        edges, measured, measured_var = edges.take(np.flatnonzero(known)), measured[known], measured_var[known]
+        of_known, measured, measured_var = np.flatnonzero(known), measured[known], measured_var[known]
         predicted, per_bearing = self._predicted(seen.tangent)
         position_var = (per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m) ** 2
         spread_var = self._spread_var(particles, landmark_map.points[seen.landmark])
 
         variance = (spread_var + position_var)[:, None] + measured_var
         own = np.exp(-0.5 * (measured - predicted[:, None]) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-        pair, of_edge = (index.ravel() for index in np.indices(own.shape))
-        own *= np.reshape(self._covered(edges, seen, pair, of_edge) * np.ones(own.size), own.shape)
+        pair, edge = (index.ravel() for index in np.indices(own.shape))
+        own *= self._covered(edges, landmark_map, seen, pair, of_known[edge]).reshape(own.shape)
         own *= inlier_share / max(len(predicted), 1)
         beta = own / ((1 - inlier_share) / self._span() + own.sum(axis=0))
         landmark, edge = np.nonzero(beta >= SETTLED)
@@ -325,33 +339,56 @@ class EdgeObservation:
         variance = position_sigma[pair] ** 2 + measured_var[edge]
         residual = measured[edge] - predicted[pair]
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
-        return pair, edge, density * self._covered(edges, seen, pair, edge)
+        return pair, edge, density * self._covered(edges, landmark_map, seen, pair, edge)
 
-    def _covered(self, edges: Edges, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]) -> Array | float:
+    def _covered(
+        self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]
+    ) -> Array:
         """Return c_el: how well the ends of each edge agree with those of its pair's landmark; 1 tells nothing."""
-        if not np.isfinite(edges.ends_px).all():
-            return 1.0  # measured by something that tells no ends
-        ends = self.camera.upright_from_pixels(edges.ends_px)[..., 1]
-        low, high = ends.min(axis=1)[edge], ends.max(axis=1)[edge]
-        tolerance, per_sigma, missed, found = self._ends()
-        margin = self.parameters.sight.margin_px / self.camera.focal_px
-        _, _, e_low, e_high = self.camera.upright_bounds
-        foot = np.where(seen.e_bottom[pair] > e_low - margin, seen.e_bottom[pair], -np.inf)
-        top = np.where(seen.e_top[pair] < e_high + margin, seen.e_top[pair], np.inf)
-        inside = np.minimum(top, high) - np.maximum(foot, low) + 2 * tolerance
-        covered = np.clip(inside / (high - low), 0.0, 1.0)
-        at_foot, at_top = (
-            np.where(np.isfinite(off), missed + found * np.exp(-0.5 * np.square(off * per_sigma)), 1.0)
-            for off in (low - foot, high - top)
+        ends, focal = self._ends(edges), self.camera.focal_px
+        margin = self.parameters.sight.margin_px / focal
+        border = np.array(self.camera.upright_bounds[2:]) + [-margin, margin]
+        expected = np.column_stack([seen.e_bottom, seen.e_top])[pair]
+        cut = np.clip(expected, *border)
+        per_visible = 1.0 / np.maximum(cut[:, 1] - cut[:, 0], 1e-12)
+        in_image = (expected > border[0]) & (expected < border[1])
+        low, high = ends.e[edge].T
+        inside = np.minimum(np.where(in_image[:, 1], expected[:, 1], np.inf), high) - np.maximum(
+            np.where(in_image[:, 0], expected[:, 0], -np.inf), low
         )
-        return np.asarray(covered**2 * at_foot * at_top)
+        covered = np.clip((inside + 2 * END_TOLERANCE_PX / focal) * ends.per_length[edge], 0.0, 1.0)
+        short = np.minimum(ends.room[edge] * per_visible[:, None], 1.0) * np.where(in_image, ends.missed, 1.0)
+        off = np.where(in_image, ends.e[edge] - expected, np.inf) * focal / END_SIGMA_PX
+        known = np.isfinite(np.column_stack([landmark_map.bottom_m, landmark_map.top_m]))[seen.landmark[pair]]
+        at = np.where(known, short + ends.peak[edge] * np.exp(-0.5 * off**2), 1.0)
+        return np.asarray(covered**2 * at.prod(axis=1))
 
-    def _ends(self) -> tuple[float, float, float, float]:
-        """Return how far an edge may stick out, 1 / sigma of its ends (both normalised), p(missed) and (1 - p) peak."""
+    def _ends(self, edges: Edges) -> Ends:
+        """Return where the edges end, and how densely clutter does there.
+
+        Things that belong to nothing on the map stand in rows: bricks, books, bars of a railing. Where others end, one
+        more end is no surprise. Its density is that of a Dirichlet process with concentration 1 whose other draws are
+        the ends of the other edges: (1 / height + Σ_j N(e; e_j, row²)) / E; `room` is its inverse.
+        """
+        count = len(edges)
+        if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
+            e = np.tile([-_UNKNOWN_M, _UNKNOWN_M], (count, 1))
+            return Ends(e, np.full(count, _UNKNOWN_M), np.full((count, 2), _UNKNOWN_M), np.zeros((count, 2)), 1.0)
+        upright = self.camera.upright_from_pixels(edges.ends_px)[..., 1]
+        lower_first = np.argsort(upright, axis=1)
+        e = np.take_along_axis(upright, lower_first, axis=1)
         _, _, e_low, e_high = self.camera.upright_bounds
-        sigma = END_SIGMA_PX / self.camera.focal_px
-        peak = END_CLUTTER * (e_high - e_low) / (np.sqrt(2 * np.pi) * sigma)
-        return END_TOLERANCE_PX / self.camera.focal_px, 1.0 / sigma, END_MISSED, float((1.0 - END_MISSED) * peak)
+        row = END_ROW_PX / self.camera.focal_px
+        near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
+        room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
+        peak = (1.0 - END_MISSED) * room * self.camera.focal_px / (np.sqrt(2 * np.pi) * END_SIGMA_PX)
+        # The border ends an edge wherever its landmark does.
+        from_border = np.minimum(edges.ends_px, np.array([self.camera.width, self.camera.height]) - 1 - edges.ends_px)
+        at_border = np.take_along_axis(from_border.min(axis=-1) < END_TOLERANCE_PX, lower_first, axis=1)
+        per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
+        return Ends(
+            e, per_length, np.where(at_border, _UNKNOWN_M, room), np.where(at_border, 0.0, peak), END_MISSED
+        )
 
     def _measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.

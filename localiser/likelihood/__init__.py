@@ -19,7 +19,6 @@ from localiser.geometry import Array
 
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
 _PER_CELL = 16  # particles, at least, if they were spread evenly
-_ANY_LENGTH = 1e-12  # of an edge whose ends are not known: all of it is where its landmark is
 _BINS = 512  # of the compared angle
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 
@@ -29,12 +28,12 @@ class Scene:
     """What all particles share in a frame: landmarks, edges and the camera, as the loop takes them.
 
     landmarks: (L, 5) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
-    m². edges: (E, 4) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
-    the lower and upper end (∓1e9 where unknown). offset: right, back (m) and yaw (rad) of the camera on the robot.
+    m². edges: (E, 9) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
+    the lower and upper end, 1 / length (1e9 where unknown), the room of both ends, and their peaks. offset: right, back (m) and yaw (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
     own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of
-    its ends, p(missed), (1 - p) times the peak. span: of the compared angle (rad). is_slope: whether that is the lean.
+    its ends, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean.
     """
 
     landmarks: Array
@@ -44,7 +43,7 @@ class Scene:
     range_m: tuple[float, float]
     widest: float
     gate: tuple[float, float]
-    ends: tuple[float, float, float, float]
+    ends: tuple[float, float, float]
     span: float
     is_slope: bool
 
@@ -64,9 +63,7 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
     start, item = loops.candidates(
         run, low, per_unit, shape, scene.offset, scene.landmarks, half_view_rad, scene.range_m[1]
     )
-    length = scene.edges[:, 3] - scene.edges[:, 2]
-    per_length = 1.0 / np.where(length < loops.UNKNOWN_M, np.maximum(length, _ANY_LENGTH), _ANY_LENGTH)
-    edges = np.column_stack([scene.edges, per_length])
+    edges = scene.edges
     first, bins = bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
     rows, aside = np.empty((count, loops.LANES)), np.zeros((count, loops.LANES))
 

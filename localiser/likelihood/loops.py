@@ -46,8 +46,11 @@ _X0, _X1, _X2, _X3, _X4, _X5, _X6 = (float(power) for power in _SERIES.convert(k
 _HALF_PI = np.pi / 2
 
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)  # rows of a block's camera poses
-_ANGLE, _VARIANCE, _FOOT, _TOP, _FIRST, _END = range(6)  # of one landmark seen from them; _END: -1 where it is not
-_RESIDUAL, _SPREAD, _INSIDE, _PER_LENGTH, _LOWER, _UPPER, _DENSITY = range(7)  # of pairs
+# Of one landmark seen from them; _END: -1 where it is not.
+_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END = range(7)
+_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)  # columns of edges
+# Rows of pairs.
+_RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _DENSITY = range(10)
 
 
 # -- which landmarks can be in view from where ------------------------------------------------------------------------
@@ -227,6 +230,7 @@ def _look(
         first, end = (first if first < last_bin else last_bin), (end if end < last_bin else last_bin)
         seen[_ANGLE, m], seen[_VARIANCE, m] = angle, variance
         seen[_FOOT, m], seen[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
+        seen[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
         seen[_FIRST, m], seen[_END, m] = first, end if visible else -1.0
 
 
@@ -245,19 +249,34 @@ def _edges_near(seen: Array, size: int, first: Indices, visible: Array, near: In
 
 @_inlined
 def _pair(
-    edges: Array, seen: Array, near: Indices, some: int, pairs: Array, slot: Indices, number: int
+    edges: Array,
+    seen: Array,
+    near: Indices,
+    some: int,
+    ends: Any,
+    hidden: Any,
+    pairs: Array,
+    slot: Indices,
+    number: int,
 ) -> tuple[int, int]:
     """Pair one edge with each of `some` particles in `near`; return how many pairs, and particles with more edges."""
+    tolerance, _, missed = ends
+    unknown_foot, unknown_top = hidden
     more = 0
     for j in range(some):
         m = near[j]
         e = int(seen[_FIRST, m])
-        pairs[_RESIDUAL, number] = edges[e, 0] - seen[_ANGLE, m]
-        pairs[_SPREAD, number] = edges[e, 1] + seen[_VARIANCE, m]
-        foot, top, lower, upper = seen[_FOOT, m], seen[_TOP, m], edges[e, 2], edges[e, 3]
-        pairs[_INSIDE, number] = min(top, upper) - max(foot, lower)
-        pairs[_LOWER, number], pairs[_UPPER, number] = lower - foot, upper - top
-        pairs[_PER_LENGTH, number] = edges[e, 4]
+        pairs[_RESIDUAL, number] = edges[e, _MEASURED] - seen[_ANGLE, m]
+        pairs[_SPREAD, number] = edges[e, _VAR] + seen[_VARIANCE, m]
+        foot, top, low, high = seen[_FOOT, m], seen[_TOP, m], edges[e, _LOW], edges[e, _HIGH]
+        inside = min(top, high) - max(foot, low) + 2 * tolerance
+        pairs[_COVERED, number] = min(max(inside * edges[e, _PER_LENGTH], 0.0), 1.0)
+        pairs[_LOWER, number], pairs[_UPPER, number] = low - foot, high - top
+        per = seen[_PER_VISIBLE, m]
+        short_low, short_high = min(edges[e, _ROOM_LOW] * per, 1.0), min(edges[e, _ROOM_HIGH] * per, 1.0)
+        pairs[_SHORT_LOW, number] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
+        pairs[_SHORT_HIGH, number] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
+        pairs[_OF_PEAK_LOW, number], pairs[_OF_PEAK_HIGH, number] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
         slot[number] = e * BLOCK + m
         number += 1
         seen[_FIRST, m] = e + 1
@@ -280,17 +299,14 @@ def _normal(y: float) -> float:
 @_inlined
 def _add_up(pairs: Array, number: int, ends: Any, slot: Indices, density: Array, touched: Indices, count: int) -> int:
     """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
-    tolerance, per_sigma, missed, found = ends
+    per_sigma = ends[1]
     for i in range((number + LANES - 1) // LANES * LANES):
         y = -0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] / pairs[_SPREAD, i]
-        covered = (pairs[_INSIDE, i] + 2 * tolerance) * pairs[_PER_LENGTH, i]
-        covered = covered if (y > _LEAST) & (covered > 0) else 0.0
-        covered = covered if covered < 1 else 1.0
+        covered = pairs[_COVERED, i] if y > _LEAST else 0.0
         lower, upper = pairs[_LOWER, i] * per_sigma, pairs[_UPPER, i] * per_sigma
-        at_foot = missed + found * _normal(-0.5 / 16 * lower * lower)
-        at_top = missed + found * _normal(-0.5 / 16 * upper * upper)
-        told = (at_foot if abs(lower) < UNKNOWN_M else 1.0) * (at_top if abs(upper) < UNKNOWN_M else 1.0)
-        pairs[_DENSITY, i] = _normal(y) * covered * covered * told / np.sqrt(pairs[_SPREAD, i])
+        at_foot = pairs[_SHORT_LOW, i] + pairs[_OF_PEAK_LOW, i] * _normal(-0.5 / 16 * lower * lower)
+        at_top = pairs[_SHORT_HIGH, i] + pairs[_OF_PEAK_HIGH, i] * _normal(-0.5 / 16 * upper * upper)
+        pairs[_DENSITY, i] = _normal(y) * covered * covered * at_foot * at_top / np.sqrt(pairs[_SPREAD, i])
     for i in range(number):
         touched[count] = slot[i]
         count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
@@ -316,7 +332,7 @@ def products(
     view: tuple[float, ...],
     limits: tuple[float, float, float],
     gate: tuple[float, float],
-    ends: tuple[float, float, float, float],
+    ends: tuple[float, float, float],
     span: float,
     is_slope: bool,
     rows: Array,
@@ -327,7 +343,7 @@ def products(
     d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
     comes near have one. Logarithms of what was too large are added to `aside` (N, LANES); returns whether any was.
     """
-    block, seen, pairs = np.ones((6, BLOCK)), np.ones((6, BLOCK)), np.ones((7, ROOM))
+    block, seen, pairs = np.ones((6, BLOCK)), np.ones((7, BLOCK)), np.ones((10, ROOM))
     near, slot = np.zeros(BLOCK + 1, np.int64), np.zeros(ROOM, np.int64)
     density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.int64)
     visible, factor, each = np.zeros(BLOCK), np.ones((BLOCK, LANES)), np.zeros(LANES)
@@ -344,13 +360,14 @@ def products(
             count = number = 0
             for k in item[start[c] : start[c + 1]]:
                 landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
+                hidden = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M)
                 _look(block, lanes, landmark, limits, view, gate, bins, is_slope, seen)
                 some = _edges_near(seen, size, first, visible, near)
                 while some > 0:  # one edge of each particle, and again with those that have another near
                     if number > ROOM - BLOCK:
                         count = _add_up(pairs, number, ends, slot, density, touched, count)
                         number = 0
-                    number, some = _pair(edges, seen, near, some, pairs, slot, number)
+                    number, some = _pair(edges, seen, near, some, ends, hidden, pairs, slot, number)
             count = _add_up(pairs, number, ends, slot, density, touched, count)
 
             for m in range(BLOCK):
