@@ -8,12 +8,15 @@ can see from the pose, each as likely as the other, else it is clutter, spread e
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
 c_el compares the edge's ends with the landmark's: the rim of a picture, high on a wall, is no door jamb. It is the
-squared share of the edge that lies between the landmark's ends, times for each end that should be in the image
+squared share of the edge that lies between the landmark's ends, times for each end
 
-    m + (1 - m) H N(e; e_l(pose), σ²)
+    m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
 
-since an edge either reaches where its landmark ends, or ends anywhere before (m), while clutter ends anywhere on H of
-the image's height. So the floor contact tells the range. Where the map does not know an end, it tells nothing.
+since an edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while
+the density of clutter's ends is 1 / R_e there. Clutter stands in rows, so R_e is large where an end stands alone and
+small where other edges of the image end. The floor contact tells the range; a book tells nothing of a door. An end of a
+landmark beyond the image's border is not there to be reached (min(R_e / v_l, 1) is left), one that the map does not
+know tells nothing, and what the border ends is not short.
 
 How many edges are clutter differs from place to place, so w is not a parameter: the likelihood is computed for every
 share of `inliers`, which learns their distribution and integrates them out.
@@ -347,7 +350,7 @@ class EdgeObservation:
         """Return c_el: how well the ends of each edge agree with those of its pair's landmark; 1 tells nothing."""
         ends, focal = self._ends(edges), self.camera.focal_px
         margin = self.parameters.sight.margin_px / focal
-        border = np.array(self.camera.upright_bounds[2:]) + [-margin, margin]
+        border = np.array(self.camera.upright_bounds[2:]) + margin * np.array([-1.0, 1.0])
         expected = np.column_stack([seen.e_bottom, seen.e_top])[pair]
         cut = np.clip(expected, *border)
         per_visible = 1.0 / np.maximum(cut[:, 1] - cut[:, 0], 1e-12)
@@ -386,9 +389,7 @@ class EdgeObservation:
         from_border = np.minimum(edges.ends_px, np.array([self.camera.width, self.camera.height]) - 1 - edges.ends_px)
         at_border = np.take_along_axis(from_border.min(axis=-1) < END_TOLERANCE_PX, lower_first, axis=1)
         per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
-        return Ends(
-            e, per_length, np.where(at_border, _UNKNOWN_M, room), np.where(at_border, 0.0, peak), END_MISSED
-        )
+        return Ends(e, per_length, np.where(at_border, _UNKNOWN_M, room), np.where(at_border, 0.0, peak), END_MISSED)
 
     def _measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.

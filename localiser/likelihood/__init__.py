@@ -29,11 +29,12 @@ class Scene:
 
     landmarks: (L, 5) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
     m². edges: (E, 9) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
-    the lower and upper end, 1 / length (1e9 where unknown), the room of both ends, and their peaks. offset: right, back (m) and yaw (rad) of the camera on the robot.
-    view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
-    length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
-    own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of
-    its ends, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean.
+    the lower and upper end (∓1e9 where unknown), 1 / length, and of both ends the room that clutter has and the peak
+    beside it. offset: right, back (m) and yaw (rad) of the camera on the robot. view: (7,) sine and cosine of the tilt;
+    a_left, a_right, e_low, e_high of the image with its margin; the shortest length that counts. range_m: nearest,
+    farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's own sigma: how many sigmas, and the
+    largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of its ends, p(missed). span: of the
+    compared angle (rad). is_slope: whether that is the lean.
     """
 
     landmarks: Array
@@ -63,7 +64,6 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
     start, item = loops.candidates(
         run, low, per_unit, shape, scene.offset, scene.landmarks, half_view_rad, scene.range_m[1]
     )
-    edges = scene.edges
     first, bins = bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
     rows, aside = np.empty((count, loops.LANES)), np.zeros((count, loops.LANES))
 
@@ -79,7 +79,7 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
             item,
             scene.landmarks,
             shares / (1.0 - shares),
-            edges,
+            scene.edges,
             first,
             bins,
             scene.view,
@@ -101,7 +101,7 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
             any_aside = any(list(pool.map(weigh, ends[:-1], ends[1:])))
     result = loops.transposed(rows, len(shares))
     np.log(result, out=result)
-    result += (len(edges) * np.log1p(-shares))[:, None]
+    result += (len(scene.edges) * np.log1p(-shares))[:, None]
     return result + aside[:, : len(shares)].T if any_aside else result
 
 
