@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from localiser import geometry, likelihood
+from localiser import ends, geometry, likelihood
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
@@ -43,11 +43,7 @@ from localiser.landmarks import LandmarkMap, Sight, SightParameters, in_camera, 
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
-END_SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
-END_TOLERANCE_PX = 6.0  # how far an edge may stick out
-END_MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
 SETTLED = 0.9  # probability from which on an edge guides particles to where it is of its landmark
-END_ROW_PX = 10.0  # how far from each other things that stand in a row end
 _UNKNOWN_M = 1e9  # beyond every height
 _FEW = 64  # particles that tell how wide the cloud is
 
@@ -136,22 +132,6 @@ class Matches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ends:
-    """Where the edges of a frame end, lower and upper end each: (E, 2) in the order of the columns.
-
-    e: upright heights in the image. per_length: (E,) 1 / length in e, 1e9 where unknown. room: the height over which
-    clutter ends, were it everywhere as dense as here. peak: what an edge that reaches where its landmark ends has there
-    beside clutter. missed: how often an edge ends before its landmark does; 1 where nothing is known of ends.
-    """
-
-    e: Array
-    per_length: Array
-    room: Array
-    peak: Array
-    missed: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class EdgeObservation:
     """The observation of vertical edges, as `slope` or as `line`, seen by one camera."""
 
@@ -210,7 +190,7 @@ class EdgeObservation:
         # Edges of which this observation knows nothing go to the end: no landmark comes near them.
         known = np.isfinite(measured) & np.isfinite(variance)
         measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
-        ends = self._ends(edges)
+        ended = ends.ends_of(edges, self.camera)
         order = np.argsort(measured, kind="stable")
         mount, parameters, focal = self.camera.mount, self.parameters.sight, self.camera.focal_px
         margin = parameters.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
@@ -226,7 +206,7 @@ class EdgeObservation:
                     self._landmark_sigma(landmark_map) ** 2,
                 ]
             ),
-            edges=np.column_stack([measured, variance, ends.e, ends.per_length, ends.room, ends.peak])[order],
+            edges=np.column_stack([measured, variance, ended.e, ended.per_length, ended.room, ended.peak])[order],
             offset=(mount.right_m, mount.back_m, mount.yaw_rad),
             view=(
                 float(np.sin(mount.tilt_rad)),
@@ -234,7 +214,7 @@ class EdgeObservation:
                 *(np.array(self.camera.upright_bounds) + margin).tolist(),
                 shortest,
             ),
-            ends=(END_TOLERANCE_PX / focal, focal / END_SIGMA_PX, ends.missed),
+            ends=(ends.TOLERANCE_PX / focal, focal / ends.SIGMA_PX, ended.missed),
             range_m=(parameters.range_min_m, parameters.range_max_m),
             widest=widest_tangent(self.camera, parameters),
             gate=(GATE_SIGMAS, largest_var),
@@ -284,7 +264,7 @@ class EdgeObservation:
         variance = (spread_var + position_var)[:, None] + measured_var
         own = np.exp(-0.5 * (measured - predicted[:, None]) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         pair, edge = (index.ravel() for index in np.indices(own.shape))
-        own *= self._covered(edges, landmark_map, seen, pair, of_known[edge]).reshape(own.shape)
+        own *= self._agreement(edges, landmark_map, seen, pair, of_known[edge]).reshape(own.shape)
         own *= inlier_share / max(len(predicted), 1)
         beta = own / ((1 - inlier_share) / self._span() + own.sum(axis=0))
         landmark, edge = np.nonzero(beta >= SETTLED)
@@ -342,54 +322,16 @@ class EdgeObservation:
         variance = position_sigma[pair] ** 2 + measured_var[edge]
         residual = measured[edge] - predicted[pair]
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
-        return pair, edge, density * self._covered(edges, landmark_map, seen, pair, edge)
+        return pair, edge, density * self._agreement(edges, landmark_map, seen, pair, edge)
 
-    def _covered(
+    def _agreement(
         self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]
     ) -> Array:
         """Return c_el: how well the ends of each edge agree with those of its pair's landmark; 1 tells nothing."""
-        ends, focal = self._ends(edges), self.camera.focal_px
-        margin = self.parameters.sight.margin_px / focal
-        border = np.array(self.camera.upright_bounds[2:]) + margin * np.array([-1.0, 1.0])
         expected = np.column_stack([seen.e_bottom, seen.e_top])[pair]
-        cut = np.clip(expected, *border)
-        per_visible = 1.0 / np.maximum(cut[:, 1] - cut[:, 0], 1e-12)
-        in_image = (expected > border[0]) & (expected < border[1])
-        low, high = ends.e[edge].T
-        inside = np.minimum(np.where(in_image[:, 1], expected[:, 1], np.inf), high) - np.maximum(
-            np.where(in_image[:, 0], expected[:, 0], -np.inf), low
-        )
-        covered = np.clip((inside + 2 * END_TOLERANCE_PX / focal) * ends.per_length[edge], 0.0, 1.0)
-        short = np.minimum(ends.room[edge] * per_visible[:, None], 1.0) * np.where(in_image, ends.missed, 1.0)
-        off = np.where(in_image, ends.e[edge] - expected, np.inf) * focal / END_SIGMA_PX
         known = np.isfinite(np.column_stack([landmark_map.bottom_m, landmark_map.top_m]))[seen.landmark[pair]]
-        at = np.where(known, short + ends.peak[edge] * np.exp(-0.5 * off**2), 1.0)
-        return np.asarray(covered**2 * at.prod(axis=1))
-
-    def _ends(self, edges: Edges) -> Ends:
-        """Return where the edges end, and how densely clutter does there.
-
-        Things that belong to nothing on the map stand in rows: bricks, books, bars of a railing. Where others end, one
-        more end is no surprise. Its density is that of a Dirichlet process with concentration 1 whose other draws are
-        the ends of the other edges: (1 / height + Σ_j N(e; e_j, row²)) / E; `room` is its inverse.
-        """
-        count = len(edges)
-        if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
-            e = np.tile([-_UNKNOWN_M, _UNKNOWN_M], (count, 1))
-            return Ends(e, np.full(count, _UNKNOWN_M), np.full((count, 2), _UNKNOWN_M), np.zeros((count, 2)), 1.0)
-        upright = self.camera.upright_from_pixels(edges.ends_px)[..., 1]
-        lower_first = np.argsort(upright, axis=1)
-        e = np.take_along_axis(upright, lower_first, axis=1)
-        _, _, e_low, e_high = self.camera.upright_bounds
-        row = END_ROW_PX / self.camera.focal_px
-        near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
-        room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
-        peak = (1.0 - END_MISSED) * room * self.camera.focal_px / (np.sqrt(2 * np.pi) * END_SIGMA_PX)
-        # The border ends an edge wherever its landmark does.
-        from_border = np.minimum(edges.ends_px, np.array([self.camera.width, self.camera.height]) - 1 - edges.ends_px)
-        at_border = np.take_along_axis(from_border.min(axis=-1) < END_TOLERANCE_PX, lower_first, axis=1)
-        per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
-        return Ends(e, per_length, np.where(at_border, _UNKNOWN_M, room), np.where(at_border, 0.0, peak), END_MISSED)
+        margin = self.parameters.sight.margin_px / self.camera.focal_px
+        return ends.agreement(ends.ends_of(edges, self.camera), edge, expected, known, self.camera, margin)
 
     def _measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.

@@ -1,0 +1,85 @@
+"""Where the edges of an image end, and how well that agrees with where their landmarks do.
+
+What belongs to nothing on the map stands in rows: bricks, books, bars of a railing. Where other edges end, one more end
+is no surprise. So the density 1 / R_e of clutter's ends is that of a Dirichlet process with concentration 1 whose other
+draws are the ends of the other edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+
+SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
+TOLERANCE_PX = 6.0  # how far an edge may stick out
+MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
+ROW_PX = 10.0  # how far from each other things that stand in a row end
+_UNKNOWN = 1e9  # beyond every height
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ends:
+    """Where the edges of a frame end, lower and upper end each: (E, 2) in the order of the columns.
+
+    e: upright heights in the image. per_length: (E,) 1 / length in e, 1e9 where unknown. room: the height over which
+    clutter ends, were it everywhere as dense as here. peak: what an edge that reaches where its landmark ends has there
+    beside clutter. missed: how often an edge ends before its landmark does; 1 where nothing is known of ends.
+    """
+
+    e: Array
+    per_length: Array
+    room: Array
+    peak: Array
+    missed: float
+
+
+def ends_of(edges: Edges, camera: Camera) -> Ends:
+    """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
+    count = len(edges)
+    if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
+        e = np.tile([-_UNKNOWN, _UNKNOWN], (count, 1))
+        return Ends(e, np.full(count, _UNKNOWN), np.full((count, 2), _UNKNOWN), np.zeros((count, 2)), 1.0)
+    upright = camera.upright_from_pixels(edges.ends_px)[..., 1]
+    lower_first = np.argsort(upright, axis=1)
+    e = np.take_along_axis(upright, lower_first, axis=1)
+    _, _, e_low, e_high = camera.upright_bounds
+    row = ROW_PX / camera.focal_px
+    near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
+    room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
+    peak = (1.0 - MISSED) * room * camera.focal_px / (np.sqrt(2 * np.pi) * SIGMA_PX)
+    # The border ends an edge wherever its landmark does.
+    from_border = np.minimum(edges.ends_px, np.array([camera.width, camera.height]) - 1 - edges.ends_px)
+    at_border = np.take_along_axis(from_border.min(axis=-1) < TOLERANCE_PX, lower_first, axis=1)
+    per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
+    return Ends(e, per_length, np.where(at_border, _UNKNOWN, room), np.where(at_border, 0.0, peak), MISSED)
+
+
+def agreement(
+    ends: Ends, edge: NDArray[np.int64], expected: Array, known: NDArray[np.bool_], camera: Camera, margin: float
+) -> Array:
+    """Return c_el (P,) of pairs of an edge and a landmark: the equation of `observation`; 1 tells nothing.
+
+    edge: (P,) indices. expected: (P, 2) upright heights of the landmark's lower and upper end, known: (P, 2) whether
+    the map knows them; infinite where it does not, and where they lie beyond the image plane.
+    margin: how far beyond the image's border, in upright heights, a landmark still counts as seen.
+    """
+    per_px = 1.0 / camera.focal_px
+    border = np.array(camera.upright_bounds[2:]) + margin * np.array([-1.0, 1.0])
+    cut = np.clip(expected, *border)
+    per_visible = 1.0 / np.maximum(cut[:, 1] - cut[:, 0], 1e-12)
+    in_image = (expected > border[0]) & (expected < border[1])
+    bottom = np.where(in_image[:, 0], expected[:, 0], -np.inf)
+    top = np.where(in_image[:, 1], expected[:, 1], np.inf)
+    low, high = ends.e[edge].T
+    inside = np.minimum(top, high) - np.maximum(bottom, low)
+    covered = np.clip((inside + 2 * TOLERANCE_PX * per_px) * ends.per_length[edge], 0.0, 1.0)
+    short = np.minimum(ends.room[edge] * per_visible[:, None], 1.0) * np.where(in_image, ends.missed, 1.0)
+    off = np.where(in_image, ends.e[edge] - expected, np.inf) / (SIGMA_PX * per_px)
+    at = np.where(known, short + ends.peak[edge] * np.exp(-0.5 * off**2), 1.0)
+    return np.asarray(covered**2 * at.prod(axis=1))
