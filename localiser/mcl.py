@@ -18,7 +18,7 @@ from pydantic import Field
 from localiser import confidence, geometry, particles
 from localiser.biases import at_start, with_biases
 from localiser.clusters import Clusters
-from localiser.doubt import Doubt, probability_of
+from localiser.doubt import Doubt
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.guide import Guide
@@ -30,7 +30,7 @@ from localiser.observation import Observation, ObservationParameters, independen
 from localiser.particles import Estimate, Particles
 from localiser.resampling import systematic_resample
 from localiser.rival import Rival
-from localiser.search import SEEN_FIRST, Search, only, renewed
+from localiser.search import SEEN_FIRST, Search, only, resampled
 from localiser.weighing import Weighing
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------
@@ -228,8 +228,8 @@ def _weighed(
     assert state.particles is not None
     search, cloud = mcl.search, state.particles
     if search is not None and state.searching:
-        moved, news = _moved(mcl, cloud, moves, rng), search.news(moves, share)
-        weighed, state.doubt, _ = search.followed(moved, state.doubt, search.clues(edges), news, rng)
+        moved = _moved(mcl, cloud, moves, rng)
+        weighed, state.doubt, _ = search.followed(moved, state.doubt, search.clues(edges), share, rng)
         return weighed
     few = _moved(mcl, only(cloud, slice(None, None, max(len(cloud) // FEW, 1))), moves, rng)
     weighed = _tracked(mcl, state, moves, few, edges, share, rng)
@@ -240,14 +240,12 @@ def _weighed(
     clues, inliers = search.clues(edges), state.doubt.inliers
     by_share = clues.by_share(few)
     log_evidence = state.doubt.log_evidence(by_share, few.log_weight)
-    news = state.doubt.news(log_evidence, search.news(moves, share))
-    doubt = state.doubt.ahead(news, search.parameters.carried)
-    log_odds = doubt.log_odds - log_evidence
-    state.doubt = doubt.after(by_share, few.log_weight, news)
+    log_odds = state.doubt.log_odds - log_evidence
+    state.doubt = state.doubt.after(by_share, few.log_weight, share, search.parameters.carried)
     if state.rival is not None:
         others = _moved(mcl, state.rival.particles, moves, rng)
-        state.rival = state.rival.followed(search, others, clues, news, log_evidence, inliers, rng)
-    elif search.looks_around(probability_of(log_odds), clues, news):
+        state.rival = state.rival.followed(search, others, clues, share, share * log_evidence, inliers, rng)
+    elif search.looks_around(state.doubt, clues, share):
         state.rival = Rival.begun(search, weighed, state.doubt, log_odds, clues, rng)
     if state.rival is not None:
         state.rival = state.rival.elsewhere(particles.estimate(weighed).pose)
@@ -326,7 +324,7 @@ def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Ge
         state.rival = state.rival.resampled(parameters.particles, max(parameters.particles, SEEN_FIRST), rng)
     if state.searching:
         if confidence.near_weight(weighed, located.estimate.pose) < ALONE:
-            return renewed(weighed, parameters.particles, most, rng)
+            return resampled(weighed, parameters.particles, most, rng)
         state.searching = False
     if located.ess < parameters.resample_below * len(weighed) or len(weighed) != parameters.particles:
         index = systematic_resample(weighed.weight, parameters.particles, rng)

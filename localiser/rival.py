@@ -18,13 +18,13 @@ import numpy as np
 
 from localiser.clusters import find_clusters
 from localiser.confidence import beside
-from localiser.doubt import Doubt, News
+from localiser.doubt import Doubt
 from localiser.geometry import Array
 from localiser.inliers import InlierShare
 from localiser.particles import Particles
-from localiser.search import Clues, Search, only, renewed
+from localiser.search import Clues, Search, only, resampled
 
-WON = float(np.log(100.0))  # odds from which on the rival takes over
+WON = float(np.log(1000.0))  # odds from which on the rival takes over
 MOST = 0.8  # of a rival's weight that one place must have
 DEAD = -20.0  # log-odds below which it is given up
 
@@ -68,20 +68,20 @@ class Rival:
         search: Search,
         moved: Particles,
         clues: Clues,
-        news: News,
+        share: float,
         log_evidence: float,
         inliers: InlierShare,
         rng: np.random.Generator,
     ) -> Rival | None:
-        """Return the rival after an image, None when it is given up.
+        """Return the rival after an image of which `share` is new, None when it is given up.
 
         moved: its particles, moved since the last image. log_evidence: what the believed particles gave the image.
         inliers: how much is clutter, the same for both.
         """
         doubt = replace(self.doubt, inliers=inliers)
-        weighed, doubt, own_evidence = search.followed(moved, doubt, clues, news, rng)
+        weighed, doubt, own_evidence = search.followed(moved, doubt, clues, share, rng)
         # It wins by what it explains, not by what the others leave unexplained: that may be new to the map.
-        return Rival(weighed, doubt, self.log_odds + own_evidence - news.scene * max(log_evidence, 0.0))._alive()
+        return Rival(weighed, doubt, self.log_odds + own_evidence - max(log_evidence, 0.0))._alive()
 
     def elsewhere(self, pose: Array) -> Rival | None:
         """Return the rival without what is beside the believed pose (3,), None where nothing else is left."""
@@ -93,8 +93,8 @@ class Rival:
         return Rival(only(self.particles, far), self.doubt, self.log_odds + float(np.log(left)))._alive()
 
     def resampled(self, fewest: int, most: int, rng: np.random.Generator) -> Rival:
-        """Return the rival with as many particles as its places need."""
-        return Rival(renewed(self.particles, fewest, most, rng), self.doubt, self.log_odds)
+        """Return the rival with equally weighted particles."""
+        return Rival(resampled(self.particles, fewest, most, rng), self.doubt, self.log_odds)
 
     def _alive(self) -> Rival | None:
         return self if self.log_odds > DEAD else None

@@ -9,13 +9,11 @@ image, so
 Bayes decides, and next to nothing goes to them while the particles explain the edges. Several places stay until one
 has won; the number of particles follows from the cells that they occupy [Fox 2003].
 
-What tells places apart is the filter's own likelihood, a little blurred. What is in view stays in view for a while, so
-an image counts by how much of the scene is new (`doubt`).
+What tells places apart is the filter's own likelihood, a little blurred.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -25,13 +23,13 @@ from pydantic import Field
 
 from localiser import resampling
 from localiser.clusters import poses_per_cell
-from localiser.doubt import Doubt, News
+from localiser.doubt import Doubt
 from localiser.edges import Edges
-from localiser.geometry import Array, Increment, wrap_angle
+from localiser.geometry import Array, wrap_angle
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.particles import CAMERA_YAW, POSE, Particles, effective_sample_size
+from localiser.particles import CAMERA_YAW, POSE, Particles
 from localiser.proposals import Places, Region, View, evidence, propose, view_of
 from localiser.proposals.search import FEWEST
 
@@ -43,9 +41,6 @@ PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 ALIKE = 0.5  # one jamb shows as two or three edges: what each of them tells on its own
 BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
-EFFECTIVE = 0.5  # share of effective samples below which particles at several places are resampled
-ROOM = 1.25  # times as many particles as are wanted, that looks around may add until then
-SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)  # driving and turning after which other things are in view
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +52,7 @@ class SearchParameters:
     ] = 3e-4
     doubt: Annotated[
         float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
-    ] = 0.001
+    ] = 0.005
     fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
@@ -119,12 +114,6 @@ class Search:
         clues.by_pose(np.zeros((1, 3)))
         evidence.warm_up(clues.view, self.places)
 
-    def news(self, moves: Sequence[Increment], share: float) -> News:
-        """Return what is new in an image after these moves, of whose measuring errors `share` is new."""
-        return News(
-            share, float(np.tanh(sum(move.path_m / SCENE_M + move.turned_rad / SCENE_RAD for move in moves) / 2))
-        )
-
     def clues(self, edges: Edges) -> Clues:
         """Return what an image says of places."""
         view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
@@ -159,25 +148,23 @@ class Search:
         turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
         return turned
 
-    def looks_around(self, lost: float, clues: Clues, news: News) -> bool:
-        """Whether the robot is lost with enough probability, and the image can tell where else it may be."""
-        return len(clues.view) > 0 and news.errors >= FRESH_SHARE and lost >= self.parameters.doubt
+    def looks_around(self, doubt: Doubt, clues: Clues, share: float) -> bool:
+        """Whether the robot may be lost and an image, of which `share` is new, can tell where else it may be."""
+        return len(clues.view) > 0 and share >= FRESH_SHARE and doubt.probability >= self.parameters.doubt
 
     def followed(
-        self, moved: Particles, doubt: Doubt, clues: Clues, news: News, rng: np.random.Generator
+        self, moved: Particles, doubt: Doubt, clues: Clues, share: float, rng: np.random.Generator
     ) -> tuple[Particles, Doubt, float]:
-        """Return particles at several places weighed by what is new in the image, their doubt and log-evidence.
+        """Return particles at several places weighed by `share` of the image, their doubt and log-evidence.
 
         Poses that the image proposes join them, unless those at the present places explain it far better.
         """
         by_share = clues.by_share(moved)
-        news = doubt.news(doubt.log_evidence(by_share, moved.log_weight), news)
-        doubt = doubt.ahead(news, self.parameters.carried)
-        weighed = replace(moved, log_weight=moved.log_weight + news.scene * doubt.inliers.log_mean(by_share))
+        weighed = replace(moved, log_weight=moved.log_weight + share * doubt.inliers.log_mean(by_share))
         log_evidence = _log_sum(weighed.log_weight) - _log_sum(moved.log_weight)
         log_odds = doubt.log_odds - doubt.log_evidence(by_share, moved.log_weight)
-        doubt = doubt.after(by_share, moved.log_weight, news)
-        if not self.looks_around(doubt.probability, clues, news):
+        doubt = doubt.after(by_share, moved.log_weight, share, self.parameters.carried)
+        if not self.looks_around(doubt, clues, share):
             return weighed, doubt, log_evidence
         fresh, fresh_evidence = self.fresh(weighed, clues, doubt.inliers, self.parameters.fresh, rng)
         log_odds += fresh_evidence  # both sides weighed by all of the image
@@ -208,16 +195,6 @@ def joined(particles: Particles, others: Particles, log_odds: float) -> Particle
     log_others = others.log_weight - np.logaddexp.reduce(others.log_weight) + log_odds
     columns = np.concatenate([particles.columns, others.columns], axis=1)
     return replace(particles, columns=columns, log_weight=np.concatenate([log_weight, log_others]))
-
-
-def renewed(particles: Particles, fewest: int, most: int, rng: np.random.Generator) -> Particles:
-    """Return the particles resampled, or as they are while many of them carry the weight.
-
-    To resample moves them a little. Done at every image it would blur what images that tell little have told together.
-    """
-    if len(particles) <= ROOM * most and effective_sample_size(particles.weight) >= EFFECTIVE * len(particles):
-        return particles
-    return resampled(particles, fewest, most, rng)
 
 
 def resampled(particles: Particles, fewest: int, most: int, rng: np.random.Generator) -> Particles:

@@ -11,7 +11,7 @@ from proposal_room import CAMERA, room
 from localiser import geometry, search
 from localiser.clusters import Clusters, find_clusters
 from localiser.confidence import beside, confidence_of
-from localiser.doubt import OVERLOOKED, Doubt, News
+from localiser.doubt import OVERLOOKED, Doubt
 from localiser.geometry import Array, Trajectory
 from localiser.inliers import INLIER_SHARES
 from localiser.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
@@ -22,7 +22,6 @@ from localiser.search import Search, SearchParameters
 from localiser.simulate import EdgeNoise, simulated_edges
 
 SECOND = 1_000_000_000
-ALL_NEW, AS_BEFORE = News(1.0, 1.0), News(0.0, 0.0)
 ROOM = room(80)
 CORRELATION = ObservationParameters()
 OBSERVATION = EdgeObservation(CAMERA, CORRELATION)
@@ -135,26 +134,17 @@ def test_doubt_grows_with_edges_that_do_not_fit_and_falls_with_edges_that_do() -
     nothing, fits = np.log1p(-INLIER_SHARES)[:, None] * 20, np.linspace(0, 20, len(INLIER_SHARES))[:, None]
     doubt, one = Doubt.of(1e-4), np.zeros(1)
     for _ in range(3):
-        before, doubt = doubt, doubt.ahead(ALL_NEW, 1e-3).after(nothing, one, ALL_NEW)
+        before, doubt = doubt, doubt.after(nothing, one, 1.0, 1e-3)
         assert doubt.probability > before.probability
     for _ in range(20):
-        doubt = doubt.ahead(ALL_NEW, 1e-3).after(nothing, one, ALL_NEW)
+        doubt = doubt.after(nothing, one, 1.0, 1e-3)
     assert doubt.probability <= 0.5, "what is not on the map explains such edges as well"
-    assert doubt.ahead(ALL_NEW, 1e-3).after(fits, one, ALL_NEW).probability < 1e-3
+    assert doubt.after(fits, one, 1.0, 1e-3).probability < 1e-3
 
 
 def test_an_image_seen_before_leaves_doubt_as_it_was() -> None:
     nothing = np.log1p(-INLIER_SHARES)[:, None] * 20
-    doubt = Doubt.of(0.1).ahead(AS_BEFORE, 1e-3).after(nothing, np.zeros(1), AS_BEFORE)
-    assert doubt.probability == pytest.approx(0.1)
-
-
-def test_what_fits_tells_as_much_as_the_scene_is_new_and_what_does_not_as_much_as_the_errors_are() -> None:
-    nothing, fits = np.log1p(-INLIER_SHARES)[:, None] * 5, np.linspace(0, 5, len(INLIER_SHARES))[:, None]
-    doubt, one = Doubt.of(0.01), np.zeros(1)
-    for by_share, share in ((fits, 0.1), (nothing, 0.4)):
-        told = doubt.log_odds - doubt.after(by_share, one, News(0.4, 0.1)).log_odds
-        assert told == pytest.approx(share * doubt.inliers.log_mean(by_share)[0], rel=1e-6)
+    assert Doubt.of(0.1).after(nothing, np.zeros(1), 0.0, 1e-3).probability == pytest.approx(0.1)
 
 
 def test_a_place_that_fits_is_doubted_until_others_would_have_been_found() -> None:
@@ -163,9 +153,9 @@ def test_a_place_that_fits_is_doubted_until_others_would_have_been_found() -> No
     assert doubt.probability == pytest.approx(OVERLOOKED)
     chances = []
     for _ in range(6):
-        doubt = doubt.after(fits, np.zeros(1), ALL_NEW)
+        doubt = doubt.after(fits, np.zeros(1), 1.0, 0.0)
         chances.append(doubt.probability)
-    assert (np.diff(chances) < 0).all() and OVERLOOKED**7 < chances[-1] < 0.02
+    assert (np.diff(chances) < 0).all() and OVERLOOKED**7 < chances[-1] < 0.01
 
 
 # -- search and rival -------------------------------------------------------------------------------------------------
