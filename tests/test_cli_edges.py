@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,7 +15,10 @@ from edge_images import camera_of, wall_image
 from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 
+from localiser.app.edges import mount_warnings
+from localiser.calibration.check import MountCheck
 from localiser.camera import Camera
+from localiser.config import Config
 from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.storage import load_camera, save_camera
 
@@ -256,6 +260,15 @@ def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, f
         assert result.exit_code == 0
         assert ("See `localiser camera tilt`" in result.err) == told
         assert ("say that the camera's tilt is 20." in result.err or "tilt is 19.9" in result.err) == told
+
+
+def test_a_roll_a_little_below_zero_is_told_without_a_sign(monkeypatch: pytest.MonkeyPatch) -> None:
+    stated, found = np.deg2rad([15.0, 0.0]), np.deg2rad([18.0, -0.01])
+    check = MountCheck(stated, found, np.diag(np.deg2rad([0.1, 0.1]) ** 2), disagrees=True)
+    monkeypatch.setattr("localiser.calibration.check_mount", lambda *_: check)
+    run = SimpleNamespace(config=Config(), camera=CAMERA, kept={"columns": []})
+    (warning,) = mount_warnings(run)
+    assert "roll 0.0° ± 0.1°" in warning
 
 
 def test_an_image_without_edges_is_told_in_a_line(localiser: Localiser, folder: Path) -> None:

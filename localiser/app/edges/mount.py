@@ -26,7 +26,7 @@ def mount_warnings(run: EdgeRun) -> Iterator[str]:
         if check.disagrees and off @ np.linalg.solve(cov, off) > _CLEAR:
             stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
             yield (
-                f"The lines that {name} found say that the camera's tilt is {found[0]:.1f}° ± {sigma[0]:.1f}° and its "
-                f"roll {found[1]:.1f}° ± {sigma[1]:.1f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. Until the "
-                "camera file is right, edges are missed and bearings are off. See `localiser camera tilt`."
+                f"The lines that {name} found say that the camera's tilt is {found[0]:z.1f}° ± {sigma[0]:.1f}° and "
+                f"its roll {found[1]:z.1f}° ± {sigma[1]:.1f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. Until "
+                "the camera file is right, edges are missed and bearings are off. See `localiser camera tilt`."
             )
