@@ -112,6 +112,8 @@ def main() -> None:
     timed = [cell for count in options.threads for cell in (f"ms, {count} thread{'s'[: count > 1]}", "/ LSD")]
     table = Table("images", "detector", *COLUMNS, *timed, title="Vertical edges of at least 60 px")
     kinds = scenes_of(options)
+    if missing := set(options.scenes or []) - set(kinds):
+        raise SystemExit(f"--scenes: {', '.join(sorted(missing))}: not in LOCALISER_DATA; here are {', '.join(kinds)}")
     for kind in options.scenes or kinds:
         scores = judge(kinds[kind], detectors, options.threads, reference)
         for name, score in scores.items():

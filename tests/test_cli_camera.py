@@ -177,7 +177,7 @@ def test_images_without_the_board_are_listed_and_too_few_refused(
     for arguments, problem in (
         ((blank, blank), "found it in none"),
         ((*images[:2], blank), "at least 3 images, found it in 2 and not in blank.png; --squares counts squares"),
-        ((*images, "--floor", blank), f"{blank}: expected a charuco board of 8x6 squares"),
+        ((*images, "--floor", blank), f"{blank}: expected a charuco of 8x6 squares"),
     ):
         result = localiser("camera", "calibrate", *arguments, *OPTIONS)
         assert result.exit_code == 2 and problem in result.err.replace("\n", " "), result.err

@@ -15,7 +15,7 @@ from short_log import Localiser
 from localiser import geometry
 from localiser.app.paper import Reproduction, reproduce, steps
 from localiser.app.paper.arithmetic import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
-from localiser.app.paper.measured import DRIVE_M, TURN_RAD, VIEWS, Measured, Place, Seen
+from localiser.app.paper.measured import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
 from localiser.app.paper.results import (
     METHODS,
     Method,
@@ -118,7 +118,7 @@ def exact_view(points: np.ndarray, motion: np.ndarray) -> Seen:
 @pytest.fixture(scope="module")
 def exact() -> Measured:
     points = np.random.default_rng(0).uniform([-0.8, -4.0], [0.8, -2.0], (20, 2))
-    turned = tuple(exact_view(points, np.array([0.0, 0.0, -TURN_RAD * view])) for view in range(VIEWS))
+    turned = tuple(exact_view(points, np.array([0.0, 0.0, -turn_rad(0, view)])) for view in range(VIEWS))
     place = Place(turned, exact_view(points, np.array([0.0, -DRIVE_M, 0.0])), points, ())
     return {(size, detector): [place] for size in SIZES for detector in ("hough", "columns")}
 
@@ -153,7 +153,7 @@ def test_edges_of_another_polarity_are_not_paired(exact: Measured) -> None:
     found = {key: [Place(turned, place.ahead, place.points, ())] for key in exact}
     assert len(turn_errors(found, SMALL, METHODS[2], 1)[0]) == 0
     assert len(turn_errors(found, SMALL, METHODS[2], 2)[0]) == 20 * (VIEWS - 2)
-    assert {row[4] for row in rotations(found).rows if row[1] == "10" and row[0] == "640×480"} == {"–"}
+    assert {row[4] for row in rotations(found).rows if row[1] == "10.3–11.0" and row[0] == "640×480"} == {"–"}
 
 
 def dark(edges: Edges) -> Edges:
@@ -186,12 +186,12 @@ def test_the_paper_stands_beside_one_edge_in_four_views(reproduced: Reproduction
     sheet = three_turns(reproduced.found)
     assert sheet is not None
     assert [row[1:4] for row in sheet.rows] == [
-        ("10.96", "10.72", "10.00"), ("10.33", "8.09", "10.00"), ("10.39", "14.92", "10.00"),
+        ("10.96", "10.72", "10.96"), ("10.33", "8.09", "10.33"), ("10.39", "14.92", "10.39"),
     ]  # fmt: skip
     by_line = [index for index, column in enumerate(sheet.columns) if column.endswith("line")]
     assert len(by_line) == len(SIZES)
     for row in sheet.rows:
-        assert [float(row[index]) for index in by_line] == pytest.approx([10.0, 10.0], abs=0.1)
+        assert [float(row[index]) for index in by_line] == pytest.approx([float(row[3])] * 2, abs=0.1)
     found = track(reproduced.found)
     assert found is not None
     place, landmark = found

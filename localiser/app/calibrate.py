@@ -55,7 +55,7 @@ def calibrate(
         found[path] = board.find(load_image(path, size), path.name)
         progress()
     without = [path for path, view in found.items() if view is None]
-    wanted = f"expected a {board.kind} board of {board.size} squares"
+    wanted = f"expected a {board.kind} of {board.size} squares"
     if floor in without:
         raise InputError(f"{wanted}, found none; {_advice(board, [floor], size)}", path=floor)
     views = {path: view for path, view in found.items() if view is not None}

@@ -1,4 +1,4 @@
-"""The paper's motions, made before rendered images: turns of 10° and 20° on the spot, and driving straight ahead."""
+"""The paper's motions, before rendered images: the turns of its table 2 on the spot, and driving straight ahead."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
-from localiser.app.paper.arithmetic import TILT_2_DEG
+from localiser.app.paper.arithmetic import TABLE_2, TILT_2_DEG
 from localiser.app.paper.room import SIZES, camera_of, draw_places, room
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, Edges, find_edges
@@ -18,8 +18,9 @@ from localiser.simulate import Scene, render, scene_of, visible_landmarks
 
 DETECTORS = ("hough", "columns")
 """What the paper used, and ours."""
-TURN_RAD = np.deg2rad(10.0)
-VIEWS = 4
+TURNS_RAD = np.deg2rad([delta for _, delta, _ in TABLE_2])
+"""From each view to the next, as the paper's camera turned by its extrinsic parameters."""
+VIEWS = len(TURNS_RAD) + 1
 DRIVE_M = 0.25
 _NEAR_RAD = np.deg2rad(1.0)
 
@@ -41,8 +42,8 @@ class Seen:
 class Place:
     """What was seen at one place in the room.
 
-    turned: VIEWS views, each turned right by 10° more than the one before. ahead: the view from DRIVE_M further on than
-    the first. points: (L, 2) landmarks in the camera's level frame of the first view. images: of all views.
+    turned: VIEWS views, each turned right by `TURNS_RAD` from the one before. ahead: the view from DRIVE_M further on
+    than the first. points: (L, 2) landmarks in the camera's level frame of the first view. images: of all views.
     """
 
     turned: tuple[Seen, ...]
@@ -86,7 +87,7 @@ def measure(places: int, seed: int, progress: Callable[[], None]) -> Measured:
 
 
 def _at_place(scene: Scene, pose: Array, rng: np.random.Generator) -> Iterator[tuple[str, Place]]:
-    turns = [geometry.compose(pose, np.array([0.0, 0.0, -TURN_RAD * view])) for view in range(VIEWS)]
+    turns = [geometry.compose(pose, np.array([0.0, 0.0, -turn_rad(0, view)])) for view in range(VIEWS)]
     poses = [*turns, geometry.compose(pose, np.array([0.0, -DRIVE_M, 0.0]))]
     images = [render(scene, view, rng) for view in poses]
     points = geometry.robot_from_map(pose, scene.structure.landmark_map.points)
@@ -137,10 +138,15 @@ def pair_of(first: Seen, second: Seen, points: Array, camera: Camera) -> Pair:
     )
 
 
-def turns(places: list[Place], by: int, camera: Camera) -> list[Pair]:
-    """Return the pairs of views that lie `by` turns of 10° apart."""
+def turn_rad(first: int, by: int) -> float:
+    """Return how far the camera turns right from view `first` by so many turns."""
+    return float(TURNS_RAD[first : first + by].sum())
+
+
+def turns(places: list[Place], by: int, camera: Camera) -> list[tuple[Pair, float]]:
+    """Return the pairs of views that lie `by` turns apart, each with the true turn (rad)."""
     return [
-        pair_of(place.turned[first], place.turned[first + by], place.points, camera)
+        (pair_of(place.turned[first], place.turned[first + by], place.points, camera), turn_rad(first, by))
         for place in places
         for first in range(VIEWS - by)
     ]

@@ -11,7 +11,7 @@ import numpy as np
 from localiser import geometry
 from localiser.app.paper import measured
 from localiser.app.paper.arithmetic import TABLE_2, TILT_2_DEG
-from localiser.app.paper.measured import DRIVE_M, TURN_RAD, VIEWS, Measured, Pair
+from localiser.app.paper.measured import DRIVE_M, TURNS_RAD, VIEWS, Measured, Pair, turn_rad
 from localiser.app.paper.room import SIZES, camera_of
 from localiser.app.paper.sheet import Sheet
 from localiser.geometry import Array
@@ -42,10 +42,10 @@ GROUPS = (("< 5°", 0.0, 5.0), ("5–15°", 5.0, 15.0), ("> 15°", 15.0, 90.0))
 
 
 def turn_errors(found: Measured, size: tuple[int, int], method: Method, by: int) -> tuple[Array, Array]:
-    """Return the errors (K,) rad of all turns by `by` times 10°, from one edge each, and their sigmas (K,)."""
+    """Return the errors (K,) rad of all turns from a view to the `by`-th after it, by one edge, and sigmas (K,)."""
     pairs = measured.turns(found[size, method.detector], by, camera_of(size, TILT_2_DEG))
-    errors = [_turn(pair, method.kind)[0] - by * TURN_RAD for pair in pairs]
-    return np.concatenate(errors), np.concatenate([_turn(pair, method.kind)[1] for pair in pairs])
+    errors = [_turn(pair, method.kind)[0] - true_rad for pair, true_rad in pairs]
+    return np.concatenate(errors), np.concatenate([_turn(pair, method.kind)[1] for pair, _ in pairs])
 
 
 def _turn(pair: Pair, kind: str) -> tuple[Array, Array]:
@@ -57,19 +57,19 @@ def _turn(pair: Pair, kind: str) -> tuple[Array, Array]:
 def _together(found: Measured, size: tuple[int, int], by: int) -> Array:
     """Return the errors (P,) rad of turns from all edges that two views share, weighed by their sigmas."""
     errors = []
-    for pair in measured.turns(found[size, "columns"], by, camera_of(size, TILT_2_DEG)):
+    for pair, true_rad in measured.turns(found[size, "columns"], by, camera_of(size, TILT_2_DEG)):
         turn, sigma = _turn(pair, "line")
         if len(turn):
-            errors.append(np.average(turn, weights=sigma**-2) - by * TURN_RAD)
+            errors.append(np.average(turn, weights=sigma**-2) - true_rad)
     return np.array(errors)
 
 
 def rotations(found: Measured) -> Sheet:
-    """Return how far off turns by 10° and 20° are, at each size of the image."""
+    """Return how far off turns by about 10° and 20° are, at each size of the image."""
     rows = [_paper_row()]
     for size in SIZES:
         for by in (1, 2):
-            label = f"{size[0]}×{size[1]}", f"{np.rad2deg(by * TURN_RAD):.0f}"
+            label = f"{size[0]}×{size[1]}", _turn_range(by)
             for method in METHODS:
                 error, sigma = turn_errors(found, size, method, by)
                 spread = np.median(np.abs(error / sigma)) / _ROBUST if len(error) else np.nan
@@ -90,13 +90,19 @@ def _paper_row() -> tuple[str, ...]:
     apart = np.abs([psi - delta for _, delta, psi in TABLE_2])
     return (
         "176×144",
-        "10",
+        _turn_range(1),
         "the paper's real robot, ψ against δ",
         "3",
         f"{np.median(apart):.2f}",
         f"{apart.max():.2f}",
         "–",
     )
+
+
+def _turn_range(by: int) -> str:
+    """Return the least and the largest turn, in degrees."""
+    turn_deg = np.rad2deg([turn_rad(first, by) for first in range(VIEWS - by)])
+    return f"{turn_deg.min():.1f}–{turn_deg.max():.1f}"
 
 
 def _degrees(error_rad: Array) -> tuple[str, str]:
@@ -124,13 +130,13 @@ def three_turns(found: Measured) -> Sheet | None:
                 found, size, method, place, landmark
             )
     rows = [
-        (str(image), f"{delta:.2f}", f"{psi:.2f}", f"{np.rad2deg(TURN_RAD):.2f}",
+        (str(image), f"{delta:.2f}", f"{psi:.2f}", f"{np.rad2deg(TURNS_RAD[index]):.2f}",
          *(f"{np.rad2deg(turns[index]):.2f}" for turns in columns.values()))
         for index, (image, delta, psi) in enumerate(TABLE_2)
     ]  # fmt: skip
     return Sheet(
         "table_2",
-        f"Table 2: three turns by 10°, the paper's real robot and one edge of rendered images, tilt {TILT_2_DEG}°",
+        f"Table 2: three turns, by the paper's real robot and by one edge of rendered images, tilt {TILT_2_DEG}°",
         ("image", "paper δ", "paper ψ", "true ψ", *columns),
         tuple(rows),
         "Degrees. δ: by the camera's extrinsic parameters; ψ: by eq. 13.",
