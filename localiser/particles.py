@@ -11,6 +11,7 @@ from localiser.geometry import Array, circular_mean, wrap_angle
 
 POSE = ("x", "z", "heading")
 CAMERA_YAW = "camera_yaw"
+MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time whatever it shows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

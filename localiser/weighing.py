@@ -17,10 +17,8 @@ from localiser.geometry import Array
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import Observation
-from localiser.particles import POSE, Particles
+from localiser.particles import MOST_STAGES, POSE, Particles
 from localiser.resampling import systematic_resample
-
-MOST_STAGES = 12  # so that a frame takes a bounded time whatever it shows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -142,6 +142,23 @@ def test_only_edges_of_landmarks_in_no_doubt_guide():
     assert sorted(kept[:, 0]) == pytest.approx([-1.2, 1.5])
 
 
+def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
+    """Without being weighed by the edges, guided particles stand for where blind ones are."""
+    monkeypatch.setattr(guide, "MOST_STAGES", 1)
+    angle = expected_angles(expected_step(cloud(1, sigma=0.0), MOVE, MOTION).poses, "line")[0] + 0.03
+    targets = Targets(POINTS, angle, np.full(3, 0.08**2), False)
+    guided = Guide(CAMERA, targets, 1.0, 0.3, 0.99).moved(
+        cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(0)
+    )
+    found, blind = (
+        estimate(guided),
+        estimate(predict(cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(1))),
+    )
+    sigma = np.sqrt(np.diag(blind.cov))
+    assert (found.mean - blind.mean) / sigma == pytest.approx(np.zeros(3), abs=0.1)
+    assert np.sqrt(np.diag(found.cov)) / sigma == pytest.approx(np.ones(3), abs=0.1)
+
+
 def test_a_share_of_the_mean_keeps_particles_that_edges_do_not_like():
     log_evidence = np.array([0.0, -1000.0])
     flat = flattened(log_evidence, np.zeros(2))

@@ -25,11 +25,10 @@ from localiser.camera import Camera
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionParameters, Step, expected_step, stepped
 from localiser.observation import Targets
-from localiser.particles import Particles
+from localiser.particles import MOST_STAGES, Particles
 from localiser.resampling import systematic_resample
 
 BLIND = 0.1  # share of steps drawn from odometry alone, and of particles resampled by what they weighed before
-MOST_STAGES = 12  # so that a frame takes a bounded time whatever it shows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,12 +50,12 @@ class Guide:
     ) -> Particles:
         """Return the particles moved by `increment` to where the edges say, with weights that take that back."""
         count, left = len(cloud), 1.0
-        for _ in range(MOST_STAGES):
+        for stage in range(MOST_STAGES + 1):
             step = expected_step(cloud, increment, parameters)
             what = told(step, self.camera, self.targets, self.share)
             ahead = flattened(what.log_evidence, cloud.log_weight)
             weight = particles.normalised(cloud.log_weight + left * ahead)
-            if particles.effective_sample_size(weight) >= self.resample_below * count:
+            if stage == MOST_STAGES or particles.effective_sample_size(weight) >= self.resample_below * count:
                 break
             taken = particles.largest_step(cloud.log_weight, ahead, left, self.stage_below * count)
             weight = particles.normalised(cloud.log_weight + taken * ahead)
