@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import yaml
@@ -97,7 +98,9 @@ def standing_apart(points: Array, order: NDArray[np.int64]) -> list[int]:
     return kept
 
 
-def run(setting: Setting, observation: str, particles: int, seed: int, association: str = "unknown") -> Run:
+def run(
+    setting: Setting, observation: str, particles: int, seed: int, association: Literal["known", "unknown"] = "unknown"
+) -> Run:
     """Return one run of the filter on a truth, a start and edges drawn with this seed."""
     rng = np.random.default_rng([seed, WORLD_DRAWS])
     increments = [
@@ -115,7 +118,7 @@ def run(setting: Setting, observation: str, particles: int, seed: int, associati
         kind="line" if observation == "line" else "slope",
         landmark_sigma_m=0.0,
         decorrelation_m=0.0,
-        association="known" if association == "known" else "unknown",
+        association=association,
     )
     mcl = Mcl(
         setting.landmark_map,
