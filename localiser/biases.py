@@ -23,7 +23,7 @@ from pydantic import Field
 from localiser.geometry import Array, wrap_angle
 from localiser.particles import CAMERA_YAW, Particles, centred, estimate
 
-BIASES = ("distance_scale", "turn_scale", "veer", CAMERA_YAW)
+BIASES = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,9 @@ class BiasParameters:
     veer_sigma_deg_per_m: Annotated[
         float, Field(ge=0, le=90, description="turn of the robot while the wheels say straight on (degrees/m)")
     ] = 0.5
+    delay_sigma_s: Annotated[
+        float, Field(ge=0, le=1, description="by how much the robot is later, or earlier, than odometry says (s)")
+    ] = 0.0
     yaw_sigma_deg: Annotated[float, Field(ge=0, le=90, description="of the camera's stated yaw (degrees)")] = 1.0
     memory_m: Annotated[
         float, Field(gt=0, description="way after which an estimate of them is forgotten: tyres, floors, loads (m)")
@@ -42,12 +45,12 @@ class BiasParameters:
 
     @property
     def cov(self) -> Array:
-        """Prior covariance (4, 4) of `BIASES`: shares, rad/m, rad."""
+        """Prior covariance (5, 5) of `BIASES`: shares, rad/m, s, rad."""
         veer, yaw = np.deg2rad([self.veer_sigma_deg_per_m, self.yaw_sigma_deg])
-        return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, yaw]))
+        return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, self.delay_sigma_s, yaw]))
 
 
-EXACT = BiasParameters(distance_sigma=0.0, turn_sigma=0.0, veer_sigma_deg_per_m=0.0, yaw_sigma_deg=0.0)
+EXACT = BiasParameters(0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a robot without constant errors."""
 
 
@@ -145,16 +148,17 @@ def _moved(particles: Particles, change: Array) -> Particles:
     return replace(particles, columns=columns)
 
 
-def sensitivity(names: tuple[str, ...], ahead_m: float, turn_rad: float) -> Array:
+def sensitivity(names: tuple[str, ...], ahead_m: float, turn_rad: float, by_delay: Array) -> Array:
     """Return H = ∂(along, left, turn)/∂(biases) (3, B) of a step that odometry has as (ahead_m, 0, turn_rad).
 
     names: (B,) of the columns after the pose; those that are not of `BIASES` have no effect. Half of the turn comes
-    before the translation, which the camera's own yaw turns the other way.
+    before the translation, which the camera's own yaw turns the other way. by_delay: (3,) its change per second.
     """
     effect = {
         "distance_scale": (ahead_m, 0.0, 0.0),
         "turn_scale": (0.0, ahead_m * turn_rad / 2, turn_rad),
         "veer": (0.0, ahead_m * ahead_m / 2, ahead_m),
+        "delay": tuple(by_delay),
         CAMERA_YAW: (0.0, -ahead_m, 0.0),
     }
     return np.array([effect.get(name, (0.0, 0.0, 0.0)) for name in names]).reshape(-1, 3).T

@@ -10,7 +10,7 @@ image vertical, positive when the top leans right; the paper's slope is m = 1 / 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -123,6 +123,7 @@ class Increment:
     path_m, turned_rad: how far the robot drove and turned on the way, which is more than `mean` where it went to and
         fro; the motion model's noise grows with these.
     source: "wheel", "vision" or "both".
+    by_delay: (3,) how `mean` changes per second by which the robot is later than its odometry.
     """
 
     mean: Array
@@ -130,6 +131,7 @@ class Increment:
     path_m: float
     turned_rad: float
     source: str
+    by_delay: Array = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def from_mean(cls, mean: ArrayLike, source: str = "wheel", cov: ArrayLike | None = None) -> Increment:
@@ -155,6 +157,7 @@ class Increment:
             self.path_m + later.path_m,
             self.turned_rad + later.turned_rad,
             source,
+            jac_self @ self.by_delay + jac_later @ later.by_delay,
         )
 
 

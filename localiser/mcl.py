@@ -13,6 +13,7 @@ from functools import reduce
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser import confidence, geometry, particles
@@ -189,7 +190,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     edges = sighting.edges
 
     # Predict: move every particle by what wheels and edges say, each with its own error.
-    moves, odometry_pose = moves_until(state, sighting.t_ns)
+    moves, odometry_pose = moves_until(state, sighting.t_ns, mcl.motion.bias.delay_sigma_s)
     increment = wheels = reduce(Increment.then, moves)
     if mcl.odometer is not None and mcl.odometer.follows_edges:
         seconds, cov = (sighting.t_ns - state.at_ns) / 1e9, wheel_cov(wheels, mcl.motion)
@@ -332,11 +333,12 @@ def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Ge
     return weighed
 
 
-def moves_until(state: FilterState, t_ns: int) -> tuple[list[Increment], Array]:
+def moves_until(state: FilterState, t_ns: int, delay_s: float = 0.0) -> tuple[list[Increment], Array]:
     """Return the motion since the particles' time until `t_ns`, and the odometry's pose (3,) then; forget what is past.
 
     Poses are interpolated at both ends, so the increments are exact whatever the rates of the two sensors. A long way
-    is cut into moves short enough for the motion model, which is linear in what it does not know.
+    is cut into moves short enough for the motion model, which is linear in what it does not know. delay_s: by how much
+    the robot may well be later than its odometry.
     """
     start_ns = state.at_ns
     if not state.odometry:
@@ -350,13 +352,27 @@ def moves_until(state: FilterState, t_ns: int) -> tuple[list[Increment], Array]:
     move = np.floor(np.cumsum(path_m / MOVE_M + turned_rad / MOVE_RAD)).astype(np.int64)
     first = np.flatnonzero(np.diff(move, prepend=-1))
     ends = np.append(first, len(steps))
+    means = geometry.between(knots[ends[:-1]], knots[ends[1:]])
+    by_delay = _by_delay(track, np.array([start_ns, *inside, t_ns])[ends], means, delay_s)
+    paths, turns = np.add.reduceat(path_m, first), np.add.reduceat(turned_rad, first)
     moves = [
-        Increment(geometry.between(knots[a], knots[b]), np.zeros((3, 3)), path, turned, "wheel")
-        for a, b, path, turned in zip(
-            ends[:-1], ends[1:], np.add.reduceat(path_m, first), np.add.reduceat(turned_rad, first), strict=True
-        )
+        Increment(mean, np.zeros((3, 3)), path, turned, "wheel", late)
+        for mean, path, turned, late in zip(means, paths, turns, by_delay, strict=True)
     ]
-    # Keep the last pose at or before this image: the next increment starts between it and its successor.
-    while len(state.odometry) > 1 and state.odometry[1].t_ns <= t_ns:
+    # Keep the last pose at or before where the next increment, or a later robot's, starts.
+    while len(state.odometry) > 1 and state.odometry[1].t_ns <= t_ns - round(1e9 * delay_s):
         state.odometry.popleft()
     return moves, knots[-1]
+
+
+def _by_delay(track: geometry.Trajectory, ends_ns: NDArray[np.int64], means: Array, delay_s: float) -> Array:
+    """Return how motions (M, 3) between times (M + 1,) change per second by which the robot is later than its odometry.
+
+    A secant over a delay that may well be, since velocities that are commanded jump.
+    """
+    if delay_s == 0:
+        return np.zeros_like(means)
+    late = track.sampled(ends_ns - round(1e9 * delay_s)).poses
+    change = geometry.between(late[:-1], late[1:]) - means
+    change[:, 2] = geometry.wrap_angle(change[:, 2])
+    return np.asarray(change / delay_s)

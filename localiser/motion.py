@@ -117,8 +117,7 @@ def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
     ahead = _ahead_m(increment)
     noise = np.diag([distance_var, SLIP**2 * distance_var + ahead**2 * turn_var / 2, turn_var])
     noise[1, 2] = noise[2, 1] = ahead * turn_var / 2
-    cos, sin = np.cos(direction_of_travel(increment)), np.sin(direction_of_travel(increment))
-    from_robot = np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
+    from_robot = _step_from_robot(increment)
     return np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
 
 
@@ -138,7 +137,7 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
 def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
     """Return the covariance (3, 3) of wheels' motion in the robot frame, biases included as far as the prior goes."""
     to_robot = _map_from_step(np.zeros(3), increment)
-    by_bias = sensitivity(BIASES[:-1], _ahead_m(increment), float(increment.mean[2]))
+    by_bias = _by_bias(BIASES[:-1], increment)
     doubt = by_bias @ parameters.bias.cov[:-1, :-1] @ by_bias.T
     return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
 
@@ -153,7 +152,13 @@ def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
     """Return ∂(along, left, turn)/∂(biases) (3, B): none of an increment that wheels alone did not measure."""
     if increment.cov.any():
         return np.zeros((3, len(names)))
-    return sensitivity(names, _ahead_m(increment), float(increment.mean[2]))
+    late = _step_from_robot(increment) @ increment.by_delay
+    return sensitivity(names, _ahead_m(increment), float(increment.mean[2]), late)
+
+
+def _step_from_robot(increment: Increment) -> Array:
+    """Return the rotation (3, 3) from (right, backward, turn) in the robot frame to (along, left, turn) of a step."""
+    return _map_from_step(np.zeros(3), increment).T
 
 
 def _map_from_step(pose: Array, increment: Increment) -> Array:
