@@ -46,6 +46,7 @@ def write_figures(
         sighted=_sighted(edges),
         reasons=[frame.located.reason for frame in history.frames],
     )
+    figures["biases"] = _biases(inputs, history)
     figures["complete"] = complete
     figures |= mount_figures(log, edges, track.odometry, config)
     times = evaluate.timing_metrics(timing)
@@ -53,6 +54,16 @@ def write_figures(
     folder.write_json("timing.json", times)
     save_report(folder.path / "report.png", track, figures, truth=truth, landmark_map=inputs.landmark_map, bound=bound)
     return figures | times
+
+
+def _biases(inputs: RunInputs, history: History) -> dict[str, Any]:
+    """Return what the run has learnt of its wheels and mount, beside what the truth says of wheels."""
+    truth, times = inputs.log.groundtruth, history.track.t_ns
+    if truth is None or inputs.config.increments.source != "wheel":
+        fit = {}
+    else:
+        fit = evaluate.fit_wheels(inputs.log.odometry, truth, int(times[0]), int(times[-1]))
+    return evaluate.bias_figures(history.frames[-1].located.estimate, fit)
 
 
 def _bound(inputs: RunInputs, history: History) -> Array | None:

@@ -5,14 +5,17 @@ from localiser.evaluate.bound import bearing_information, posterior_bound, rms_p
 from localiser.evaluate.consistency import nees, nees_band, share_inside
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
+from localiser.evaluate.wheels import bias_figures, fit_wheels
 
 __all__ = [
     "Efficiency",
     "Errors",
     "Track",
     "bearing_information",
+    "bias_figures",
     "efficiency",
     "errors_against",
+    "fit_wheels",
     "metrics",
     "nees",
     "nees_band",

@@ -1,0 +1,59 @@
+"""Constants of wheels and mount: what a run has learnt of them, beside least squares against the truth.
+
+    true distance = (1 + distance_scale) · distance,    true turn = (1 + turn_scale) · turn + veer · distance
+
+Least squares take pieces of 5 s: long enough that a robot which follows its commands a moment later does not matter,
+short enough that the chord of a piece tells how far the robot drove.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from localiser.geometry import Array, Trajectory, between
+from localiser.particles import POSE, Estimate
+
+PIECE_NS = 5_000_000_000
+FEWEST_PIECES = 5
+DECIMALS = 6
+
+
+def fit_wheels(odometry: Trajectory, truth: Trajectory, from_ns: int, until_ns: int) -> dict[str, float]:
+    """Return what constants of the wheels make odometry fit the truth best between two times, shares and rad/m.
+
+    Empty where the two have less than some pieces in common, or the robot stood.
+    """
+    from_ns, until_ns = max(from_ns, int(truth.t_ns[0])), min(until_ns, int(truth.t_ns[-1]))
+    times = np.arange(from_ns, until_ns, PIECE_NS)
+    if len(times) <= FEWEST_PIECES:
+        return {}
+    wheels, true = (_pieces(track.sampled(times).poses) for track in (odometry, truth))
+    if np.linalg.matrix_rank(wheels) < 2:
+        return {}
+    distance = wheels[:, 0] @ true[:, 0] / (wheels[:, 0] @ wheels[:, 0])
+    veer, turn = np.linalg.lstsq(wheels, true[:, 1], rcond=None)[0]
+    return {"distance_scale": float(distance - 1), "turn_scale": float(turn - 1), "veer": float(veer)}
+
+
+def bias_figures(estimate: Estimate, fit: dict[str, float]) -> dict[str, Any]:
+    """Return value and sigma of every constant that is estimated, and by `least_squares` where `fit_wheels` has it."""
+    sigma = np.sqrt(np.diag(estimate.cov))
+    learnt = zip(estimate.names[len(POSE) :], estimate.mean[len(POSE) :], sigma[len(POSE) :], strict=True)
+    return {
+        name: {"value": _figure(value), "sigma": _figure(sigma)}
+        | ({"least_squares": _figure(fit[name])} if name in fit else {})
+        for name, value, sigma in learnt
+        if sigma > 1e-9  # of what can be wrong
+    }
+
+
+def _pieces(poses: Array) -> Array:
+    """Return chord, backward counted negative, and turn (P, 2) of the motions between P + 1 poses."""
+    motion = between(poses[:-1], poses[1:])
+    return np.stack([-np.sign(motion[:, 1]) * np.hypot(*motion[:, :2].T), motion[:, 2]], axis=1)
+
+
+def _figure(value: float) -> float:
+    return round(float(value), DECIMALS)
