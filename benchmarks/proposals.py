@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -60,10 +60,11 @@ class Found:
     duration_ms: float
 
 
-def setting_of(name: str, stretches: int, clutter: float, seed: int) -> Setting:
+def setting_of(name: str, stretches: int, clutter: float, turned: float | None, seed: int) -> Setting:
     """Return `stretches` of successive frames, each from an own random place beside the drive.
 
-    The map holds what the drive itself sees, as that of a recorded log does.
+    The map holds what the drive itself sees, as that of a recorded log does. turned: share of edges whose polarity is
+    not that of their landmark, which is drawn; None where polarity is unknown.
     """
     world = world_of(yaml.safe_load((WORLDS / f"{name}.yaml").read_text()))
     structure, camera, truth = structure_of(world), world.camera.camera(), truth_of(world.drive)
@@ -77,12 +78,15 @@ def setting_of(name: str, stretches: int, clutter: float, seed: int) -> Setting:
     landmark_map = LandmarkMap.from_points(
         everything.points[seen], bottom_m=everything.bottom_m[seen], top_m=everything.top_m[seen], name=name
     )
+    if turned is not None:
+        polarity = np.random.default_rng([seed, 1]).choice(np.array([-1, 1], dtype=np.int8), len(landmark_map))
+        landmark_map = replace(landmark_map, polarity=polarity)
     frames = simulated_edges(
         landmark_map,
         camera,
         Trajectory(np.arange(len(poses)), poses),
         rng,
-        noise=EdgeNoise(detection_probability=0.7, clutter_per_frame=clutter),
+        noise=EdgeNoise(detection_probability=0.7, clutter_per_frame=clutter, turned_probability=turned or 0.0),
         visible=visible_mask(structure, camera, poses)[:, seen],
     )
     return Setting(landmark_map, camera, poses, frames)
@@ -146,6 +150,9 @@ def main() -> None:
     parser.add_argument("--world", nargs="+", default=["office", "corridor"])
     parser.add_argument("--observation", nargs="+", default=["line", "slope"], choices=["line", "slope"])
     parser.add_argument("--clutter", nargs="+", type=float, default=[15.0], help="mean number of false edges a frame")
+    parser.add_argument(
+        "--turned", type=float, help="share of edges with another polarity than the map has; by default none is known"
+    )
     parser.add_argument("--stretches", type=int, default=40, help="each of five frames")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -153,7 +160,7 @@ def main() -> None:
     print(f"{'':85}frames               ms  95 %")
     for world in arguments.world:
         for clutter in arguments.clutter:
-            setting = setting_of(world, arguments.stretches, clutter, arguments.seed)
+            setting = setting_of(world, arguments.stretches, clutter, arguments.turned, arguments.seed)
             places = Places.of(setting.landmark_map, setting.camera)
             warm_up(view_of(setting.camera, setting.frames[0]), places)
             for kind in arguments.observation:

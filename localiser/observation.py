@@ -16,7 +16,8 @@ since an edge either reaches where its landmark ends, or ends anywhere on the v_
 the density of clutter's ends is 1 / R_e there. Clutter stands in rows, so R_e is large where an end stands alone and
 small where other edges of the image end. The floor contact tells the range; a book tells nothing of a door. An end of a
 landmark beyond the image's border is not there to be reached (min(R_e / v_l, 1) is left), one that the map does not
-know tells nothing, and what the border ends is not short.
+know tells nothing, and what the border ends is not short. Last, an edge is rarely darker on the side where its
+landmark is lighter (`polarity`).
 
 How many edges are clutter differs from place to place, so w is not a parameter: the likelihood is computed for every
 share of `inliers`, which learns their distribution and integrates them out.
@@ -34,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from localiser import ends, geometry, likelihood
+from localiser import ends, geometry, likelihood, polarity
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
@@ -204,9 +205,12 @@ class EdgeObservation:
                     np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
                     np.where(np.isnan(top), _UNKNOWN_M, top),
                     self._landmark_sigma(landmark_map) ** 2,
+                    polarity.leaning(landmark_map.polarity),
                 ]
             ),
-            edges=np.column_stack([measured, variance, ended.e, ended.per_length, ended.room, ended.peak])[order],
+            edges=np.column_stack(
+                [measured, variance, ended.e, ended.per_length, ended.room, ended.peak, edges.polarity]
+            )[order],
             offset=(mount.right_m, mount.back_m, mount.yaw_rad),
             view=(
                 float(np.sin(mount.tilt_rad)),
@@ -327,11 +331,12 @@ class EdgeObservation:
     def _agreement(
         self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]
     ) -> Array:
-        """Return c_el: how well the ends of each edge agree with those of its pair's landmark; 1 tells nothing."""
+        """Return c_el: how well ends and polarity of each edge agree with its pair's landmark; 1 tells nothing."""
         expected = np.column_stack([seen.e_bottom, seen.e_top])[pair]
         known = np.isfinite(np.column_stack([landmark_map.bottom_m, landmark_map.top_m]))[seen.landmark[pair]]
         margin = self.parameters.sight.margin_px / self.camera.focal_px
-        return ends.agreement(ends.ends_of(edges, self.camera), edge, expected, known, self.camera, margin)
+        alike = polarity.agreement(edges.polarity[edge], polarity.leaning(landmark_map.polarity)[seen.landmark[pair]])
+        return alike * ends.agreement(ends.ends_of(edges, self.camera), edge, expected, known, self.camera, margin)
 
     def _measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.

@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
+from localiser.inliers import INLIER_SHARES
 from localiser.landmarks import LandmarkMap
 from localiser.likelihood import bins_of
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
+from localiser.polarity import SAME
 
 FOCAL = 554.0
 # Pairs beyond six sigmas add less than 1e-8 of a peak each; log-weights may differ by that over many edges.
@@ -32,7 +34,8 @@ def some_map(rng: np.random.Generator, count: int) -> LandmarkMap:
     bottom, top = rng.uniform(0, 1, count), rng.uniform(1, 3, count)
     bottom[rng.random(count) < 0.3] = np.nan
     top[rng.random(count) < 0.3] = np.nan
-    return LandmarkMap.from_points(rng.uniform(-6, 6, (count, 2)), bottom_m=bottom, top_m=top)
+    landmark_map = LandmarkMap.from_points(rng.uniform(-6, 6, (count, 2)), bottom_m=bottom, top_m=top)
+    return replace(landmark_map, polarity=rng.integers(-1, 2, count).astype(np.int8))
 
 
 def some_edges(rng: np.random.Generator, count: int, ends: bool) -> Edges:
@@ -40,7 +43,10 @@ def some_edges(rng: np.random.Generator, count: int, ends: bool) -> Edges:
     sigma = 10.0 ** rng.uniform(-4, -1.5, count)
     lean = np.arctan(0.34 * np.tan(bearing)) + rng.normal(0, 0.01, count)
     ends_px = np.stack([rng.uniform(0, 639, (count, 2)), rng.uniform([240, 20], [470, 220], (count, 2))], axis=-1)
-    return Edges.from_columns(bearing, sigma, lean, sigma * 3, ends_px=ends_px if ends else None)
+    polarity = rng.integers(-1, 2, count).astype(np.int8)
+    return Edges.from_columns(
+        bearing, sigma, lean, sigma * 3, ends_px=ends_px if ends else None, polarity=polarity if ends else None
+    )
 
 
 def cloud(rng: np.random.Generator, count: int) -> Particles:
@@ -127,3 +133,35 @@ def test_threads_do_not_change_a_bit() -> None:
         for threads in (1, 3)
     )
     np.testing.assert_array_equal(one, three)
+
+
+def test_polarity_multiplies_a_pair_by_its_probability_over_a_half() -> None:
+    observation = EdgeObservation(camera(20.0), ObservationParameters())
+    point, angle, sigma = np.array([[0.0, -3.0]]), np.zeros(1), np.full(1, 0.01)
+    here = Particles(POSE, np.array([[0.0], [0.0], [-0.03]]), np.zeros(1))
+
+    def density(landmark: int, edge: int) -> float:
+        """Return the edge's density over that of clutter, by the compiled loop."""
+        landmark_map = replace(LandmarkMap.from_points(point), polarity=np.array([landmark], dtype=np.int8))
+        edges = Edges.from_columns(angle, sigma, angle, sigma, polarity=np.array([edge], dtype=np.int8))
+        share = INLIER_SHARES[2]
+        return float((np.exp(observation.by_share(here, edges, landmark_map)[2, 0]) - (1 - share)) / share)
+
+    for sign in (1, -1):
+        assert density(sign, sign) == pytest.approx(2 * SAME * density(0, 0))
+        assert density(sign, -sign) == pytest.approx(2 * (1 - SAME) * density(0, 0))
+        assert density(sign, 0) == density(0, sign) == density(0, 0)
+
+
+@pytest.mark.parametrize("of", ["map", "edges"])
+def test_a_polarity_that_only_one_side_knows_changes_no_bit(of: str) -> None:
+    rng = np.random.default_rng(4)
+    observation = EdgeObservation(camera(20.0), ObservationParameters())
+    edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 500)
+    unknown_edges = replace(edges, polarity=np.zeros(20, dtype=np.int8))
+    unknown_map = replace(landmark_map, polarity=np.zeros(40, dtype=np.int8))
+    one = observation.by_share(
+        particles, unknown_edges if of == "map" else edges, landmark_map if of == "map" else unknown_map
+    )
+    np.testing.assert_array_equal(one, observation.by_share(particles, unknown_edges, unknown_map))
+    assert (one != observation.by_share(particles, edges, landmark_map)).any()

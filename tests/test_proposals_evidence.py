@@ -22,7 +22,7 @@ PLACES = Places.of(ROOM, CAMERA)
 @pytest.fixture(scope="module")
 def evidence():
     _, frames = drawn_frames(ROOM, 1, seed=2, clutter=8)
-    return evidence_of(view_of(CAMERA, frames[0]), 0.01, 0.01)
+    return evidence_of(view_of(CAMERA, frames[0]), PLACES.polarities, 0.01, 0.01)
 
 
 @settings(derandomize=True, deadline=None, max_examples=25)

@@ -48,9 +48,12 @@ _HALF_PI = np.pi / 2
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)  # rows of a block's camera poses
 # Of one landmark seen from them; _END: -1 where it is not.
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END = range(7)
-_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)  # columns of edges
+# Columns of edges.
+_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY = range(10)
 # Rows of pairs.
-_RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _DENSITY = range(10)
+_RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _ALIKE, _DENSITY = (
+    range(11)
+)
 
 
 # -- which landmarks can be in view from where ------------------------------------------------------------------------
@@ -255,6 +258,7 @@ def _pair(
     some: int,
     ends: Any,
     hidden: Any,
+    leaning: float,
     pairs: Array,
     slot: Indices,
     number: int,
@@ -277,6 +281,7 @@ def _pair(
         pairs[_SHORT_LOW, number] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
         pairs[_SHORT_HIGH, number] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
         pairs[_OF_PEAK_LOW, number], pairs[_OF_PEAK_HIGH, number] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
+        pairs[_ALIKE, number] = 1.0 + edges[e, _POLARITY] * leaning
         slot[number] = e * BLOCK + m
         number += 1
         seen[_FIRST, m] = e + 1
@@ -306,7 +311,8 @@ def _add_up(pairs: Array, number: int, ends: Any, slot: Indices, density: Array,
         lower, upper = pairs[_LOWER, i] * per_sigma, pairs[_UPPER, i] * per_sigma
         at_foot = pairs[_SHORT_LOW, i] + pairs[_OF_PEAK_LOW, i] * _normal(-0.5 / 16 * lower * lower)
         at_top = pairs[_SHORT_HIGH, i] + pairs[_OF_PEAK_HIGH, i] * _normal(-0.5 / 16 * upper * upper)
-        pairs[_DENSITY, i] = _normal(y) * covered * covered * at_foot * at_top / np.sqrt(pairs[_SPREAD, i])
+        agreement = _normal(y) * covered * covered * at_foot * at_top * pairs[_ALIKE, i]
+        pairs[_DENSITY, i] = agreement / np.sqrt(pairs[_SPREAD, i])
     for i in range(number):
         touched[count] = slot[i]
         count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
@@ -343,7 +349,7 @@ def products(
     d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
     comes near have one. Logarithms of what was too large are added to `aside` (N, LANES); returns whether any was.
     """
-    block, seen, pairs = np.ones((6, BLOCK)), np.ones((7, BLOCK)), np.ones((10, ROOM))
+    block, seen, pairs = np.ones((6, BLOCK)), np.ones((7, BLOCK)), np.ones((11, ROOM))
     near, slot = np.zeros(BLOCK + 1, np.int64), np.zeros(ROOM, np.int64)
     density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.int64)
     visible, factor, each = np.zeros(BLOCK), np.ones((BLOCK, LANES)), np.zeros(LANES)
@@ -360,14 +366,14 @@ def products(
             count = number = 0
             for k in item[start[c] : start[c + 1]]:
                 landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
-                hidden = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M)
+                hidden, leaning = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M), landmarks[k, 5]
                 _look(block, lanes, landmark, limits, view, gate, bins, is_slope, seen)
                 some = _edges_near(seen, size, first, visible, near)
                 while some > 0:  # one edge of each particle, and again with those that have another near
                     if number > ROOM - BLOCK:
                         count = _add_up(pairs, number, ends, slot, density, touched, count)
                         number = 0
-                    number, some = _pair(edges, seen, near, some, ends, hidden, pairs, slot, number)
+                    number, some = _pair(edges, seen, near, some, ends, hidden, leaning, pairs, slot, number)
             count = _add_up(pairs, number, ends, slot, density, touched, count)
 
             for m in range(BLOCK):

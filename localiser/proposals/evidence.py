@@ -2,11 +2,12 @@
 
 A pose from which n landmarks are in view explains the edges by the mixture of `observation`,
 
-    score = Σ_i log(1 - w + w a_i / n),   a_i = Σ_l span · N(b_i; b_l, σ) h_i(e_l)
+    score = Σ_i log(1 - w + w a_i / n),   a_i = Σ_l span · N(b_i; b_l, σ) h_i(e_l) s_il
 
-where h_i compares the upright height e_l of the landmark's foot with where edge i ends. Each landmark counts for the
-one edge i that it fits best. That edge and the term are tabulated once a frame over tan(bearing) and e, so a landmark
-costs one look-up whatever the number of edges. σ is widened to how far off the poses may be.
+where h_i compares the upright height e_l of the landmark's foot with where edge i ends, and s_il their polarities. Each
+landmark counts for the one edge i that it fits best. That edge and the term are tabulated once a frame over
+tan(bearing) and e, for each polarity that the map knows, so a landmark costs one look-up whatever the number of edges.
+σ is widened to how far off the poses may be.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser import polarity
 from localiser.geometry import Array
 from localiser.proposals.places import Indices, Places, half_view_rad
 from localiser.proposals.sectors import CELL_M
@@ -31,10 +33,10 @@ BELOW = 0.05  # density, beside an even one, of edges that go on below the foot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The tables of one view, each (ROWS + 2, COLUMNS): the edge that fits best, -1 for none, and how well, `fit`.
+    """The tables of one view, each (S, ROWS + 2, COLUMNS): the edge that fits best, -1 for none, and how well, `fit`.
 
-    Columns are even in tan(bearing), rows in e from the lower to the upper border; the first row is for feet below the
-    image, the last for feet above it.
+    There is one for each of S polarities of landmarks, `Places.polarities`. Columns are even in tan(bearing), rows in e
+    from the lower to the upper border; the first row is for feet below the image, the last for feet above it.
     """
 
     view: View
@@ -46,8 +48,11 @@ class Evidence:
     e_step: float
 
 
-def evidence_of(view: View, blur_rad: float, blur_e: float) -> Evidence:
-    """Return the table of a view for poses that are off by about blur_rad in bearings and blur_e in feet's heights."""
+def evidence_of(view: View, polarities: NDArray[np.int8], blur_rad: float, blur_e: float) -> Evidence:
+    """Return the tables of a view for landmarks of the polarities (S,).
+
+    The poses to be scored are off by about blur_rad in bearings and blur_e in feet's heights.
+    """
     _, _, e_low, e_high = view.camera.upright_bounds
     widest = np.tan(half_view_rad(view.camera))
     left, tangent_step, e_step = -widest, 2 * widest / COLUMNS, (e_high - e_low) / ROWS
@@ -58,7 +63,12 @@ def evidence_of(view: View, blur_rad: float, blur_e: float) -> Evidence:
     density = np.where(np.abs(across) < GATE_SIGMAS, np.exp(-0.5 * np.minimum(across**2, GATE_SIGMAS**2)), 0.0)
     density *= view.span_rad / (np.sqrt(2 * np.pi) * sigma[:, None])
     ends = _ends_match(view, rows, float(np.hypot(view.foot_sigma, blur_e)), e_high - e_low)
-    return Evidence(view, *_likeliest(density, ends), left, tangent_step, e_low, e_step)
+    tables = [
+        _likeliest(density * polarity.agreement(view.polarity, expected)[:, None], ends)
+        for expected in polarity.leaning(polarities)
+    ]
+    edge, fit = (np.stack(table) for table in zip(*tables, strict=True))
+    return Evidence(view, edge, fit, left, tangent_step, e_low, e_step)
 
 
 def _ends_match(view: View, rows: Array, sigma: float, height: float) -> Array:
@@ -102,7 +112,7 @@ def score_by_share(evidence: Evidence, places: Places, robot_poses: Array, share
 
 def warm_up(view: View, places: Places) -> None:
     """Compile the score, or load it from the cache, so that the first frame need not wait for it."""
-    score_poses([evidence_of(view, 0.01, 0.01)], places, np.zeros((1, 3)))
+    score_poses([evidence_of(view, places.polarities, 0.01, 0.01)], places, np.zeros((1, 3)))
 
 
 def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
@@ -116,6 +126,7 @@ def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[
         sectors.shape,
         sectors.start,
         sectors.item,
+        places.table,
         evidence.edge.astype(np.int16),  # small tables stay in the processor's cache
         evidence.fit.astype(np.float32),
         len(evidence.view),
@@ -131,6 +142,7 @@ def score_loop(
     shape: tuple[int, int, int],
     start: Indices,
     item: NDArray[np.int32],
+    table: Indices,
     edge: NDArray[np.int16],
     fit: NDArray[np.float32],
     edges: int,
@@ -140,12 +152,13 @@ def score_loop(
     """Return the score (K, N) of camera poses (N, 3), one pose and one landmark in view after the other.
 
     landmarks: (L, 4) x, z, and the heights of both ends above the camera. sight: sine and cosine of the tilt, nearest
-    and farthest range. floor, shape, start, item: the sectors, floor being corner and cell. grid: low and step of
-    tan(bearing), low and step of e. shares: (K,) of edges that belong to landmarks. Plain loops, for numba to compile.
+    and farthest range. floor, shape, start, item: the sectors, floor being corner and cell. table: (L,) which of the
+    tables is of the landmark's polarity. grid: low and step of tan(bearing), low and step of e. shares: (K,) of edges
+    that belong to landmarks. Plain loops, for numba to compile.
     """
     result = np.zeros((len(shares), len(poses)))
     s, c = sight[0], sight[1]
-    rows, columns = fit.shape
+    _, rows, columns = fit.shape
     explained = np.zeros(edges)
     low, high, per_column = grid[0], grid[0] + (columns - 0.01) * grid[1], 1.0 / grid[1]
     per_row = 1.0 / grid[3]
@@ -184,8 +197,9 @@ def score_loop(
                 continue
             in_view += 1
             column = int((right * depth * inverse - low) * per_column)
-            if edge[row, column] >= 0:
-                explained[edge[row, column]] += fit[row, column]
+            best = edge[table[k], row, column]
+            if best >= 0:
+                explained[best] += fit[table[k], row, column]
         for share in range(len(shares)):
             clutter, each = 1.0 - shares[share], shares[share] / max(in_view, 1)
             product, total = 1.0, 0.0  # one logarithm for many factors, as long as their product is a number

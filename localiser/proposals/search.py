@@ -79,7 +79,7 @@ def _best_hypotheses(
         more = hypotheses.from_bearings(views, places, count - len(poses), rng)
         poses = np.concatenate([poses, more])
     poses = poses[places.region.contains(poses)]
-    evidences = [evidence_of(view, SEARCH_BLUR_RAD, SEARCH_BLUR_RAD) for view in views]
+    evidences = [evidence_of(view, places.polarities, SEARCH_BLUR_RAD, SEARCH_BLUR_RAD) for view in views]
     score = score_poses(evidences, places, poses)
     return np.asarray(poses[_distinct(poses, score)[: parameters.refined]])
 

@@ -24,7 +24,8 @@ class EdgeNoise:
     endpoint_sigma_px: error of each end of a segment, across it. along_sigma_px: the same along it. cut_probability:
     chance for each end that the segment stops short of it, by up to 0.4 of its length. detection_probability: chance
     that a visible edge is found. clutter_per_frame: mean number of false edges in an image (Poisson). range_min_m,
-    range_max_m, length_min_px: what is nearer, farther or shorter is not found.
+    range_max_m, length_min_px: what is nearer, farther or shorter is not found. turned_probability: chance that an edge
+    shows the other polarity than its landmark has.
     """
 
     endpoint_sigma_px: float = 0.5
@@ -35,6 +36,7 @@ class EdgeNoise:
     range_min_m: float = 0.2
     range_max_m: float = 12.0
     length_min_px: float = 20.0
+    turned_probability: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +75,8 @@ def simulated_edges(
         true = replace(true, e=_shortened(true.e, camera, noise, rng))
     segments = _merged(true, _clutter(camera, len(truth), noise, rng))
     edges = _measured(segments, camera, noise.endpoint_sigma_px, rng)
+    if landmark_map.polarity.any():
+        edges = replace(edges, polarity=_polarity(landmark_map, segments.landmark, noise.turned_probability, rng))
     first = np.searchsorted(segments.frame, np.arange(len(truth) + 1))
     return [edges.take(np.arange(start, stop)) for start, stop in pairwise(first)]
 
@@ -151,6 +155,14 @@ def _merged(one: _Segments, other: _Segments) -> _Segments:
     landmark = np.concatenate([one.landmark, other.landmark])[order]
     tangent = np.concatenate([one.tangent, other.tangent])[order]
     return _Segments(frame[order], landmark, tangent, np.concatenate([one.e, other.e])[order])
+
+
+def _polarity(
+    landmark_map: LandmarkMap, landmark: NDArray[np.int64], turned: float, rng: np.random.Generator
+) -> NDArray[np.int8]:
+    """Return the polarity (E,) of edges of landmarks (E,), of clutter either."""
+    sign = np.where(rng.random(len(landmark)) < turned, -1, 1) * landmark_map.polarity[landmark]
+    return np.where(landmark >= 0, sign, rng.choice([-1, 1], len(landmark))).astype(np.int8)
 
 
 def _measured(segments: _Segments, camera: Camera, sigma_px: float, rng: np.random.Generator) -> Edges:
