@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from proposal_room import CAMERA, drawn_frames, room
 
 from localiser.inliers import INLIER_SHARES
 from localiser.landmarks import in_camera
+from localiser.polarity import SAME
 from localiser.proposals import Places, view_of
 from localiser.proposals.evidence import _arguments, evidence_of, score_by_share, score_loop, score_poses
 from localiser.proposals.places import half_view_rad
@@ -113,3 +116,28 @@ def test_poses_off_the_map_explain_nothing(evidence):
     expected = len(evidence.view) * np.log1p(-INLIER_SHARES)
     lost = score_by_share(evidence, PLACES, nowhere, INLIER_SHARES)
     np.testing.assert_allclose(lost, np.tile(expected[:, None], 2))
+
+
+def test_an_edge_of_the_landmarks_polarity_scores_more_than_one_of_the_other():
+    """The term of every look-up is that of unknown polarity times 2 SAME or 2 (1 - SAME)."""
+    _, frames = drawn_frames(ROOM, 1, seed=2, clutter=0)
+    signs = np.array([-1, 0, 1], dtype=np.int8)
+    view = view_of(CAMERA, replace(frames[0], polarity=np.ones(len(frames[0]), dtype=np.int8)))
+    other, unknown, same = evidence_of(view, signs, 0.01, 0.01).fit
+    assert (unknown > 0).any()
+    np.testing.assert_allclose(same, 2 * SAME * unknown)
+    np.testing.assert_allclose(other, 2 * (1 - SAME) * unknown)
+
+
+def test_the_score_looks_up_each_landmark_by_its_own_polarity():
+    """Where every edge has its landmark's polarity, turning all of the map's makes the true pose less likely."""
+    signs = np.random.default_rng(0).choice(np.array([-1, 1], dtype=np.int8), len(ROOM))
+    known, turned = replace(ROOM, polarity=signs), replace(ROOM, polarity=-signs)
+    poses, frames = drawn_frames(known, 10, seed=3)
+    for pose, edges in zip(poses, frames, strict=True):
+        if len(edges):
+            one, none, other = (
+                score_poses([evidence_of(view_of(CAMERA, edges), places.polarities, 0.01, 0.01)], places, pose[None])[0]
+                for places in (Places.of(landmark_map, CAMERA) for landmark_map in (known, ROOM, turned))
+            )
+            assert one > none > other

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,3 +151,19 @@ def test_ends_err_along_the_edge_and_some_are_cut_short(landmark_map: LandmarkMa
         assert rms == pytest.approx(2.0, rel=0.35)
         length = np.hypot(*np.diff(whole[landmark], axis=0)[0])
         assert 0.2 * length < moved.max() < 0.45 * length + 10
+
+
+def test_edges_have_their_landmarks_polarity_but_for_the_stated_share(landmark_map: LandmarkMap) -> None:
+    signs = np.random.default_rng(1).choice(np.array([-1, 0, 1], dtype=np.int8), len(landmark_map))
+    noise = EdgeNoise(clutter_per_frame=5.0, turned_probability=0.2)
+    frames = simulated_edges(
+        replace(landmark_map, polarity=signs), CAMERA, still(400), np.random.default_rng(2), noise=noise
+    )
+    polarity, landmark = (np.concatenate([getattr(e, name) for e in frames]) for name in ("polarity", "landmark_id"))
+    product = np.where(landmark >= 0, polarity * signs[landmark], 9)
+    np.testing.assert_array_equal(product[landmark >= 0] == 0, signs[landmark[landmark >= 0]] == 0)
+    known = product[(landmark >= 0) & (product != 0)]
+    assert (known < 0).mean() == pytest.approx(0.2, abs=0.03)
+    clutter = polarity[landmark < 0]
+    assert set(clutter) == {-1, 1}
+    assert clutter.mean() == pytest.approx(0.0, abs=0.1)

@@ -1,9 +1,7 @@
 """Poses at which chosen edges would be chosen landmarks: from the ranges of two feet, or from three bearings.
 
 Each function draws as many hypotheses as it is asked for, at random among all combinations that do not contradict what
-was measured; a random share of a large set is what keeps one frame cheap, and the next frame draws another share. A
-polarity that differs from the landmark's contradicts it here, though rarely it does not: there are other edges to
-choose.
+was measured; a random share of a large set is what keeps one frame cheap, and the next frame draws another share.
 """
 
 from __future__ import annotations
@@ -77,7 +75,7 @@ def _from_pairs(view: View, places: Places, edges: Indices, ranges: Array, sigma
 
 
 def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
-    """Return range and its sigma (E, B), m, of every edge if its landmark is of each group; nan where untold or unlike.
+    """Return range and its sigma (E, B), m, of every edge if its foot is at each of the heights; nan where untold.
 
     The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, whose height is known.
     """
@@ -94,7 +92,6 @@ def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
         range_m = ahead / np.cos(view.bearing)[:, None]
         told = (ahead > 0) & (relative < WORST_RANGE)
         told &= (range_m >= places.sight.range_min_m) & (range_m <= places.sight.range_max_m)
-        told &= view.polarity[:, None] * places.class_polarity >= 0
         sigma_m = range_m * relative
     return np.where(told, range_m, np.nan), np.where(told, sigma_m, np.nan)
 
@@ -108,14 +105,11 @@ def from_bearings(views: list[View], places: Places, count: int, rng: np.random.
     if len(places) ** 3 > MOST_TRIPLES * count:
         return np.zeros((0, 3))
     bearing = np.concatenate([view.bearing - view.camera_in_robot[2] for view in views])
-    polarity = np.concatenate([view.polarity for view in views])
     origin = np.concatenate([np.broadcast_to(view.camera_in_robot[:2], (len(view), 2)) for view in views])
     if len(bearing) < 3 or len(places) < 3:
         return np.zeros((0, 3))
     edges = _distinct(len(bearing), 3, count, rng)
     landmarks = _neighbours(places, len(edges), rng)
-    alike = (polarity[edges] * places.polarity[landmarks] >= 0).all(axis=1)
-    edges, landmarks = edges[alike], landmarks[alike]
     poses = from_three_bearings(places.points[landmarks], origin[edges], bearing[edges])
     poses = poses.reshape(-1, 3)
     return np.asarray(poses[np.isfinite(poses).all(axis=1)])

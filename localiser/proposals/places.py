@@ -24,24 +24,21 @@ class Places:
     """Landmarks (L) of a map, and their ordered pairs (M) by distance.
 
     points: (L, 2) m. bottom_m, top_m: (L,) with what the map does not know taken as floor and as endless. sigma_m: (L,)
-    of each position. polarity: (L,) as in the map, which of `polarities` (S,) being `table` (L,). sight:
-    what counts as visible. class_m, class_polarity: (B,) groups
-    of landmarks whose lower ends are about that high, and of one polarity. pair: (M, 2) landmarks no farther apart than
-    both can be in sight, sorted by `pair_class` (M,), the group of the first times B plus that of the second, and then
-    by `pair_m` (M,), their distance. region: where the robot may be. sectors: which landmarks can be in view from where
-    in it.
+    of each position. polarities: (S,) those that landmarks have, 0 for unknown, `table` (L,) saying which one each has.
+    sight: what counts as visible. class_m: (B,) heights that lower ends are grouped to, ascending. pair: (M, 2)
+    landmarks no farther apart than both can be in sight, sorted by `pair_class` (M,), the group of the first times B
+    plus that of the second, and then by `pair_m` (M,), their distance. region: where the robot may be. sectors: which
+    landmarks can be in view from where in it.
     """
 
     points: Array
     bottom_m: Array
     top_m: Array
     sigma_m: Array
-    polarity: NDArray[np.int8]
     polarities: NDArray[np.int8]
     table: Indices
     sight: SightParameters
     class_m: Array
-    class_polarity: Indices
     pair: Indices
     pair_class: Indices
     pair_m: Array
@@ -71,8 +68,7 @@ class Places:
         top_m = np.where(np.isnan(landmark_map.top_m), ENDLESS_M, landmark_map.top_m)
         trace = np.trace(landmark_map.cov, axis1=1, axis2=2)
         polarities, table = np.unique(landmark_map.polarity, return_inverse=True)
-        kind = np.column_stack([np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), landmark_map.polarity])
-        (step, class_polarity), group = (part.T for part in np.unique(kind, axis=0, return_inverse=True))
+        step, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
         distance = np.hypot(*(points[:, None] - points[None, :]).T).T
         first, second = np.nonzero((distance > 1e-3) & (distance <= 2 * sight.range_max_m))
         pair_class = group.ravel()[first] * len(step) + group.ravel()[second]
@@ -83,12 +79,10 @@ class Places:
             bottom_m=bottom_m,
             top_m=top_m,
             sigma_m=np.where(np.isnan(trace), sigma_m, np.sqrt(np.maximum(trace, 0.0) / 2)),
-            polarity=landmark_map.polarity,
             polarities=polarities,
             table=table,
             sight=sight,
             class_m=step.astype(np.float64) * BOTTOM_STEP_M,
-            class_polarity=class_polarity,
             pair=np.stack([first, second], axis=-1)[order],
             pair_class=pair_class[order],
             pair_m=pair_m[order],
