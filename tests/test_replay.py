@@ -110,6 +110,14 @@ def test_metrics_are_those_of_the_files_beside_them(localiser: Localiser, log: P
     assert figures["position_rmse_m"] == pytest.approx(np.sqrt(np.mean(error_m**2)), abs=1e-6)
     assert figures["position_max_m"] == pytest.approx(error_m.max(), abs=1e-6)
     assert figures["position_end_m"] == pytest.approx(error_m[-1], abs=1e-6)
+    last = (run / "trajectory.csv").read_text().splitlines()
+    final = dict(zip(last[0].split(","), last[-1].split(","), strict=True))
+    for name in ("distance_scale", "turn_scale", "veer", "camera_yaw"):
+        learnt = figures["biases"][name]
+        assert (learnt["value"], learnt["sigma"]) == pytest.approx(
+            (float(final[name]), float(final[f"{name}_sigma"])), abs=1e-6
+        )
+    assert "delay" not in figures["biases"], "a robot that cannot be late"
 
 
 def test_same_seed_same_bytes_another_seed_differs(localiser: Localiser, log: Path, tmp_path: Path) -> None:
