@@ -16,7 +16,7 @@ from localiser.geometry import Array, Trajectory
 from localiser.identified import observation_of
 from localiser.storage import open_log
 
-KNOWN = ["observation.association=known"]
+KNOWN = ["observation.association=known", "motion.bias.delay_sigma_s=0.2"]
 
 
 def likeliest_delay(odometry: Trajectory, truth: Trajectory, from_ns: int, until_ns: int) -> float:
