@@ -68,7 +68,7 @@ def test_of_a_robot_that_cannot_be_late_nothing_is_said() -> None:
 def located(bias: BiasParameters) -> tuple[list[Located], Array]:
     """Follow a robot among landmarks that does 0.15 s later what it is told; return also its true poses."""
     rng = np.random.default_rng(0)
-    odometry = commanded(30)
+    odometry = commanded(20)
     truth = later(odometry, LATE_S)
     angle = np.arange(0, 2 * np.pi, 0.2)
     points = odometry.poses[:, :2].mean(axis=0) + 8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -77,14 +77,14 @@ def located(bias: BiasParameters) -> tuple[list[Located], Array]:
     mcl = Mcl(
         landmark_map,
         EdgeObservation(CAMERA, parameters),
-        MclParameters(particles=500, start_particles=500),
+        MclParameters(particles=300, start_particles=300),
         MotionParameters(alpha1=1e-4, alpha2=1e-4, alpha3=1e-4, alpha4=1e-5, bias=bias),
         parameters,
     )
     state, found, true = FilterState(), [], []
     list(step(mcl, state, Start(0, np.zeros(3), START), rng))
     waiting = iter(wheels(odometry))
-    for t_ns in range(SECOND // 5, 29 * SECOND, SECOND // 5):
+    for t_ns in range(SECOND // 5, 19 * SECOND, SECOND // 5):
         true.append(truth.at(t_ns))
         tangent = sight(CAMERA, true[-1][None], landmark_map).tangent
         bearing = np.arctan(tangent) + rng.normal(0, SIGMA_RAD, len(tangent))
