@@ -20,7 +20,9 @@ from localiser.mapping.factors import Bearings, Prior, Problem, SmoothParameters
 from localiser.mapping.feet import Scale, scale_by_feet
 from localiser.mapping.landmarks import fitted
 from localiser.mapping.loops import same_landmarks
+from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import dead_reckoned, smooth
+from localiser.mapping.sparse import Rows
 from localiser.mapping.triangulate import triangulate
 
 CAMERA = Camera(
@@ -55,6 +57,13 @@ def circle(noise: float, seed: int = 0, frames: int = 80, laps: int = 1) -> tupl
     return Problem(wheels, bearings, CAMERA, known), poses, points
 
 
+def jacobian(rows: Rows, size: int) -> Array:
+    """Return the derivatives (R, V) of the predictions."""
+    dense = np.zeros((len(rows.residual), size + 1))
+    dense[np.repeat(np.arange(len(dense)), np.diff(rows.start)), rows.column] = rows.value
+    return dense[:, :size]
+
+
 def test_derivatives_agree_with_differences() -> None:
     problem, poses, points = circle(0.0, frames=12)
     rng = np.random.default_rng(1)
@@ -64,12 +73,11 @@ def test_derivatives_agree_with_differences() -> None:
         CONSTANTS,
         points,
     )
-    _, _, jacobian = linearise(problem, state)
-    dense, step = jacobian.toarray(), 1e-6
+    dense, step = jacobian(linearise(problem, state), 3 * 11 + 4 + points.size), 1e-6
     for column in range(dense.shape[1]):
         change = np.zeros(dense.shape[1])
         change[column] = step
-        ahead, behind = (linearise(problem, state.moved(sign * change))[0] for sign in (1, -1))
+        ahead, behind = (linearise(problem, state.moved(sign * change)).residual for sign in (1, -1))
         assert (behind - ahead) / (2 * step) == pytest.approx(dense[:, column], abs=1e-3, rel=1e-4)
 
 
@@ -83,25 +91,32 @@ def test_exact_measurements_give_the_exact_state() -> None:
     assert np.linalg.norm(start[-1, :2] - poses[-1, :2]) > 0.1
 
 
-def test_errors_of_landmarks_are_what_their_joint_covariance_says() -> None:
-    nees = []
+def test_errors_of_landmarks_are_what_their_covariances_say() -> None:
+    nees, between_two = [], []
     for seed in range(6):
         problem, poses, points = circle(1.0, seed)
         found = smooth(problem, poses, points, CONSTANTS)
         seen = np.unique(problem.bearings.landmark)
-        index = np.sort(np.concatenate([2 * seen, 2 * seen + 1]))
-        error = (found.points - points).ravel()[index]
-        cov = found.landmark_cov()[np.ix_(index, index)]
-        nees.append(error @ np.linalg.solve(cov, error) / len(index))
+        error = (found.points - points)[seen]
+        nees.append(np.einsum("li,lij,lj->l", error, np.linalg.inv(found.landmark_cov()[seen]), error) / 2)
+        apart, cov = np.diff(error, axis=0), found.difference_cov(seen[1:], seen[:-1])
+        between_two.append(np.einsum("li,lij,lj->l", apart, np.linalg.inv(cov), apart) / 2)
     assert 0.7 < np.mean(nees) < 1.4
+    assert 0.7 < np.mean(between_two) < 1.4
 
 
-def test_joint_covariance_is_the_block_of_the_inverse() -> None:
+def test_covariances_are_those_of_the_dense_inverse() -> None:
     problem, poses, points = circle(1.0, frames=20)
     found = smooth(problem, poses, points, CONSTANTS)
-    count = 2 * len(points)
-    whole = np.linalg.inv(found.hessian.toarray())[-count:, -count:]
-    np.testing.assert_allclose(found.landmark_cov(), whole, rtol=1e-5, atol=1e-10)
+    rows = linearise(problem, State(found.poses, found.points, found.constants, points))
+    dense = jacobian(rows, 3 * 19 + 4 + points.size)
+    whole = np.linalg.inv(dense.T @ (rows.weight[:, None] * dense))[-points.size :, -points.size :]
+    blocks = whole.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
+    one, other = np.array([0, 5, 29]), np.array([7, 6, 3])
+    np.testing.assert_allclose(found.landmark_cov(), blocks.diagonal().transpose(2, 0, 1), rtol=1e-5, atol=1e-10)
+    cross = blocks[one, other]
+    apart = blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1)
+    np.testing.assert_allclose(found.difference_cov(one, other), apart, rtol=1e-5, atol=1e-10)
 
 
 def test_wrong_bearings_do_not_bend_the_path() -> None:
@@ -184,9 +199,15 @@ def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> 
     joint[8:, 8:] += common
     shown = np.zeros((2 * frames, 8), dtype=bool)
     shown[sightings.frame, of] = True
-    joined = same_landmarks(built.fit.points, joint, built, shown)
+    blocks = joint.reshape(8, 2, 8, 2).transpose(0, 2, 1, 3)
+
+    def difference_cov(one: Index, other: Index) -> Array:
+        cross = blocks[one, other]
+        return blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1)
+
+    joined = same_landmarks(built.fit.points, difference_cov, built, shown)
     assert joined.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
-    certain = same_landmarks(built.fit.points, 0.005**2 * np.eye(16), built, shown)
+    certain = same_landmarks(built.fit.points, lambda one, _: np.tile(5e-5 * np.eye(2), (len(one), 1, 1)), built, shown)
     assert certain.tolist() == list(range(8))
 
 

@@ -7,13 +7,10 @@ follows from the linear problem at the solution, without solving anew (the score
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.mapping.factors import CONSTANTS, Problem, State, linearise
+from localiser.mapping.factors import Problem, State, bearing_block
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed
 
@@ -47,9 +44,9 @@ def _worst_of_their_time(frame: Index, visit: Index, asked: Index, chi2: Array) 
     """Return which of the visits asked (V,) contradict, but for those that share a frame with a worse one."""
     taken = np.zeros(int(frame.max()) + 1, dtype=bool)
     leaving = []
-    for index in np.argsort(-chi2, kind="stable"):
+    for index in np.argsort(-chi2, kind="stable")[: (chi2 > _GATE).sum()]:
         frames = frame[visit == asked[index]]
-        if chi2[index] > _GATE and not taken[frames.min() : frames.max() + 1].any():
+        if not taken[frames.min() : frames.max() + 1].any():
             taken[frames.min() : frames.max() + 1] = True
             leaving.append(int(index))
     return np.array(leaving, dtype=np.int64)
@@ -81,26 +78,16 @@ def contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Ind
 def _pulls(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> tuple[Array, Array]:
     """Return the pull (V, 2) of the bearings of each visit on its landmark, and its information (V, 2, 2)."""
     state = State(smoothed.poses, smoothed.points, smoothed.constants, smoothed.points)
-    residual, weight, jacobian = linearise(problem, state)
-    base = 3 * (len(smoothed.poses) - 1) + len(CONSTANTS)
-    rows = slice(base, base + len(visit))
-    bearing = jacobian.tocsr()[rows]
-    shift = _by_shift(bearing, base, visit, asked)
-    weighted = shift.multiply(weight[rows][:, None]).tocsc()
-    pull = (weighted.T @ residual[rows]).reshape(-1, 2)
-    own = (weighted.T @ shift).toarray().reshape(len(asked), 2, len(asked), 2)
-    each = np.arange(len(asked))
-    return pull, own[each, :, each, :] - smoothed.taken_up(bearing.T @ weighted)
-
-
-def _by_shift(bearing: Any, base: int, visit: Index, asked: Index) -> Any:
-    """Return the derivatives (K, 2V), sparse, of the bearings by a shift of the landmark of each visit asked."""
-    from scipy.sparse import csc_array
-
-    entries = bearing.tocoo()
-    number = np.full(int(visit.max(initial=-1)) + 1, -1)
+    bearing = bearing_block(problem, state)
+    number = np.full(int(visit.max(initial=-1)) + 1, len(asked))
     number[asked] = np.arange(len(asked))
-    kept: NDArray[np.bool_] = (entries.col >= base) & (number[visit[entries.row]] >= 0)
-    row = entries.row[kept]
-    column = 2 * number[visit[row]] + (entries.col[kept] - base) % 2
-    return csc_array((entries.data[kept], (row, column)), shape=(len(visit), 2 * len(asked)))
+    order = np.argsort(number[visit], kind="stable")
+    first = np.searchsorted(number[visit][order], np.arange(len(asked) + 1))
+    kept = order[: first[-1]]
+    shift = bearing.value[kept, 3:5]
+    weighted = bearing.weight[kept, None] * shift
+    pull = np.add.reduceat(weighted * bearing.residual[kept, None], first[:-1])
+    own = np.add.reduceat(weighted[:, :, None] * shift[:, None], first[:-1])
+    columns = (bearing.value[kept, :, None] * weighted[:, None]).reshape(-1, 2)
+    width = bearing.column.shape[1]
+    return pull, own - smoothed.factor.taken_up(width * first, bearing.column[kept].ravel(), columns)

@@ -5,18 +5,17 @@ Every residual is measured minus predicted, in sigmas. Variables: poses but the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from localiser.camera import Camera
 from localiser.geometry import Array, between, robot_from_map, wrap_angle
+from localiser.mapping.dissection import dissected
 from localiser.mapping.sightings import Index
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array
+from localiser.mapping.sparse import Rows
 
 CONSTANTS = ("distance scale", "rotation scale", "veer", "mount yaw")
 _CAUCHY = 2.0
@@ -150,48 +149,57 @@ def cost_of(problem: Problem, state: State) -> float:
 # -- linearisation ----------------------------------------------------------------------------------------------------
 
 
-def linearise(problem: Problem, state: State) -> tuple[Array, Array, csc_array]:
-    """Return residuals (R,), robust weights (R,), and the Jacobian (R, V) of the predictions, as sparse columns.
+def linearise(problem: Problem, state: State) -> Rows:
+    """Return residuals, robust weights and derivatives of the predictions: bearings first, in their order.
 
     Variables: poses but the first, constants, landmarks. The gradient step solves (JᵀWJ) step = JᵀW r.
     """
-    from scipy.sparse import coo_array
+    parts = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
+    parts.append(_place_block(state))
+    width = np.repeat([part.column.shape[1] for part in parts], [len(part.residual) for part in parts])
+    return Rows(
+        start=np.concatenate([[0], np.cumsum(width)]),
+        column=np.concatenate([part.column.ravel() for part in parts]),
+        value=np.concatenate([part.value.ravel() for part in parts]),
+        residual=np.concatenate([part.residual for part in parts]),
+        weight=np.concatenate([part.weight for part in parts]),
+    )
 
-    free = 3 * (len(state.poses) - 1)
-    parts = [_wheel_rows(problem, state), _prior_rows(problem, state), _bearing_rows(problem, state)]
-    parts.append(_place_rows(state))
-    rows, columns, values, residuals, weights, start = [], [], [], [], [], 0
-    for part in parts:
-        rows.append(part.row + start)
-        columns.append(part.column)
-        values.append(part.value)
-        residuals.append(part.residual)
-        weights.append(part.weight)
-        start += len(part.residual)
-    size = free + len(CONSTANTS) + 2 * len(state.points)
-    row, column, value = (np.concatenate(x) for x in (rows, columns, values))
-    kept = column >= 0  # the first pose is fixed
-    jacobian = coo_array((value[kept], (row[kept], column[kept])), shape=(start, size)).tocsc()
-    return np.concatenate(residuals), np.concatenate(weights), jacobian
+
+def elimination_order(problem: Problem, landmarks: int) -> Index:
+    """Return the variables (V,) in the order in which they are eliminated: constants, which all involve, last."""
+    b, frames = problem.bearings, len(problem.wheels.motion) + 1
+    order = dissected(frames, b.frame, b.landmark, landmarks)
+    is_pose = order < frames
+    first = np.where(is_pose, 3 * (order - 1), _first_landmark(frames) + 2 * (order - frames))
+    size = np.where(is_pose, 3, 2)
+    each = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
+    return np.concatenate([np.repeat(first, size) + each, 3 * (frames - 1) + np.arange(len(CONSTANTS))])
+
+
+def landmark_columns(frames: int, landmark: Index) -> Index:
+    """Return the variables (K, 2) of landmarks (K,)."""
+    return _first_landmark(frames) + 2 * landmark[:, None] + np.arange(2)
+
+
+def _first_landmark(frames: int) -> int:
+    return 3 * (frames - 1) + len(CONSTANTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    row: Index
+class Block:
+    """K measurements that involve C variables each: column, value (K, C), residual, weight (K,); see `Rows`."""
+
     column: Index
     value: Array
     residual: Array
     weight: Array
 
 
-def _assembled(blocks: list[tuple[Index, Array]], sigma: Array, residual: Array, robust: bool) -> _Rows:
-    """Return rows of the Jacobian from blocks (columns (K,) or (K, C), derivatives (K, C)), divided by sigma (K,)."""
-    count = len(residual)
-    row = np.concatenate([np.repeat(np.arange(count), columns.shape[1]) for columns, _ in blocks])
-    column = np.concatenate([columns.ravel() for columns, _ in blocks])
-    value = np.concatenate([(derivative / sigma[:, None]).ravel() for _, derivative in blocks])
-    weight = 1 / (1 + (residual / _CAUCHY) ** 2) if robust else np.ones(count)
-    return _Rows(row, column, value, residual, weight)
+def _block(columns: list[Index], values: list[Array], sigma: Array, residual: Array) -> Block:
+    """Return measurements from columns (K, ·) and derivatives (K, ·) side by side, divided by sigma (K,)."""
+    value = np.concatenate(values, axis=1) / sigma[:, None]
+    return Block(np.concatenate(columns, axis=1), value, residual, np.ones(len(residual)))
 
 
 def _pose_columns(frame: Index) -> Index:
@@ -199,7 +207,7 @@ def _pose_columns(frame: Index) -> Index:
     return np.where(frame[:, None] > 0, 3 * (frame[:, None] - 1) + np.arange(3), -1)
 
 
-def _wheel_rows(problem: Problem, state: State) -> _Rows:
+def _wheel_block(problem: Problem, state: State) -> Block:
     wheels, steps = problem.wheels, len(state.poses) - 1
     heading = state.poses[:-1, 2]
     cos, sin = np.cos(heading), np.sin(heading)
@@ -214,51 +222,46 @@ def _wheel_rows(problem: Problem, state: State) -> _Rows:
     scales = _scales(state.constants)[:, None]
     frame = np.repeat(np.arange(steps), 3)
     constant = np.tile(3 * steps + np.arange(3), (3 * steps, 1))
-    blocks = [
-        (_pose_columns(frame), (scales * start).reshape(-1, 3)),
-        (_pose_columns(frame + 1), (scales * end).reshape(-1, 3)),
-        (constant, by_constant.reshape(-1, 3)),
-    ]
-    return _assembled(blocks, wheels.sigma.ravel(), _wheel_residual(problem, state).ravel(), robust=False)
+    columns = [_pose_columns(frame), _pose_columns(frame + 1), constant]
+    values = [(scales * start).reshape(-1, 3), (scales * end).reshape(-1, 3), by_constant.reshape(-1, 3)]
+    return _block(columns, values, wheels.sigma.ravel(), _wheel_residual(problem, state).ravel())
 
 
-def _prior_rows(problem: Problem, state: State) -> _Rows:
+def _prior_block(problem: Problem, state: State) -> Block:
     columns = 3 * (len(state.poses) - 1) + np.arange(len(CONSTANTS))[:, None]
     prior = problem.prior
-    residual = (prior.mean - state.constants) / prior.sigma
-    return _assembled([(columns, np.ones((len(residual), 1)))], prior.sigma, residual, robust=False)
+    return _block([columns], [np.ones(columns.shape)], prior.sigma, (prior.mean - state.constants) / prior.sigma)
 
 
-def _place_rows(state: State) -> _Rows:
+def _place_block(state: State) -> Block:
     """Return what keeps a landmark of hardly any parallax from running off: its place is known to some ten metres."""
-    count = 2 * len(state.points)
-    columns = 3 * (len(state.poses) - 1) + len(CONSTANTS) + np.arange(count)[:, None]
+    columns = _first_landmark(len(state.poses)) + np.arange(state.points.size)[:, None]
     away = (state.start - state.points).ravel() / _PLACE_SIGMA_M
-    return _assembled([(columns, np.ones((count, 1)))], np.full(count, _PLACE_SIGMA_M), away, robust=False)
+    return _block([columns], [np.ones(columns.shape)], np.full(len(away), _PLACE_SIGMA_M), away)
 
 
-def _bearing_rows(problem: Problem, state: State) -> _Rows:
+def bearing_block(problem: Problem, state: State) -> Block:
+    """Return the bearings (K,) by pose, landmark and the mount's yaw: columns 0-2, 3-4 and 5 of (K, 6)."""
     b = problem.bearings
     residual, in_robot = _bearing_residual(problem, state)
     offset = in_robot - problem.camera.robot_from_level[:2]
     squared = np.maximum((offset**2).sum(axis=1), 1e-9)
     # Bearing from the robot's axis: atan2(x, -z), so d/d(x, z) = (-z, x) / r².
     by_point = np.stack([-offset[:, 1], offset[:, 0]], axis=-1) / squared[:, None]
-    blocks = _point_blocks(state, b.frame, b.landmark, in_robot, by_point)
+    frames = len(state.poses)
     # A mount turned to the left sees everything farther to the right.
-    yaw = np.full((len(residual), 1), 3 * (len(state.poses) - 1) + 3)
-    return _assembled([*blocks, (yaw, np.ones((len(residual), 1)))], b.sigma, residual, robust=True)
+    yaw = np.full((len(residual), 1), 3 * (frames - 1) + 3)
+    columns = [_pose_columns(b.frame), landmark_columns(frames, b.landmark), yaw]
+    values = [*_by_pose_and_point(state, b.frame, in_robot, by_point), np.ones(yaw.shape)]
+    plain = _block(columns, values, b.sigma, residual)
+    return replace(plain, weight=1 / (1 + (residual / _CAUCHY) ** 2))
 
 
-def _point_blocks(
-    state: State, frame: Index, landmark: Index, in_robot: Array, by_point: Array
-) -> list[tuple[Index, Array]]:
-    """Return blocks by pose and by landmark of a value with derivative (K, 2) by the point in the robot frame."""
+def _by_pose_and_point(state: State, frame: Index, in_robot: Array, by_point: Array) -> tuple[Array, Array]:
+    """Return derivatives by pose (K, 3) and landmark (K, 2) of a value that has one, (K, 2), by the point `in_robot`."""
     heading = state.poses[frame, 2]
     cos, sin = np.cos(heading), np.sin(heading)
     # in_robot = (cos dx - sin dz, sin dx + cos dz).
     by_map = np.stack([by_point[:, 0] * cos + by_point[:, 1] * sin, -by_point[:, 0] * sin + by_point[:, 1] * cos], -1)
     by_heading = -by_point[:, 0] * in_robot[:, 1] + by_point[:, 1] * in_robot[:, 0]
-    pose = np.concatenate([-by_map, by_heading[:, None]], axis=1)
-    first = 3 * (len(state.poses) - 1) + len(CONSTANTS)
-    return [(_pose_columns(frame), pose), (first + 2 * landmark[:, None] + np.arange(2), by_map)]
+    return np.concatenate([-by_map, by_heading[:, None]], axis=1), by_map

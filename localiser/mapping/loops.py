@@ -7,6 +7,8 @@ sigmas of their difference. Pairs whose difference is best known go first; each 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,12 +28,15 @@ _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
 _AMBIGUOUS = 2.0  # a rival this little worse (log-likelihood) forbids a choice
 
 
-def same_landmarks(points: Array, joint_cov: Array, built: Built, seen: NDArray[np.bool_]) -> Index:
+def same_landmarks(
+    points: Array, difference_cov: Callable[[Index, Index], Array], built: Built, seen: NDArray[np.bool_]
+) -> Index:
     """Return for each landmark (L) the number of the one that it is the same as; its own where there is none.
 
-    points: (L, 2), joint_cov: (2L, 2L) as smoothed. built: how they look. seen: (T, L) in which frames each is seen;
-    two that are often seen in one frame are two. Polarities that contradict each other do not part what stands at one
-    place for certain: the sign of an edge depends on what lies behind it.
+    points: (L, 2) as smoothed. difference_cov: gives the covariances (P, 2, 2) of the differences of pairs of them.
+    built: how they look. seen: (T, L) in which frames each is seen; two that are often seen in one frame are two.
+    Polarities that contradict each other do not part what stands at one place for certain: the sign of an edge depends
+    on what lies behind it.
     """
     count = len(points)
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
@@ -39,7 +44,7 @@ def same_landmarks(points: Array, joint_cov: Array, built: Built, seen: NDArray[
     apart_in_time = _together(seen, one, other) <= np.maximum(_TOGETHER_SHARE * fewer, 1)
     one, other = one[apart_in_time], other[apart_in_time]
     apart = points[one] - points[other]
-    cov = _difference_cov(joint_cov, one, other)
+    cov = difference_cov(one, other) + _LEAST_SIGMA_M**2 * np.eye(2)
     chi2 = np.einsum("pi,pij,pj->p", apart, np.linalg.inv(cov), apart)
     sigma = np.sqrt(np.linalg.eigvalsh(cov)[:, 1])
     looks = log_likeness(built.side, built.polarity, built.side, built.polarity)[one, other]
@@ -87,18 +92,6 @@ def _together(seen: NDArray[np.bool_], one: Index, other: Index) -> Index:
 
     shown = csc_array(seen, dtype=np.int64)
     return np.asarray((shown.T @ shown).tocsr()[one, other]).ravel()
-
-
-def _difference_cov(joint: Array, one: Index, other: Index) -> Array:
-    """Return the covariances (P, 2, 2) of the differences of pairs."""
-
-    def block(a: Index, b: Index) -> Array:
-        rows, columns = (2 * x[:, None] + np.arange(2) for x in (a, b))
-        return np.asarray(joint[rows[:, :, None], columns[:, None, :]])
-
-    cross = block(one, other)
-    cov = block(one, one) + block(other, other) - cross - cross.transpose(0, 2, 1)
-    return np.asarray(cov + _LEAST_SIGMA_M**2 * np.eye(2))
 
 
 def _partners(one: Index, other: Index, count: int) -> list[set[int]]:

@@ -150,7 +150,7 @@ class _Solver:
     ) -> tuple[_Estimate, Built, Smoothed]:
         """Return the estimate after joining landmarks that are one, and solving again, until no more are."""
         for _ in range(rounds):
-            joined = same_landmarks(smoothed.points, smoothed.landmark_cov(), built, self.seen(built))
+            joined = same_landmarks(smoothed.points, smoothed.difference_cov, built, self.seen(built))
             if (joined == np.arange(len(built))).all():
                 break
             of = numbered(np.where(built.of >= 0, joined[built.of], -1))
@@ -230,9 +230,7 @@ def _in_map(
 
     cos, sin = np.cos(first_pose[2]), np.sin(first_pose[2])
     turn = np.array([[cos, sin], [-sin, cos]])
-    joint = smoothed.landmark_cov()
-    index = 2 * np.arange(len(built))[:, None] + np.arange(2)
-    cov = turn @ joint[index[:, :, None], index[:, None, :]] @ turn.T
+    cov = turn @ smoothed.landmark_cov() @ turn.T
     points = map_from_robot(first_pose, smoothed.points)
     poses = compose(first_pose, state.poses)
     moved = fitted(solver.sightings, built.of, state.camera.pose_in_map(poses), solver.sigma)

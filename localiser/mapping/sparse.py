@@ -1,7 +1,8 @@
-"""Solve one sparse symmetric positive definite system after another whose pattern stays.
+"""Sparse least squares: rows that each involve few variables, one system after another whose pattern stays.
 
-A = L D Lᵀ, row by row along the elimination tree [Davis, Algorithm 849: LDL, 2005]. The order of the variables that
-keeps L sparse, and the tree, are found once; each system after that costs its arithmetic only.
+The normal matrix is A = L D Lᵀ, row by row along the elimination tree [Davis, Algorithm 849: LDL, 2005]. Where it has
+values, and the tree, are found once; each system after that costs its arithmetic only. Of the inverse only what is
+asked for is computed: XᵀA⁻¹X = (L⁻¹X)ᵀ D⁻¹ (L⁻¹X), where L⁻¹X fills along the tree only.
 """
 
 from __future__ import annotations
@@ -16,72 +17,167 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 
+Index = NDArray[np.int64]
 Index32 = NDArray[np.int32]
+_AT_ONCE = 32  # pairs of columns that are solved for side by side
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """R linearised measurements, row after row: row r involves the variables column[start[r]:start[r + 1]].
+
+    start: (R + 1,). column: (E,), negative for what is fixed; each variable at most once in a row. value: (E,)
+    derivatives of the prediction. residual, weight: (R,).
+    """
+
+    start: Index
+    column: Index
+    value: Array
+    residual: Array
+    weight: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pattern:
-    """Where a symmetric matrix (V, V) has values, and in which order its variables are eliminated.
+    """Where the normal matrix (V, V) of rows has values when its variables are eliminated in a certain order.
 
-    order: (V,) variables. source: (U,) which of the matrix's stored values make up the upper triangle of the reordered
-    one, whose columns begin at start: (V + 1,) with rows: (U,). parent: (V,) elimination tree. column: (V + 1,) where
-    the columns of L begin. diagonal: (V,) which stored values are on the diagonal.
+    order: (V,) variables. place: (V,) where each is in it. entry: (E,) the same for each entry of the rows. slot: which
+    stored value each product of two entries of a row adds to. start: (V + 1,) where the columns of the upper triangle
+    begin, with rows: (U,). diagonal: (V,) where the diagonal is stored. parent: (V,) elimination tree. column: (V + 1,)
+    where the columns of L begin.
     """
 
-    order: Index32
-    source: Index32
+    order: Index
+    place: Index32
+    entry: Index32
+    slot: Index32
     start: Index32
     rows: Index32
+    diagonal: Index32
     parent: Index32
     column: Index32
-    diagonal: Index32
-    stored: tuple[Index32, Index32]
 
     @classmethod
-    def of(cls, matrix: Any) -> Pattern:
-        """Return the pattern of a sparse symmetric matrix (V, V) in sorted column form, by minimum degree."""
-        from scipy.sparse import csc_array
-        from scipy.sparse.linalg import splu
+    def of(cls, rows: Rows, order: Index) -> Pattern:
+        """Return the pattern for rows whose variables are eliminated in the given order (V,)."""
+        size = len(order)
+        place = np.empty(size, dtype=np.int32)
+        place[order] = np.arange(size)
+        entry = np.where(rows.column >= 0, place[rows.column], -1).astype(np.int32)
+        start, upper, slot, diagonal = _compiled(pattern_loop)(rows.start, entry, size)
+        parent, count = _compiled(tree_loop)(start, upper)
+        column = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+        return cls(order, place, entry, slot, start, upper, diagonal, parent, column)
 
-        size = matrix.shape[0]
-        own = np.repeat(np.arange(size), np.diff(matrix.indptr))
-        diagonal = np.flatnonzero(matrix.indices == own).astype(np.int32)
-        # The order depends on the pattern alone; with these values any can be eliminated.
-        easy = csc_array(
-            (np.where(matrix.indices == own, size, 0.5), matrix.indices, matrix.indptr), shape=matrix.shape
-        )
-        factor = splu(easy, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        order = np.argsort(factor.perm_c).astype(np.int32)
-        # The values are the numbers of the stored values, so that the upper triangle says where it came from.
-        numbered = csc_array((np.arange(1, matrix.nnz + 1), matrix.indices, matrix.indptr), shape=matrix.shape)
-        moved = numbered[order][:, order].tocsc()
-        moved.sort_indices()
-        column = np.repeat(np.arange(size), np.diff(moved.indptr))
-        upper = moved.indices <= column
-        start = np.concatenate([[0], np.cumsum(np.bincount(column[upper], minlength=size))]).astype(np.int32)
-        rows = moved.indices[upper].astype(np.int32)
-        parent, count = _compiled(tree_loop)(size, start, rows)
-        begin = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
-        source = (moved.data[upper] - 1).astype(np.int32)
-        return cls(order, source, start, rows, parent, begin, diagonal, (matrix.indptr, matrix.indices))
+    def normal(self, rows: Rows) -> tuple[Array, Array]:
+        """Return the stored values (U,) of JᵀWJ, and JᵀW r (V,) in the order of elimination, of rows so patterned."""
+        args = (rows.start, self.entry, rows.value, rows.residual, rows.weight, self.slot)
+        matrix, right = _compiled(normal_loop)(*args, len(self.rows), len(self.place))
+        return matrix, right
 
-    def fits(self, matrix: Any) -> bool:
-        """Return whether a sparse matrix in sorted column form has this pattern."""
-        pointers, indices = self.stored
-        return np.array_equal(pointers, matrix.indptr) and np.array_equal(indices, matrix.indices)
-
-    def solve(self, values: Array, right: Array) -> Array:
-        """Return the solution (V,) for a matrix of this pattern with stored `values`; nan if it is not definite."""
-        solved = _compiled(solve_loop)(
-            self.start, self.rows, values[self.source], self.parent, self.column, right[self.order]
-        )
-        result = np.empty_like(right)
-        result[self.order] = solved
-        return result
+    def factor(self, values: Array) -> Factor:
+        """Return the factors of the matrix with these stored values (U,); of nan if it is not positive definite."""
+        return Factor(self, *_compiled(factor_loop)(self.start, self.rows, values, self.parent, self.column))
 
 
-def tree_loop(size: int, start: Index32, rows: Index32) -> tuple[Index32, Index32]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Factor:
+    """A = L D Lᵀ: below, lower: the rows and values of L under its diagonal, column after column; pivot: (V,) is D."""
+
+    pattern: Pattern
+    below: Index32
+    lower: Array
+    pivot: Array
+
+    def solve(self, right: Array) -> Array:
+        """Return the variables (V,) for a right side (V,) in the order of elimination."""
+        solution = _compiled(solve_loop)(self.pattern.column, self.below, self.lower, self.pivot, right)
+        return np.asarray(solution[self.pattern.place])
+
+    def taken_up(self, start: Index, variable: Index, value: Array) -> Array:
+        """Return XᵀA⁻¹X (P, 2, 2) of P pairs of sparse columns X.
+
+        Pair p has the entries start[p]:start[p + 1]: value (M, 2), its two columns, at variable (M,); negative
+        variables are fixed, entries of the same variable add up.
+        """
+        p = self.pattern
+        entry = np.where(variable >= 0, p.place[variable], -1)
+        # Pairs that begin at neighbouring variables fill the same part of the tree.
+        earliest = np.minimum.reduceat(entry, start[:-1]) if len(start) > 1 else entry[:0]
+        order = np.argsort(earliest, kind="stable")
+        args = (p.parent, p.column, self.below, self.lower, self.pivot, order, start, entry, value)
+        return np.asarray(_compiled(taken_up_loop)(*args, _AT_ONCE))
+
+
+# -- plain loops, for numba to compile ---------------------------------------------------------------------------------
+
+
+def pattern_loop(start: Index, entry: Index32, size: int) -> tuple[Index32, Index32, Index32, Index32]:
+    """Return start, rows, slot and diagonal as in `Pattern`, for rows that begin at start and involve entry."""
+    row_of, pairs = np.empty(len(entry), np.int32), np.zeros(len(start), np.int64)
+    begin = np.zeros(size + 1, np.int64)
+    for r in range(len(start) - 1):
+        width = start[r + 1] - start[r]
+        pairs[r + 1] = pairs[r] + width * (width + 1) // 2
+        for e in range(start[r], start[r + 1]):
+            row_of[e] = r
+            if entry[e] >= 0:
+                begin[entry[e] + 1] += 1
+    begin = np.cumsum(begin)
+    involved, filled = np.empty(begin[size], np.int32), begin[:-1].copy()
+    for e in range(len(entry)):
+        if entry[e] >= 0:
+            involved[filled[entry[e]]] = e
+            filled[entry[e]] += 1
+    slot, above = np.full(pairs[-1], -1, np.int32), np.empty(pairs[-1], np.int32)
+    columns, diagonal = np.zeros(size + 1, np.int32), np.empty(size, np.int32)
+    stored, stored_at, count = np.full(size, -1, np.int32), np.empty(size, np.int32), 0
+    for k in range(size):
+        stored[k], stored_at[k], above[count], diagonal[k] = k, count, k, count
+        count += 1
+        for e in involved[begin[k] : begin[k + 1]]:
+            r = row_of[e]
+            for f in range(start[r], start[r + 1]):
+                i = entry[f]
+                if i < 0 or i > k:
+                    continue
+                if stored[i] != k:
+                    stored[i], stored_at[i], above[count] = k, count, i
+                    count += 1
+                high, low = max(e, f) - start[r], min(e, f) - start[r]
+                slot[pairs[r] + high * (high + 1) // 2 + low] = stored_at[i]
+        columns[k + 1] = count
+    return columns, above[:count].copy(), slot, diagonal
+
+
+def normal_loop(
+    start: Index,
+    entry: Index32,
+    value: Array,
+    residual: Array,
+    weight: Array,
+    slot: Index32,
+    stored: int,
+    size: int,
+) -> tuple[Array, Array]:
+    """Return the stored values of JᵀWJ, and JᵀW r, of the rows; see `Pattern`."""
+    matrix, right = np.zeros(stored), np.zeros(size)
+    pair = 0
+    for r in range(len(start) - 1):
+        for e in range(start[r], start[r + 1]):
+            weighted = weight[r] * value[e]
+            if entry[e] >= 0:
+                right[entry[e]] += weighted * residual[r]
+            for f in range(start[r], e + 1):
+                if slot[pair] >= 0:
+                    matrix[slot[pair]] += weighted * value[f]
+                pair += 1
+    return matrix, right
+
+
+def tree_loop(start: Index32, rows: Index32) -> tuple[Index32, Index32]:
     """Return the elimination tree (V,), -1 for a root, and how many values each column of L has below its diagonal."""
+    size = len(start) - 1
     parent, flag, count = np.full(size, -1, np.int32), np.full(size, -1, np.int32), np.zeros(size, np.int32)
     for k in range(size):
         flag[k] = k
@@ -96,11 +192,13 @@ def tree_loop(size: int, start: Index32, rows: Index32) -> tuple[Index32, Index3
     return parent, count
 
 
-def solve_loop(start: Index32, rows: Index32, values: Array, parent: Index32, column: Index32, right: Array) -> Array:
-    """Return the solution (V,) of one system, as in `Pattern`; factorisation and both substitutions."""
+def factor_loop(
+    start: Index32, rows: Index32, values: Array, parent: Index32, column: Index32
+) -> tuple[Index32, Array, Array]:
+    """Return below, lower and pivot as in `Factor`; see `Pattern`."""
     size = len(parent)
     below, lower, pivot = np.empty(column[size], np.int32), np.empty(column[size]), np.empty(size)
-    filled, flag, path = np.zeros(size, np.int32), np.full(size, -1, np.int32), np.empty(size, np.int32)
+    filled, flag, path = column.copy(), np.full(size, -1, np.int32), np.empty(size, np.int32)
     row = np.zeros(size)
     for k in range(size):
         flag[k] = k
@@ -118,30 +216,82 @@ def solve_loop(start: Index32, rows: Index32, values: Array, parent: Index32, co
                 top -= 1
                 length -= 1
                 path[top] = path[length]
-        pivot[k] = row[k]
-        row[k] = 0.0
+        diagonal, row[k] = row[k], 0.0
         for t in range(top, size):
             i = path[t]
             value = row[i]
             row[i] = 0.0
-            end = column[i] + filled[i]
-            for p in range(column[i], end):
+            for p in range(column[i], filled[i]):
                 row[below[p]] -= lower[p] * value
             scaled = value / pivot[i]
-            pivot[k] -= scaled * value
-            below[end], lower[end] = k, scaled
+            diagonal -= scaled * value
+            below[filled[i]], lower[filled[i]] = k, scaled
             filled[i] += 1
-        if not pivot[k] > 0.0:
-            return np.full(size, np.nan)
+        if not diagonal > 0.0:
+            pivot[:] = np.nan
+            break
+        pivot[k] = diagonal
+    return below, lower, pivot
+
+
+def solve_loop(column: Index32, below: Index32, lower: Array, pivot: Array, right: Array) -> Array:
+    """Return the solution (V,) of L D Lᵀ x = right."""
     solution = right.copy()
-    for j in range(size):
+    for j in range(len(pivot)):
         for p in range(column[j], column[j + 1]):
             solution[below[p]] -= lower[p] * solution[j]
     solution /= pivot
-    for j in range(size - 1, -1, -1):
+    for j in range(len(pivot) - 1, -1, -1):
         for p in range(column[j], column[j + 1]):
             solution[j] -= lower[p] * solution[below[p]]
     return solution
+
+
+def taken_up_loop(
+    parent: Index32,
+    column: Index32,
+    below: Index32,
+    lower: Array,
+    pivot: Array,
+    order: Index,
+    start: Index,
+    entry: Index,
+    value: Array,
+    at_once: int,
+) -> Array:
+    """Return what `Factor.taken_up` does, `at_once` pairs at a time in the given order, along the tree only."""
+    size, pairs = len(parent), len(start) - 1
+    taken, reached = np.zeros((pairs, 2, 2)), np.zeros(size, np.bool_)
+    work = np.zeros((size, 2 * at_once))
+    for begin in range(0, pairs, at_once):
+        many = min(at_once, pairs - begin)
+        for v in range(many):
+            pair = order[begin + v]
+            for e in range(start[pair], start[pair + 1]):
+                i = entry[e]
+                if i >= 0:
+                    work[i, 2 * v] += value[e, 0]
+                    work[i, 2 * v + 1] += value[e, 1]
+                while i >= 0 and not reached[i]:
+                    reached[i] = True
+                    i = parent[i]
+        for j in range(size):
+            if not reached[j]:
+                continue
+            own = work[j]
+            for p in range(column[j], column[j + 1]):
+                other = work[below[p]]
+                for c in range(2 * many):
+                    other[c] -= lower[p] * own[c]
+            for v in range(many):
+                pair, x, y = order[begin + v], own[2 * v], own[2 * v + 1]
+                taken[pair, 0, 0] += x * x / pivot[j]
+                taken[pair, 0, 1] += x * y / pivot[j]
+                taken[pair, 1, 1] += y * y / pivot[j]
+            own[:] = 0.0
+            reached[j] = False
+    taken[:, 1, 0] = taken[:, 0, 1]
+    return taken
 
 
 @cache
