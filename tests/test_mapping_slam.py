@@ -197,17 +197,17 @@ def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> 
     joint = 0.005**2 * np.eye(16)
     common = np.kron(np.ones((4, 4)), 0.15**2 * np.eye(2))
     joint[8:, 8:] += common
-    shown = np.zeros((2 * frames, 8), dtype=bool)
-    shown[sightings.frame, of] = True
     blocks = joint.reshape(8, 2, 8, 2).transpose(0, 2, 1, 3)
 
     def difference_cov(one: Index, other: Index) -> Array:
         cross = blocks[one, other]
         return blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1)
 
-    joined = same_landmarks(built.fit.points, difference_cov, built, shown)
+    joined = same_landmarks(built.fit.points, difference_cov, built, sightings.frame)
     assert joined.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
-    certain = same_landmarks(built.fit.points, lambda one, _: np.tile(5e-5 * np.eye(2), (len(one), 1, 1)), built, shown)
+    certain = same_landmarks(
+        built.fit.points, lambda one, _: np.tile(5e-5 * np.eye(2), (len(one), 1, 1)), built, sightings.frame
+    )
     assert certain.tolist() == list(range(8))
 
 
@@ -241,8 +241,8 @@ def test_a_drive_with_wrong_wheels_is_put_right() -> None:
 # -- large loops ------------------------------------------------------------------------------------------------------
 
 
-def visits(drift: Array, repeats: bool) -> tuple[Array, Built, np.ndarray]:
-    """Return landmarks of two visits to one place, the second moved by `drift` (3,), and when each is seen."""
+def visits(drift: Array, repeats: bool) -> tuple[Array, Built, Index]:
+    """Return landmarks of two visits to one place, the second moved by `drift` (3,), and the frames of sightings."""
     rng = np.random.default_rng(4)
     first = rng.uniform(-3, 3, (12, 2))
     if repeats:  # doors at equal steps: the place looks like itself one step on
@@ -256,24 +256,24 @@ def visits(drift: Array, repeats: bool) -> tuple[Array, Built, np.ndarray]:
     seen[:20, : len(first)] = True
     seen[100:, len(first) :] = True
     fit = triangulate(np.zeros(0, dtype=np.int64), count, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-    nothing = np.zeros(0, dtype=np.int64)
+    frame, landmark = np.nonzero(seen)
     built = Built(
-        of=nothing,
-        used=nothing,
+        of=landmark,
+        used=np.arange(len(landmark)),
         fit=fit,
         parallax=np.full(count, 0.5),
         count=seen.sum(axis=0),
         side=np.full((count, 2), np.nan),
         polarity=np.zeros(count, dtype=np.int8),
     )
-    return np.concatenate([first, second]), built, seen
+    return np.concatenate([first, second]), built, frame
 
 
 def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
-    points, built, seen = visits(np.array([1.5, -0.8, 0.2]), repeats=False)
-    assert seen_before(points, built, seen).tolist() == [*range(12), *range(12)]
+    points, built, frame = visits(np.array([1.5, -0.8, 0.2]), repeats=False)
+    assert seen_before(points, built, frame).tolist() == [*range(12), *range(12)]
 
 
 def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
-    points, built, seen = visits(np.array([0.4, 0.0, 0.0]), repeats=True)
-    assert seen_before(points, built, seen).tolist() == list(range(len(points)))
+    points, built, frame = visits(np.array([0.4, 0.0, 0.0]), repeats=True)
+    assert seen_before(points, built, frame).tolist() == list(range(len(points)))

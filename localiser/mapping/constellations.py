@@ -39,34 +39,40 @@ class _Candidates:
     old: Index
 
 
-def seen_before(points: Array, built: Built, seen: NDArray[np.bool_]) -> Index:
+def seen_before(points: Array, built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the older one that it is; its own where there is none.
 
-    points: (L, 2) as smoothed. seen: (T, L) which frames show which. Groups are taken in the order of time.
+    points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order.
     """
-    number = np.arange(len(points))
-    frames = len(seen)
-    first, last = seen.argmax(axis=0), frames - 1 - seen[::-1].argmax(axis=0)
+    number, landmark = np.arange(len(points)), built.of[built.used]
+    first, last = np.full(len(points), frame[-1]), np.zeros(len(points), dtype=np.int64)
+    np.minimum.at(first, landmark, frame)
+    np.maximum.at(last, landmark, frame)
     known = built.parallax >= np.deg2rad(3.0)
-    alike = log_likeness(built.side, built.polarity, built.side, built.polarity) >= 0
-    for start in range(0, frames, _STEP):
-        group = np.flatnonzero(known & seen[start : start + _WINDOW].any(axis=0) & (first >= start - _OLDER))
+    for start in range(0, int(frame[-1]) + 1, _STEP):
+        within = slice(*np.searchsorted(frame, [start, start + _WINDOW]))
+        group = np.unique(landmark[within])
+        group = group[known[group] & (first[group] >= start - _OLDER)]
         older = np.flatnonzero(known & (last < start - _OLDER))
-        pairs = _same_by_move(points, group, older, alike)
-        taken = number != np.arange(len(points))
+        pairs = _same_by_move(points, group, older, built)
         for new, old in zip(pairs.new, pairs.old, strict=True):
-            if not (taken[new] or taken[old]) and number[old] == old:
+            if number[new] == new and number[old] == old:
                 number[new] = old
     return number
 
 
-def _same_by_move(points: Array, group: Index, older: Index, alike: NDArray[np.bool_]) -> _Candidates:
+def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _Candidates:
     """Return the pairs that the best rigid move of a group explains; none where no move is clearly the best."""
     nothing = _Candidates(group[:0], older[:0])
-    if len(group) < _FEWEST or len(older) < _FEWEST:
+    if len(group) < _FEWEST:
         return nothing
-    apart = np.linalg.norm(points[group][:, None] - points[older][None], axis=-1)
-    row, column = np.nonzero((apart < _FARTHEST_M) & alike[np.ix_(group, older)])
+    near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
+    looks = log_likeness(built.side[group], built.polarity[group], built.side[older], built.polarity[older])
+    may_be = near & (looks >= 0)
+    older, may_be = older[may_be.any(axis=0)], may_be[:, may_be.any(axis=0)]
+    if len(older) < _FEWEST:
+        return nothing
+    row, column = np.nonzero(may_be)
     moves = _moves(points[group], points[older], row, column)
     if len(moves) == 0:
         return nothing
@@ -102,7 +108,7 @@ def _unrivalled(points: Array, group: Index, older: Index, row: Index, column: I
 
 def _moves(new: Array, old: Array, row: Index, column: Index) -> Array:
     """Return the rigid moves (M, 3), x, z and turn, that take two landmarks of the group onto two older ones."""
-    one, other = compiled_alike_pairs()(new, old, row, column, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
+    one, other = compiled_alike_pairs()(new, old[column], row, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
     baseline, older = new[row[other]] - new[row[one]], old[column[other]] - old[column[one]]
     turn = wrap_angle(np.arctan2(older[:, 1], older[:, 0]) - np.arctan2(baseline[:, 1], baseline[:, 0]))
     kept = np.abs(turn) < _TURN_MOST_RAD
@@ -156,21 +162,23 @@ def explained_loop(
 
 
 def alike_pairs_loop(
-    new: Array, old: Array, row: Index, column: Index, baseline_m: float, close_m: float, most: int
+    new: Array, old: Array, row: Index, baseline_m: float, close_m: float, most: int
 ) -> tuple[Index, Index]:
     """Return two of the matches (P,) each (M,) whose landmarks are as far apart in the group as among the older ones.
 
-    Nearer than `baseline_m` they tell no turn. Of more than `most`, every second, third … one. Plain loops for numba.
+    new: (A, 2) places of the group, row: (P,) which of them a match has, old: (P, 2) where its older one stands. Nearer
+    than `baseline_m` they tell no turn. Of more than `most`, every second, third … one. Plain loops for numba.
     """
+    length = np.sqrt((new[:, :1] - new[:, 0]) ** 2 + (new[:, 1:] - new[:, 1]) ** 2)
+    # Squares of the distances that count as the same; none does where the baseline is too short.
+    least, largest = np.maximum(length - close_m, 0.0) ** 2, np.where(length > baseline_m, (length + close_m) ** 2, 0.0)
     one, other = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     every, met, kept = 1, 0, 0
     for i in range(len(row)):
+        low, high = least[row[i]], largest[row[i]]
         for j in range(i + 1, len(row)):
-            if row[i] == row[j] or column[i] == column[j]:
-                continue
-            length = np.hypot(new[row[j], 0] - new[row[i], 0], new[row[j], 1] - new[row[i], 1])
-            same = np.hypot(old[column[j], 0] - old[column[i], 0], old[column[j], 1] - old[column[i], 1])
-            if length <= baseline_m or abs(length - same) >= close_m:
+            apart = (old[j, 0] - old[i, 0]) ** 2 + (old[j, 1] - old[i, 1]) ** 2
+            if apart <= low[row[j]] or apart >= high[row[j]]:
                 continue
             if met % every == 0:
                 if kept == most:

@@ -11,6 +11,8 @@ import numpy as np
 
 from localiser.mapping.sightings import Index
 
+_SHORT = 4  # frames that are not worth parting
+
 
 def dissected(frames: int, frame: Index, landmark: Index, landmarks: int) -> Index:
     """Return poses and landmarks in the order of elimination: numbers below `frames` are poses, the rest landmarks.
@@ -24,8 +26,8 @@ def dissected(frames: int, frame: Index, landmark: Index, landmarks: int) -> Ind
     stretches = [(1, frames, np.arange(landmarks))]
     while stretches:
         begin, end, inside = stretches.pop()
-        if begin >= end:
-            backwards.append(frames + inside)
+        if end - begin <= _SHORT:
+            backwards += [np.arange(begin, end), frames + inside]
             continue
         middle = begin + _parting(first[inside] - begin, last[inside] - begin, end - begin)
         before = last[inside] <= middle

@@ -258,7 +258,7 @@ def bearing_block(problem: Problem, state: State) -> Block:
 
 
 def _by_pose_and_point(state: State, frame: Index, in_robot: Array, by_point: Array) -> tuple[Array, Array]:
-    """Return derivatives by pose (K, 3) and landmark (K, 2) of a value that has one, (K, 2), by the point `in_robot`."""
+    """Return derivatives by pose (K, 3) and by landmark (K, 2) of a value with derivative (K, 2) by `in_robot`."""
     heading = state.poses[frame, 2]
     cos, sin = np.cos(heading), np.sin(heading)
     # in_robot = (cos dx - sin dz, sin dx + cos dz).

@@ -22,9 +22,16 @@ def log_likeness(side: Array, polarity: NDArray[np.int8], other_side: Array, oth
     side: (A, 2), other_side: (B, 2) grey values left and right, nan unknown. polarity: (A,) and (B,), 0 unknown.
     -inf where polarities contradict each other.
     """
-    apart = side[:, None] - other_side[None]
+    return log_likeness_of_pairs(side[:, None], polarity[:, None], other_side[None], other_polarity[None])
+
+
+def log_likeness_of_pairs(
+    side: Array, polarity: NDArray[np.int8], other_side: Array, other_polarity: NDArray[np.int8]
+) -> Array:
+    """Return the same of pairs (P): side, other_side: (P, 2). polarity, other_polarity: (P,)."""
+    apart = side - other_side
     same = _SAME_SIDE * np.exp(-0.5 * (apart / _GREY_SIGMA) ** 2) / (_GREY_SIGMA * np.sqrt(2 * np.pi))
     ratio = np.log(same * _GREY_SPAN + 1 - _SAME_SIDE)
     looks = np.where(np.isnan(ratio), 0.0, ratio).sum(axis=-1)
-    product = polarity[:, None] * other_polarity[None]
+    product = polarity * other_polarity
     return np.asarray(np.where(product < 0, -np.inf, looks + np.log(2.0) * (product > 0)))

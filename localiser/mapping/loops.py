@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.mapping.landmarks import Built
-from localiser.mapping.likeness import log_likeness
+from localiser.mapping.likeness import log_likeness_of_pairs
 from localiser.mapping.sightings import Index
 
 _GATE = 11.8  # 99.7 % of a Gaussian in the plane
@@ -28,30 +28,26 @@ _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
 _AMBIGUOUS = 2.0  # a rival this little worse (log-likelihood) forbids a choice
 
 
-def same_landmarks(
-    points: Array, difference_cov: Callable[[Index, Index], Array], built: Built, seen: NDArray[np.bool_]
-) -> Index:
+def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array], built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the one that it is the same as; its own where there is none.
 
     points: (L, 2) as smoothed. difference_cov: gives the covariances (P, 2, 2) of the differences of pairs of them.
-    built: how they look. seen: (T, L) in which frames each is seen; two that are often seen in one frame are two.
+    built: how they look. frame: (K,) of the sightings used; two that are often seen in one frame are two.
     Polarities that contradict each other do not part what stands at one place for certain: the sign of an edge depends
     on what lies behind it.
     """
     count = len(points)
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
-    fewer = seen.sum(axis=0)[np.stack([one, other])].min(axis=0)
-    apart_in_time = _together(seen, one, other) <= np.maximum(_TOGETHER_SHARE * fewer, 1)
-    one, other = one[apart_in_time], other[apart_in_time]
+    looks = log_likeness_of_pairs(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
+    contrary = np.isneginf(looks)
+    fewer, together = _together(frame, built.of[built.used], one, other)
+    may = (together <= np.maximum(_TOGETHER_SHARE * fewer, 1)) & ((looks >= _UNLIKE) | contrary)
+    one, other, looks, contrary = one[may], other[may], np.where(contrary, _CONTRARY, looks)[may], contrary[may]
     apart = points[one] - points[other]
     cov = difference_cov(one, other) + _LEAST_SIGMA_M**2 * np.eye(2)
     chi2 = np.einsum("pi,pij,pj->p", apart, np.linalg.inv(cov), apart)
     sigma = np.sqrt(np.linalg.eigvalsh(cov)[:, 1])
-    looks = log_likeness(built.side, built.polarity, built.side, built.polarity)[one, other]
-    contrary = np.isneginf(looks)
-    looks[contrary] = _CONTRARY
-    alike = (looks >= _UNLIKE) | (contrary & (sigma < _CERTAIN_SIGMA_M))
-    fit = (chi2 < _GATE) & (sigma < _FARTHEST_SIGMA_M) & alike
+    fit = (chi2 < _GATE) & (sigma < np.where(contrary, _CERTAIN_SIGMA_M, _FARTHEST_SIGMA_M))
     one, other, chi2, sigma, looks = one[fit], other[fit], chi2[fit], sigma[fit], looks[fit]
     # How much likelier it is that they are one than that the second is any other edge that happens to stand here.
     score = looks - 0.5 * chi2 - np.log(sigma)
@@ -86,12 +82,14 @@ def _near(points: Array, known: Index) -> tuple[Index, Index]:
     return known[pairs[:, 0]], known[pairs[:, 1]]
 
 
-def _together(seen: NDArray[np.bool_], one: Index, other: Index) -> Index:
-    """Return in how many frames (P,) both of a pair are seen."""
+def _together(frame: Index, landmark: Index, one: Index, other: Index) -> tuple[Index, Index]:
+    """Return in how many frames (P,) the rarer one of a pair is seen, and in how many both are."""
     from scipy.sparse import csc_array
 
-    shown = csc_array(seen, dtype=np.int64)
-    return np.asarray((shown.T @ shown).tocsr()[one, other]).ravel()
+    shown = csc_array((np.ones(len(frame)), (frame, landmark)), dtype=np.int64)
+    shown.data[:] = 1  # however often in one frame
+    both = (shown.T @ shown).tocsr()
+    return np.minimum(both[one, one], both[other, other]), both[one, other]
 
 
 def _partners(one: Index, other: Index, count: int) -> list[set[int]]:

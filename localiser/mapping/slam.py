@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array, forward, wrap_angle
@@ -78,7 +77,7 @@ def build_from_log(
         noise = _POSE_BEARING_RAD
     before = state.poses
     for _ in range(_CONSTELLATION_ROUNDS):
-        joined = seen_before(smoothed.points, built, solver.seen(built))
+        joined = seen_before(smoothed.points, built, sightings.frame[built.used])
         if (joined == np.arange(len(built))).all():
             break
         of = numbered(np.where(built.of >= 0, joined[built.of], -1))
@@ -150,7 +149,7 @@ class _Solver:
     ) -> tuple[_Estimate, Built, Smoothed]:
         """Return the estimate after joining landmarks that are one, and solving again, until no more are."""
         for _ in range(rounds):
-            joined = same_landmarks(smoothed.points, smoothed.difference_cov, built, self.seen(built))
+            joined = same_landmarks(smoothed.points, smoothed.difference_cov, built, self.sightings.frame[built.used])
             if (joined == np.arange(len(built))).all():
                 break
             of = numbered(np.where(built.of >= 0, joined[built.of], -1))
@@ -214,12 +213,6 @@ class _Solver:
         mean, sigma = stated.mean.copy(), stated.sigma.copy()
         mean[0], sigma[0] = np.expm1(present - scale.log), scale.sigma
         return Prior(mean, sigma)
-
-    def seen(self, built: Built) -> NDArray[np.bool_]:
-        """Return (T, L) which frames show which landmarks."""
-        seen = np.zeros((self.sightings.frames, len(built)), dtype=bool)
-        seen[self.sightings.frame[built.used], built.of[built.used]] = True
-        return seen
 
 
 def _in_map(
