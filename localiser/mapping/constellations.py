@@ -45,11 +45,12 @@ def seen_before(points: Array, built: Built, frame: Index) -> Index:
     points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order.
     """
     number, landmark = np.arange(len(points)), built.of[built.used]
-    first, last = np.full(len(points), frame[-1]), np.zeros(len(points), dtype=np.int64)
+    end = int(frame.max(initial=0))
+    first, last = np.full(len(points), end), np.zeros(len(points), dtype=np.int64)
     np.minimum.at(first, landmark, frame)
     np.maximum.at(last, landmark, frame)
     known = built.parallax >= np.deg2rad(3.0)
-    for start in range(0, int(frame[-1]) + 1, _STEP):
+    for start in range(0, end + 1, _STEP):
         within = slice(*np.searchsorted(frame, [start, start + _WINDOW]))
         group = np.unique(landmark[within])
         group = group[known[group] & (first[group] >= start - _OLDER)]

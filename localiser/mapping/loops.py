@@ -38,6 +38,8 @@ def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array
     """
     count = len(points)
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
+    if len(one) == 0:
+        return np.arange(count)
     looks = log_likeness_of_pairs(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
     contrary = np.isneginf(looks)
     fewer, together = _together(frame, built.of[built.used], one, other)
