@@ -201,7 +201,7 @@ def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> 
 
     def difference_cov(one: Index, other: Index) -> Array:
         cross = blocks[one, other]
-        return blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1)
+        return np.asarray(blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1))
 
     joined = same_landmarks(built.fit.points, difference_cov, built, sightings.frame)
     assert joined.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
