@@ -54,10 +54,15 @@ def ends_of(edges: Edges, camera: Camera) -> Ends:
     room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
     peak = (1.0 - MISSED) * room * camera.focal_px / (np.sqrt(2 * np.pi) * SIGMA_PX)
     # The border ends an edge wherever its landmark does.
-    from_border = np.minimum(edges.ends_px, np.array([camera.width, camera.height]) - 1 - edges.ends_px)
-    at_border = np.take_along_axis(from_border.min(axis=-1) < TOLERANCE_PX, lower_first, axis=1)
+    cut = np.take_along_axis(at_border(edges.ends_px, camera), lower_first, axis=1)
     per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
-    return Ends(e, per_length, np.where(at_border, _UNKNOWN, room), np.where(at_border, 0.0, peak), MISSED)
+    return Ends(e, per_length, np.where(cut, _UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+
+
+def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Return whether ends (E, 2, 2) lie at the image's border (E, 2)."""
+    from_border = np.minimum(ends_px, np.array([camera.width, camera.height]) - 1 - ends_px)
+    return np.asarray(from_border.min(axis=-1) < TOLERANCE_PX)
 
 
 def agreement(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser import confidence, geometry, particles
+from localiser.attitude import Attitude, Level
 from localiser.biases import at_start, with_biases
 from localiser.clusters import Clusters
 from localiser.doubt import Doubt
@@ -124,6 +125,7 @@ class Mcl:
     correlation: ObservationParameters = field(default_factory=ObservationParameters)
     odometer: Odometer | None = None  # wheels alone
     search: Search | None = None  # a start must be given, and a robot that is lost stays so
+    level: Level | None = None  # tilt and roll are what is stated
 
 
 @dataclass(slots=True, eq=False)
@@ -133,6 +135,7 @@ class FilterState:
     particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
     inliers: what share of the edges belongs to landmarks hereabouts. doubt: whether the robot is elsewhere. searching:
     whether several places are possible. rival: where else the robot may be, beside the particles.
+    attitude: how the camera hangs, None as it is stated.
     seen: edges of the last image. pace: twist per second then, as far as edges told.
     odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
@@ -144,6 +147,7 @@ class FilterState:
     doubt: Doubt = field(default_factory=lambda: Doubt.of(STRAY_START))
     searching: bool = False
     rival: Rival | None = None
+    attitude: Attitude | None = None
     seen: Edges | None = None
     pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
@@ -197,17 +201,19 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         increment, state.pace = mcl.odometer.increment(wheels, cov, state.seen, edges, seconds, state.pace)
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
+    share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
+    if mcl.level is not None:
+        edges, state.attitude = mcl.level.levelled(state.attitude, edges, increment.path_m, share)
     if state.particles is None:
         weighed = _anywhere(mcl, state, edges, rng)
     else:
-        share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
         weighed = _weighed(mcl, state, moves if increment is wheels else [increment], edges, share, rng)
 
     # Estimate before resampling, which only adds noise.
     located = _located(state, weighed, sighting, increment, odometry_pose)
 
     state.particles = _resampled(mcl, state, located, rng)
-    state.at_ns, state.weighed, state.seen = sighting.t_ns, True, edges
+    state.at_ns, state.weighed, state.seen = sighting.t_ns, True, sighting.edges
     return located
 
 

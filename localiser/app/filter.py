@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from localiser import guide, mcl
+from localiser.attitude import Level
 from localiser.camera import Camera
 from localiser.config import Config
 from localiser.increments import Odometer
@@ -28,4 +31,5 @@ def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObserv
         config.observation,
         odometer=Odometer(camera, config.increments),
         search=search,
+        level=Level(camera, math.radians(config.edges.plumb_sigma_deg)),
     )
