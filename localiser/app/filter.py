@@ -18,7 +18,6 @@ def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObserv
     """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
     observation.warm_up()
     guide.warm_up()
-    guide.warm_up()
     search = None  # looks for poses by edges that do not say what they are
     if config.observation.association == "unknown":
         search = Search.of(observation, landmark_map, config.search)

@@ -18,9 +18,12 @@ from numpy.typing import NDArray
 from localiser.geometry import Array
 
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
-_PER_CELL = 16  # particles, at least, if they were spread evenly
+_PER_CELL = 32  # particles, at least, if they were spread evenly
 _BINS = 512  # of the compared angle
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
+_PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
+
+EdgeBins = tuple[NDArray[np.uint64], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,65 +58,65 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
     columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's. shares: (K,)
     ascending, at most 8 of them.
     """
+    count = columns.shape[1]
+    result = np.empty((len(shares), count))
+    base, bins = len(scene.edges) * np.log1p(-shares), bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
+
+    def weigh(part: slice) -> None:
+        result[:, part] = _weighed(scene, columns[:, part], shares, base, bins)
+
+    size = min(max(-(-count // threads), _PER_THREAD), _PART)
+    parts = [slice(begin, begin + size) for begin in range(0, count, size)]
+    if min(threads, len(parts)) == 1:
+        for part in parts:
+            weigh(part)
+    else:
+        with ThreadPoolExecutor(min(threads, len(parts))) as pool:
+            list(pool.map(weigh, parts))
+    return result
+
+
+def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins: EdgeBins) -> Array:
+    """Return `by_share` of so few particles that all about them stays in the cache. base: (K,) to be added."""
     from localiser.likelihood import loops
 
-    count = columns.shape[1]
     low, per_unit, shape = _cells(columns[:3])
-    run, order = loops.ordered(loops.cells_of(columns, low, per_unit, shape), int(shape.prod()))
+    poses = columns.T.copy()
+    run, order = loops.ordered(loops.cells_of(poses, low, per_unit, shape), int(shape.prod()))
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
     start, item = loops.candidates(
         run, low, per_unit, shape, scene.offset, scene.landmarks, half_view_rad, scene.range_m[1]
     )
-    first, bins = bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
-    rows, aside = np.empty((count, loops.LANES)), np.zeros((count, loops.LANES))
-
-    def weigh(begin: int, stop: int) -> bool:
-        return loops.products(
-            columns,
-            order,
-            run,
-            begin,
-            stop,
-            scene.offset,
-            start,
-            item,
-            scene.landmarks,
-            shares / (1.0 - shares),
-            scene.edges,
-            first,
-            bins,
-            scene.view,
-            (scene.range_m[0] ** 2, scene.range_m[1] ** 2, scene.widest),
-            scene.gate,
-            scene.ends,
-            scene.span,
-            scene.is_slope,
-            rows,
-            aside,
-        )
-
-    parts = max(min(threads, count // _PER_THREAD), 1)
-    ends = np.linspace(0, count, parts + 1).astype(np.int64).tolist()
-    if parts == 1:
-        any_aside = weigh(0, count)
-    else:
-        with ThreadPoolExecutor(parts) as pool:
-            any_aside = any(list(pool.map(weigh, ends[:-1], ends[1:])))
-    result = loops.transposed(rows, len(shares))
-    np.log(result, out=result)
-    result += (len(scene.edges) * np.log1p(-shares))[:, None]
-    return result + aside[:, : len(shares)].T if any_aside else result
+    return loops.log_products(
+        poses,
+        order,
+        run,
+        scene.offset,
+        start,
+        item,
+        scene.landmarks,
+        (*(shares / (1.0 - shares)).tolist(), *[0.0] * (loops.LANES - len(shares))),
+        scene.edges,
+        *edge_bins,
+        scene.view,
+        (scene.range_m[0] ** 2, scene.range_m[1] ** 2, scene.widest),
+        scene.gate,
+        scene.ends,
+        scene.span,
+        scene.is_slope,
+        base,
+    )
 
 
-def bins_of(angle: Array) -> tuple[NDArray[np.int64], tuple[float, float, float]]:
+def bins_of(angle: Array) -> EdgeBins:
     """Return where ascending angles (E,) begin in even bins: first (B,), and (lowest, bins per rad, last bin).
 
     Those from bin i on are angle[first[i]:]; the last bin is beyond all.
     """
     if len(angle) == 0:
-        return np.zeros(1, dtype=np.int64), (0.0, 1.0, 0.0)
+        return np.zeros(1, dtype=np.uint64), (0.0, 1.0, 0.0)
     step = max(float(angle[-1] - angle[0]) / (_BINS - 2), 1e-12)
-    first = np.searchsorted(angle, angle[0] + step * np.arange(_BINS)).astype(np.int64)
+    first = np.searchsorted(angle, angle[0] + step * np.arange(_BINS)).astype(np.uint64)
     first[-1] = len(angle)
     return first, (float(angle[0]), 1.0 / step, _BINS - 1.0)
 

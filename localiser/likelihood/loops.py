@@ -2,9 +2,9 @@
 
 Particles come in cells: those of a cell share the list of landmarks that can be in view. A block of them is looked at
 one landmark at a time, all its particles at once; edges near where the landmark is expected make pairs, and pairs are
-weighed many at once. The inner loops run along rows of small arrays of constant shape: only so does the compiler know
-that rows do not overlap, and turns the loop into vector instructions. Rows are always taken up to a whole number of
-`LANES`, so that every particle goes through the same instructions whatever stands beside it.
+weighed many at once. The inner loops run along rows of one small array of constant shape: only so does the compiler
+know that rows do not overlap, and turns the loop into vector instructions. Rows are always taken up to a whole number
+of `LANES`, so that every particle goes through the same instructions whatever stands beside it.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ from numpy.typing import NDArray
 from localiser.geometry import Array
 
 Indices = NDArray[np.int64]
+Counts = NDArray[np.uint64]  # indices that are never negative, so that no loop has to look whether they are
 F = TypeVar("F", bound=Callable[..., Any])
 
 LANES = 8  # float64 in a vector register
+FEWEST = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together, a power of two
 ROOM = 512  # pairs weighed together; the buffers stay in the fastest cache
 UNKNOWN_M = 1e8  # heights beyond this are not known
+_BLOCK, _NEXT = np.uint64(BLOCK), np.uint64(1)
 SAFE = 1e150  # a product is put aside when it grows beyond
 
 _RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
@@ -43,11 +46,14 @@ def _inlined(function: F) -> F:
 _LEAST = -18.0 / 16
 _SERIES = np.polynomial.Chebyshev.interpolate(np.exp, 6, domain=[_LEAST, 0.0])
 _X0, _X1, _X2, _X3, _X4, _X5, _X6 = (float(power) for power in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
-_HALF_PI = np.pi / 2
+_GATE = -2.0 * 16 * _LEAST  # sigmas squared
+_HALF_PI, _LOG_TWO, _ROOT_TWO = np.pi / 2, float(np.log(2.0)), float(np.sqrt(2.0))
+_FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 1.0
 
-_X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)  # rows of a block's camera poses
-# Of one landmark seen from them; _END: -1 where it is not.
-_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END = range(7)
+# Rows of a block: camera poses; one landmark as it is seen from them; how many landmarks are. In one array, so that the
+# compiler knows that they do not overlap.
+_X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
+_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN = range(6, 14)
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY = range(10)
 # Rows of pairs.
@@ -60,13 +66,13 @@ _RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_
 
 
 @_entry
-def cells_of(columns: Array, low: Array, per_unit: Array, shape: Indices) -> Indices:
-    """Return the cell (N,) of each pose in `columns` (3+, N): cells start at `low` (3,), per_unit (3,) in a unit."""
-    cell = np.empty(columns.shape[1], np.int64)
+def cells_of(poses: Array, low: Array, per_unit: Array, shape: Indices) -> Indices:
+    """Return the cell (N,) of each of the poses (N, 3+): cells start at `low` (3,), per_unit (3,) in a unit."""
+    cell = np.empty(len(poses), np.int64)
     for n in range(len(cell)):
-        i = min(int((columns[0, n] - low[0]) * per_unit[0]), shape[0] - 1)
-        j = min(int((columns[1, n] - low[1]) * per_unit[1]), shape[1] - 1)
-        k = min(int((columns[2, n] - low[2]) * per_unit[2]), shape[2] - 1)
+        i = min(int((poses[n, 0] - low[0]) * per_unit[0]), shape[0] - 1)
+        j = min(int((poses[n, 1] - low[1]) * per_unit[1]), shape[1] - 1)
+        k = min(int((poses[n, 2] - low[2]) * per_unit[2]), shape[2] - 1)
         cell[n] = (i * shape[1] + j) * shape[2] + k
     return cell
 
@@ -153,13 +159,17 @@ def _turn(block: Array, lanes: int) -> None:
 
 
 @_inlined
-def _place(columns: Array, order: Indices, first: int, size: int, lanes: int, offset: Any, block: Array) -> None:
+def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offset: Any, block: Array) -> None:
     """Write the camera poses of particles order[first : first + size]; the lanes beyond repeat the last one."""
     right, back, yaw = offset
     for m in range(lanes):
         n = order[first + min(m, size - 1)]
-        block[_X, m], block[_Z, m] = columns[0, n], columns[1, n]
-        block[_HEADING, m], block[_YAW, m] = columns[2, n], columns[3, n]
+        block[_X, m], block[_Z, m], block[_HEADING, m], block[_YAW, m] = (
+            poses[n, 0],
+            poses[n, 1],
+            poses[n, 2],
+            poses[n, 3],
+        )
     _turn(block, lanes)
     for m in range(lanes):
         block[_X, m] += block[_COS, m] * right + block[_SIN, m] * back
@@ -170,7 +180,14 @@ def _place(columns: Array, order: Indices, first: int, size: int, lanes: int, of
 
 @_inlined
 def _look(
-    block: Array, lanes: int, landmark: Any, limits: Any, view: Any, gate: Any, bins: Any, is_slope: bool, seen: Array
+    block: Array,
+    lanes: int,
+    landmark: Any,
+    limits: Any,
+    view: Any,
+    gate: Any,
+    bins: Any,
+    is_slope: bool,
 ) -> None:
     """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
 
@@ -228,66 +245,84 @@ def _look(
         variance = position_var * per_range_sq
 
         reach = sigmas * np.sqrt(variance + largest_var)
-        first, end = (angle - reach - bin_low) * per_bin, (angle + reach - bin_low) * per_bin + 2.0
-        first, end = (first if first > 0 else 0.0), (end if end > 0 else 0.0)
-        first, end = (first if first < last_bin else last_bin), (end if end < last_bin else last_bin)
-        seen[_ANGLE, m], seen[_VARIANCE, m] = angle, variance
-        seen[_FOOT, m], seen[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
-        seen[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
-        seen[_FIRST, m], seen[_END, m] = first, end if visible else -1.0
+        first, last = (angle - reach - bin_low) * per_bin, (angle + reach - bin_low) * per_bin + 2.0
+        first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
+        first, last = (first if first < last_bin else last_bin), (last if last < last_bin else last_bin)
+        block[_FIRST, m], block[_END, m] = first, last
+        block[_SEEN, m] += 1.0 if visible else 0.0
+        block[_ANGLE, m], block[_VARIANCE, m] = angle, variance
+        block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
+        block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
 
 
 @_inlined
-def _edges_near(seen: Array, size: int, first: Indices, visible: Array, near: Indices) -> int:
-    """Turn bins into edges, and count who sees the landmark; return how many have edges near it, in `near`."""
+def _edges_near(block: Array, size: int, first: Counts, near: Counts, begin: Counts, end: Counts) -> int:
+    """Turn bins into edges begin … end; return how many particles have some, in `near`."""
     some = 0
     for m in range(size):
-        visible[m] += seen[_END, m] >= 0
-        e, end = first[int(seen[_FIRST, m])], first[int(max(seen[_END, m], 0.0))]
-        seen[_FIRST, m], seen[_END, m] = e, end
+        begin[m], end[m] = first[np.uint64(block[_FIRST, m])], first[np.uint64(block[_END, m])]
         near[some] = m
-        some += end > e
+        some += end[m] > begin[m]
     return some
 
 
 @_inlined
-def _pair(
+def _meet(
     edges: Array,
-    seen: Array,
-    near: Indices,
+    block: Array,
+    near: Counts,
     some: int,
+    begin: Counts,
+    end: Counts,
+    tolerance: float,
+    pairs: Array,
+    slot: Counts,
+    number: int,
+) -> tuple[int, int]:
+    """Let each of `some` particles in `near` meet one edge; return how many pairs, and particles with more edges.
+
+    Those within the gate that overlap become pairs; the others have no density.
+    """
+    more = 0
+    for j in range(some):
+        m = near[j]
+        e = begin[m]
+        residual, spread = edges[e, _MEASURED] - block[_ANGLE, m], edges[e, _VAR] + block[_VARIANCE, m]
+        inside = min(block[_TOP, m], edges[e, _HIGH]) - max(block[_FOOT, m], edges[e, _LOW]) + 2 * tolerance
+        pairs[_RESIDUAL, number], pairs[_SPREAD, number] = residual, spread
+        pairs[_COVERED, number] = inside * edges[e, _PER_LENGTH]
+        slot[number] = e * _BLOCK + m
+        number += (residual * residual < _GATE * spread) & (inside > 0)
+        begin[m] = e + _NEXT
+        near[more] = m
+        more += e + _NEXT < end[m]
+    return number, more
+
+
+@_inlined
+def _fill(
+    edges: Array,
+    block: Array,
     ends: Any,
     hidden: Any,
     leaning: float,
     pairs: Array,
-    slot: Indices,
-    number: int,
-) -> tuple[int, int]:
-    """Pair one edge with each of `some` particles in `near`; return how many pairs, and particles with more edges."""
-    tolerance, _, missed = ends
+    slot: Counts,
+    start: int,
+    stop: int,
+) -> None:
+    """Write what else is to be known of pairs start … stop, all of one landmark."""
+    missed = ends[2]
     unknown_foot, unknown_top = hidden
-    more = 0
-    for j in range(some):
-        m = near[j]
-        e = int(seen[_FIRST, m])
-        pairs[_RESIDUAL, number] = edges[e, _MEASURED] - seen[_ANGLE, m]
-        pairs[_SPREAD, number] = edges[e, _VAR] + seen[_VARIANCE, m]
-        foot, top, low, high = seen[_FOOT, m], seen[_TOP, m], edges[e, _LOW], edges[e, _HIGH]
-        inside = min(top, high) - max(foot, low) + 2 * tolerance
-        pairs[_COVERED, number] = min(max(inside * edges[e, _PER_LENGTH], 0.0), 1.0)
-        pairs[_LOWER, number], pairs[_UPPER, number] = low - foot, high - top
-        per = seen[_PER_VISIBLE, m]
+    for i in range(start, stop):
+        m, e = slot[i] % _BLOCK, slot[i] // _BLOCK
+        foot, top, per = block[_FOOT, m], block[_TOP, m], block[_PER_VISIBLE, m]
+        pairs[_LOWER, i], pairs[_UPPER, i] = edges[e, _LOW] - foot, edges[e, _HIGH] - top
         short_low, short_high = min(edges[e, _ROOM_LOW] * per, 1.0), min(edges[e, _ROOM_HIGH] * per, 1.0)
-        pairs[_SHORT_LOW, number] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
-        pairs[_SHORT_HIGH, number] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
-        pairs[_OF_PEAK_LOW, number], pairs[_OF_PEAK_HIGH, number] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
-        pairs[_ALIKE, number] = 1.0 + edges[e, _POLARITY] * leaning
-        slot[number] = e * BLOCK + m
-        number += 1
-        seen[_FIRST, m] = e + 1
-        near[more] = m
-        more += e + 1 < seen[_END, m]
-    return number, more
+        pairs[_SHORT_LOW, i] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
+        pairs[_SHORT_HIGH, i] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
+        pairs[_OF_PEAK_LOW, i], pairs[_OF_PEAK_HIGH, i] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
+        pairs[_ALIKE, i] = 1.0 + edges[e, _POLARITY] * leaning
 
 
 @_inlined
@@ -302,17 +337,17 @@ def _normal(y: float) -> float:
 
 
 @_inlined
-def _add_up(pairs: Array, number: int, ends: Any, slot: Indices, density: Array, touched: Indices, count: int) -> int:
+def _add_up(pairs: Array, number: int, ends: Any, slot: Counts, density: Array, touched: Counts, count: int) -> int:
     """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
     per_sigma = ends[1]
     for i in range((number + LANES - 1) // LANES * LANES):
-        y = -0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] / pairs[_SPREAD, i]
-        covered = pairs[_COVERED, i] if y > _LEAST else 0.0
+        per = 1.0 / pairs[_SPREAD, i]
+        covered = min(pairs[_COVERED, i], 1.0)
         lower, upper = pairs[_LOWER, i] * per_sigma, pairs[_UPPER, i] * per_sigma
         at_foot = pairs[_SHORT_LOW, i] + pairs[_OF_PEAK_LOW, i] * _normal(-0.5 / 16 * lower * lower)
         at_top = pairs[_SHORT_HIGH, i] + pairs[_OF_PEAK_HIGH, i] * _normal(-0.5 / 16 * upper * upper)
-        agreement = _normal(y) * covered * covered * at_foot * at_top * pairs[_ALIKE, i]
-        pairs[_DENSITY, i] = agreement / np.sqrt(pairs[_SPREAD, i])
+        agreement = _normal(-0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] * per) * covered * covered
+        pairs[_DENSITY, i] = agreement * at_foot * at_top * pairs[_ALIKE, i] * np.sqrt(per)
     for i in range(number):
         touched[count] = slot[i]
         count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
@@ -320,20 +355,35 @@ def _add_up(pairs: Array, number: int, ends: Any, slot: Indices, density: Array,
     return count
 
 
+@_inlined
+def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indices, result: Array) -> None:
+    """Add the logarithms of finite values ≥ 1 to `result`, to the last digits. bits, mantissa_bits: the same memory."""
+    for i in range(len(value)):
+        mantissa_bits[i] = (bits[i] & _FRACTION) | _ONE
+    for i in range(len(value)):
+        m = mantissa[i]
+        exponent = float((bits[i] >> 52) - 1023)
+        high = m > _ROOT_TWO
+        m, exponent = (0.5 * m if high else m), (exponent + 1.0 if high else exponent)
+        s = (m - 1.0) / (m + 1.0)  # log m = 2 artanh s, |s| ≤ 0.172
+        v = s * s
+        series = 1 / 13 + v * (1 / 15 + v * (1 / 17 + v * (1 / 19)))
+        series = 1 + v * (1 / 3 + v * (1 / 5 + v * (1 / 7 + v * (1 / 9 + v * (1 / 11 + v * series)))))
+        result[i] += exponent * _LOG_TWO + 2 * s * series
+
+
 @_entry
-def products(
-    columns: Array,
+def log_products(
+    poses: Array,
     order: Indices,
     run: Indices,
-    begin: int,
-    stop: int,
     offset: tuple[float, float, float],
     start: Indices,
     item: Indices,
     landmarks: Array,
-    odds: Array,
+    odds: tuple[float, ...],
     edges: Array,
-    first: Indices,
+    first: Counts,
     bins: tuple[float, float, float],
     view: tuple[float, ...],
     limits: tuple[float, float, float],
@@ -341,65 +391,57 @@ def products(
     ends: tuple[float, float, float],
     span: float,
     is_slope: bool,
-    rows: Array,
-    aside: Array,
-) -> bool:
-    """Write Π_e (1 + o_k d_e) of particles order[begin : stop] to `rows` (N, LANES), for odds o_k of K shares.
+    base: Array,
+) -> Array:
+    """Return base + log Π_e (1 + o_k d_e) (K, N) for every pose (N, 4) and odds o_k of K shares.
 
+    odds: LANES of them, 0 beyond K. base: (K,).
     d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
-    comes near have one. Logarithms of what was too large are added to `aside` (N, LANES); returns whether any was.
+    comes near have one.
     """
-    block, seen, pairs = np.ones((6, BLOCK)), np.ones((7, BLOCK)), np.ones((11, ROOM))
-    near, slot = np.zeros(BLOCK + 1, np.int64), np.zeros(ROOM, np.int64)
-    density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.int64)
-    visible, factor, each = np.zeros(BLOCK), np.ones((BLOCK, LANES)), np.zeros(LANES)
-    each[: len(odds)] = odds
-    any_aside = False
-    for c in range(np.searchsorted(run, begin, side="right") - 1, len(run) - 1):
-        if run[c] >= stop:
-            break
-        for n in range(max(run[c], begin), min(run[c + 1], stop), BLOCK):
-            size = min(BLOCK, min(run[c + 1], stop) - n)
-            lanes = (size + LANES - 1) // LANES * LANES
-            _place(columns, order, n, size, lanes, offset, block)
-            visible[:] = 0.0
+    block, pairs = np.ones((14, BLOCK)), np.ones((11, ROOM))
+    near, slot = np.zeros(BLOCK + 1, np.uint64), np.zeros(ROOM, np.uint64)
+    near_begin, near_end = np.zeros(BLOCK, np.uint64), np.zeros(BLOCK, np.uint64)
+    density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.uint64)
+    factor, log_factor, mantissa = np.ones((BLOCK, LANES)), np.zeros((BLOCK, LANES)), np.ones(BLOCK * LANES)
+    result = np.empty((len(base), len(poses)))
+    for c in range(len(run) - 1):
+        for n in range(run[c], run[c + 1], BLOCK):
+            size = min(BLOCK, run[c + 1] - n)
+            lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
+            _place(poses, order, n, size, lanes, offset, block)
+            block[_SEEN] = 0.0
             count = number = 0
             for k in item[start[c] : start[c + 1]]:
                 landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
                 hidden, leaning = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M), landmarks[k, 5]
-                _look(block, lanes, landmark, limits, view, gate, bins, is_slope, seen)
-                some = _edges_near(seen, size, first, visible, near)
+                _look(block, lanes, landmark, limits, view, gate, bins, is_slope)
+                some = _edges_near(block, size, first, near, near_begin, near_end)
+                filled = number
                 while some > 0:  # one edge of each particle, and again with those that have another near
                     if number > ROOM - BLOCK:
+                        _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
                         count = _add_up(pairs, number, ends, slot, density, touched, count)
-                        number = 0
-                    number, some = _pair(edges, seen, near, some, ends, hidden, leaning, pairs, slot, number)
+                        filled = number = 0
+                    number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
+                _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
             count = _add_up(pairs, number, ends, slot, density, touched, count)
 
             for m in range(BLOCK):
-                visible[m] = span / np.sqrt(2 * np.pi) / max(visible[m], 1.0)
-            factor[:] = 1.0
+                block[_SEEN, m] = span / np.sqrt(2 * np.pi) / max(block[_SEEN, m], 1.0)
+            factor[:], log_factor[:] = 1.0, 0.0
             for t in range(count):
-                m = touched[t] & (BLOCK - 1)
-                ratio = density[touched[t]] * visible[m]
+                m = touched[t] % _BLOCK
+                ratio = density[touched[t]] * block[_SEEN, m]
                 density[touched[t]] = 0.0
                 for i in range(LANES):
-                    factor[m, i] *= 1.0 + each[i] * ratio
-                if factor[m, len(odds) - 1] > SAFE:
-                    any_aside = True
-                    aside[order[n + m]] += np.log(factor[m])
+                    factor[m, i] *= 1.0 + odds[i] * ratio
+                if factor[m, len(base) - 1] > SAFE:
+                    log_factor[m] += np.log(factor[m])
                     factor[m] = 1.0
-            for m in range(size):
-                for i in range(LANES):
-                    rows[order[n + m], i] = factor[m, i]
-    return any_aside
-
-
-@_entry
-def transposed(rows: Array, count: int) -> Array:
-    """Return the first `count` columns of `rows` (N, LANES) as (count, N)."""
-    result = np.empty((count, len(rows)))
-    for n in range(len(rows)):
-        for k in range(count):
-            result[k, n] = rows[n, k]
+            values = factor.ravel()
+            _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
+            for k in range(len(base)):
+                for m in range(size):
+                    result[k, order[n + m]] = log_factor[m, k] + base[k]
     return result
