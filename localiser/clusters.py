@@ -19,7 +19,9 @@ from localiser.geometry import Array, wrap_angle
 Indices = NDArray[np.int64]
 
 # One of each pair of opposite neighbours: 13 of the 26.
-_NEIGHBOURS = [step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
+_NEIGHBOURS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
+
+_TABLE_PER_POSE = 8  # cells of the whole box, up to which a table of them is quicker than to sort
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +86,23 @@ def poses_per_cell(poses: Array, cell_m: float = 0.25, cell_rad: float = np.pi /
 def _cells(poses: Array, cell_m: float, cell_rad: float) -> tuple[Indices, Indices, int]:
     """Return the occupied cells (K, 3), the cell of each pose (N,), and how many cells close the heading's circle."""
     around = max(round(2 * np.pi / cell_rad), 1)
-    place = np.floor(poses[:, :2] / cell_m).astype(np.int64)
+    column, row = np.floor(poses[:, :2].T.copy() / cell_m).astype(np.int64)
     sector = np.floor(poses[:, 2] * (around / (2 * np.pi))).astype(np.int64) % around
-    corner, extent = place.min(axis=0), np.ptp(place, axis=0) + 1
-    column, row = (place - corner).T
-    key, cell_of_pose = np.unique((column * extent[1] + row) * around + sector, return_inverse=True)
-    cells = np.stack([key // around // extent[1], key // around % extent[1], key % around], axis=-1)
-    return cells, cell_of_pose.ravel(), around
+    column, row = column - column.min(), row - row.min()
+    columns, rows = int(column.max()) + 1, int(row.max()) + 1
+    key, cell_of_pose = _occupied((column * rows + row) * around + sector, columns * rows * around)
+    cells = np.stack([key // around // rows, key // around % rows, key % around], axis=-1)
+    return cells, cell_of_pose, around
+
+
+def _occupied(key: Indices, keys: int) -> tuple[Indices, Indices]:
+    """Return which of so many keys occur (K,), ascending, and which of these each of `key` (N,) is."""
+    if keys > _TABLE_PER_POSE * len(key):
+        occupied, index = np.unique(key, return_inverse=True)
+        return occupied, index.ravel()
+    occurs = np.zeros(keys, dtype=bool)
+    occurs[key] = True
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[key]
 
 
 def _densest(weight: Array, mass: float) -> Indices:
@@ -108,16 +120,14 @@ def _connected(cells: Indices, around: int) -> Indices:
     width = cells[:, 1].max() + 3
 
     def key_of(shifted: Indices) -> Indices:
-        return np.asarray(((shifted[:, 0] + 1) * width + shifted[:, 1] + 1) * around + shifted[:, 2] % around)
+        column, row, sector = np.moveaxis(shifted, -1, 0)
+        return np.asarray(((column + 1) * width + row + 1) * around + sector % around)
 
     key = key_of(cells)  # ascending, as the cells are
-    links = []
-    for step in _NEIGHBOURS:
-        wanted = key_of(cells + np.array(step))
-        found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-        touches = np.flatnonzero(key[found] == wanted)
-        links.append(np.stack([touches, found[touches]]))
-    return _components(len(cells), np.concatenate(links, axis=1))
+    wanted = key_of(cells + _NEIGHBOURS[:, None])
+    found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+    neighbour, touches = np.nonzero(key[found] == wanted)
+    return _components(len(cells), np.stack([touches, found[neighbour, touches]]))
 
 
 def _components(count: int, links: Indices) -> Indices:
@@ -142,22 +152,24 @@ def _sums(index: Indices, value: Array) -> Array:
 
 def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
     """Return weight, mean and covariance of the poses (N, 3) with the same part (N,) ≥ 0, heaviest first."""
-    inside = np.flatnonzero(part >= 0)
-    _, index = np.unique(part[inside], return_inverse=True)
-    index = index.ravel()
-    weight = _sums(index, share[inside])
+    inside = np.argsort(part, kind="stable")[np.count_nonzero(part < 0) :]
+    first = np.flatnonzero(np.diff(part[inside], prepend=-1))  # of each part, whose poses follow each other
+    count = np.diff(first, append=len(inside))
+    share = share[inside]
+    x, z, heading = poses[inside].T.copy()
+    sums = np.add.reduceat(share * [np.ones_like(x), x, z, np.sin(heading), np.cos(heading)], first, axis=1)
+    weight = sums[0]
+    mean_x, mean_z, sin, cos = sums[1:] / weight
+    mean = np.stack([mean_x, mean_z, np.arctan2(sin, cos)], axis=-1)
+
+    dx, dz, turn = (value - np.repeat(middle, count) for value, middle in zip((x, z, heading), mean.T, strict=True))
+    turn = wrap_angle(turn)
+    xx, xz, xt, zz, zt, tt = (
+        np.add.reduceat(share * [dx * dx, dx * dz, dx * turn, dz * dz, dz * turn, turn * turn], first, axis=1) / weight
+    )
+    cov = np.array([[xx, xz, xt], [xz, zz, zt], [xt, zt, tt]]).transpose(2, 0, 1)
+
     order = np.argsort(-weight, kind="stable")
-    rank = np.argsort(order)
     label = np.full(len(poses), -1)
-    label[inside] = rank[index]
-    weight, index = weight[order], rank[index]
-
-    def mean_of(value: Array) -> Array:
-        return _sums(index, share[inside] * value) / weight
-
-    x, z, heading = poses[inside].T
-    mean = np.stack([mean_of(x), mean_of(z), np.arctan2(mean_of(np.sin(heading)), mean_of(np.cos(heading)))], axis=-1)
-    error = poses[inside] - mean[index]
-    error[:, 2] = wrap_angle(error[:, 2])
-    cov = np.array([[mean_of(error[:, row] * error[:, column]) for row in range(3)] for column in range(3)])
-    return Clusters(weight, mean, cov.transpose(2, 0, 1), np.bincount(index), label)
+    label[inside] = np.repeat(np.argsort(order), count)
+    return Clusters(weight[order], mean[order], cov[order], count[order], label)

@@ -24,7 +24,10 @@ Array = NDArray[np.float64]
 
 def wrap_angle(angle: ArrayLike) -> Array:
     """Return the angle (rad) wrapped to [-pi, pi)."""
-    return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
+    turned = np.asarray(np.asarray(angle, dtype=np.float64) + np.pi)
+    if turned.ndim and turned.size and turned.min() >= 0 and turned.max() < 2 * np.pi:
+        return np.asarray(turned - np.pi)  # what the remainder would leave as it is, ten times as fast
+    return np.asarray(turned % (2 * np.pi) - np.pi)
 
 
 def wrap_half_turn(angle: ArrayLike) -> Array:
