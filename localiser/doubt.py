@@ -20,7 +20,7 @@ import numpy as np
 
 from localiser.geometry import Array
 from localiser.inliers import INLIER_SHARES, InlierShare
-from localiser.particles import normalised
+from localiser.particles import log_sum, normalised
 
 SOME = 0.3  # of the edges: from here on they are not the landmarks of chance
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
@@ -60,7 +60,7 @@ class Doubt:
         by_share: (K, N) log p(edges | particle, w_k), relative to the same. log_weight: (N,) of the particles before.
         """
         log_likelihood = self.inliers.log_mean(by_share)
-        return float(np.logaddexp.reduce(log_weight + log_likelihood) - np.logaddexp.reduce(log_weight))
+        return log_sum(log_weight + log_likelihood) - log_sum(log_weight)
 
     def after(self, by_share: Array, log_weight: Array, share: float, carried: float) -> Doubt:
         """Return the doubt after an image of which `share` (0 … 1) is new; the rest as for `log_evidence`.

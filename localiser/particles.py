@@ -89,6 +89,14 @@ def normalised(log_weight: Array) -> Array:
     return np.asarray(weight / weight.sum())
 
 
+def log_sum(log_weight: Array) -> float:
+    """Return log Σ exp(log_weight) of (N,), -inf where no particle has any: faster than `np.logaddexp.reduce`."""
+    top = log_weight.max(initial=-np.inf)
+    if not np.isfinite(top):
+        return float(top)
+    return float(top + np.log(np.exp(log_weight - top).sum()))
+
+
 def from_gaussian(mean: Array, cov: Array, count: int, rng: np.random.Generator) -> Particles:
     """Return `count` equally weighted particles drawn from N(mean, cov) over (x, z, heading)."""
     # Draw through the eigenvectors: also right where the covariance is singular (a start that is known exactly).

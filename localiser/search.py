@@ -29,7 +29,7 @@ from localiser.geometry import Array, wrap_angle
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.particles import CAMERA_YAW, POSE, Particles
+from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum
 from localiser.proposals import Places, Region, View, evidence, propose, view_of
 from localiser.proposals.search import FEWEST
 
@@ -135,9 +135,7 @@ class Search:
         log_weight = log_prior_over_q + log_likelihood(poses)
         others = resampling.multinomial_resample(like.weight, count, rng)
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
-        return placed(drawn, self._seeing_the_same(poses, drawn)), float(
-            np.logaddexp.reduce(log_weight) - np.log(count)
-        )
+        return placed(drawn, self._seeing_the_same(poses, drawn)), float(log_sum(log_weight) - np.log(count))
 
     def _seeing_the_same(self, poses: Array, particles: Particles) -> Array:
         """Return where robots (N, 3) are whose cameras, turned as the particles say, see what those at `poses` do."""
@@ -161,7 +159,7 @@ class Search:
         """
         by_share = clues.by_share(moved)
         weighed = replace(moved, log_weight=moved.log_weight + share * doubt.inliers.log_mean(by_share))
-        log_evidence = _log_sum(weighed.log_weight) - _log_sum(moved.log_weight)
+        log_evidence = log_sum(weighed.log_weight) - log_sum(moved.log_weight)
         log_odds = doubt.log_odds - doubt.log_evidence(by_share, moved.log_weight)
         doubt = doubt.after(by_share, moved.log_weight, share, self.parameters.carried)
         if not self.looks_around(doubt, clues, share):
@@ -171,10 +169,6 @@ class Search:
         if log_odds < np.log(NEGLIGIBLE):
             return weighed, doubt, log_evidence
         return joined(weighed, fresh, log_odds), doubt.joined(log_odds), log_evidence + np.logaddexp(0.0, log_odds)
-
-
-def _log_sum(log_weight: Array) -> float:
-    return float(np.logaddexp.reduce(log_weight))
 
 
 def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
@@ -191,8 +185,8 @@ def placed(particles: Particles, poses: Array) -> Particles:
 
 def joined(particles: Particles, others: Particles, log_odds: float) -> Particles:
     """Return both as one cloud, in which the others as a whole have exp(log_odds) times the weight of the first."""
-    log_weight = particles.log_weight - np.logaddexp.reduce(particles.log_weight)
-    log_others = others.log_weight - np.logaddexp.reduce(others.log_weight) + log_odds
+    log_weight = particles.log_weight - log_sum(particles.log_weight)
+    log_others = others.log_weight - log_sum(others.log_weight) + log_odds
     columns = np.concatenate([particles.columns, others.columns], axis=1)
     return replace(particles, columns=columns, log_weight=np.concatenate([log_weight, log_others]))
 

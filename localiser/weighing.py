@@ -13,7 +13,6 @@ import numpy as np
 
 from localiser import particles
 from localiser.edges import Edges
-from localiser.geometry import Array
 from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.observation import Observation
@@ -58,7 +57,7 @@ class Weighing:
                 last = stage == MOST_STAGES - 1
                 taken = left if last else particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
                 weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
-                log_evidence += _log_sum(weighed.log_weight) - _log_sum(moved.log_weight)
+                log_evidence += particles.log_sum(weighed.log_weight) - particles.log_sum(moved.log_weight)
                 left -= taken
                 if left <= 0 and blur_rad == 0:
                     break
@@ -89,7 +88,3 @@ class Weighing:
         if len(moved) * sigma_rad ** len(POSE) >= spread_rad ** len(POSE):
             return [0.0]
         return [*(b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad), 0.0]
-
-
-def _log_sum(log_weight: Array) -> float:
-    return float(np.logaddexp.reduce(log_weight))
