@@ -81,40 +81,43 @@ class Told:
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return standardised steps (3, N), and log p/q (N,) of having drawn them."""
-        l00, l10, l11, l20, l21, l22 = self.root
-        normal = rng.standard_normal((3, len(self.log_evidence)))
-        y0, y1, y2 = self.explained + normal
-        third = y2 / l22
-        second = (y1 - l21 * third) / l11
-        first = (y0 - l10 * second - l20 * third) / l00
-        blind = rng.random(len(self.log_evidence)) < BLIND
-        step = np.where(blind, normal, np.stack([first, second, third]))
+        from localiser.guide import loops
 
-        first, second, third = step
-        off = np.stack([l00 * first + l10 * second + l20 * third, l11 * second + l21 * third, l22 * third])
-        log_density = np.log(l00 * l11 * l22) + 0.5 * (np.square(step) - np.square(off - self.explained)).sum(axis=0)
-        return step, -np.logaddexp(np.log(BLIND), np.log(1 - BLIND) + log_density)
+        normal = rng.standard_normal((3, len(self.log_evidence)))
+        blind = rng.random(len(self.log_evidence)) < BLIND
+        step, log_density = loops.drawn(self.root, self.explained, normal, blind)
+        return step, -_log_mixed(log_density)
 
 
 def told(step: Step, camera: Camera, targets: Targets, share: float) -> Told:
     """Return what `share` of the edges' evidence tells of the steps of particles."""
     from localiser.guide import loops
 
-    mount = camera.mount
-    table = np.column_stack([targets.points, targets.angle, share / targets.variance])
-    offset = (mount.right_m, mount.back_m, mount.yaw_rad)
-    return Told(*loops.told(step.poses, step.axes, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope))
+    mount, angle, heading = camera.mount, targets.angle, step.poses[2]
+    table = np.column_stack([targets.points, np.cos(angle), np.sin(angle), share / targets.variance])
+    offset = (mount.right_m, mount.back_m, float(np.cos(mount.yaw_rad)), float(np.sin(mount.yaw_rad)))
+    steps = np.concatenate([step.poses[:2], [np.cos(heading), np.sin(heading)], step.axes.reshape(9, -1)])
+    found = loops.told(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
+    root = found[:6]
+    return Told(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))
 
 
 def warm_up() -> None:
-    """Compile the loop, or load it from the disk."""
+    """Compile the loops, or load them from the disk."""
     from localiser.guide import loops
 
     for is_slope in (False, True):
-        loops.told(np.zeros((3, 1)), np.zeros((3, 3, 1)), np.zeros((1, 4)), (0.0, 0.0, 0.0), 0.3, is_slope)
+        found = loops.told(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
+    loops.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))
 
 
 def flattened(log_evidence: Array, log_weight: Array) -> Array:
     """Return log (N,) of ψ with a share of its mean in its place, so that no particle is given up for ψ's sake."""
-    mean = np.logaddexp.reduce(log_weight + log_evidence) - np.logaddexp.reduce(log_weight)
-    return np.asarray(np.logaddexp(np.log(1 - BLIND) + log_evidence, np.log(BLIND) + mean))
+    mean = particles.log_sum(log_weight + log_evidence) - particles.log_sum(log_weight)
+    return mean + _log_mixed(log_evidence - mean)
+
+
+def _log_mixed(log_ratio: Array) -> Array:
+    """Return log((1 - BLIND) ratio + BLIND): faster than `np.logaddexp`."""
+    top = np.maximum(log_ratio, 0.0)
+    return np.asarray(top + np.log((1 - BLIND) * np.exp(log_ratio - top) + BLIND * np.exp(-top)))
