@@ -112,3 +112,13 @@ def test_weights_that_mean_nothing_are_refused(weight):
 def test_cells_without_extent_are_refused():
     with pytest.raises(ValueError, match="cells"):
         find_clusters(np.zeros((1, 3)), np.ones(1), cell_m=0.0)
+
+
+def test_places_a_world_apart_are_those_of_a_small_box():
+    rng = np.random.default_rng(0)
+    poses, weight = rng.normal(0, [0.2, 0.2, 0.1], (400, 3)), rng.random(400)
+    alone = find_clusters(poses, weight)
+    far = find_clusters(np.vstack([poses, [1e5, 1e5, 0.0]]), np.append(weight, 0.0))
+    np.testing.assert_array_equal(far.label, [*alone.label, -1])
+    np.testing.assert_allclose(far.mean, alone.mean, atol=1e-12)
+    np.testing.assert_allclose(far.cov, alone.cov, atol=1e-12)

@@ -457,3 +457,9 @@ def test_floor_range_at_above_and_straight_below_the_horizon():
     assert at == np.inf
     assert np.isnan(above)
     assert below == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("reach", [1.0, np.pi, 3.0 * np.pi, 100.0])
+def test_wrapping_many_angles_is_wrapping_each(reach):
+    angles = np.random.default_rng(0).uniform(-reach, reach, 500)
+    np.testing.assert_array_equal(g.wrap_angle(angles), [float(g.wrap_angle(float(angle))) for angle in angles])

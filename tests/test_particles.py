@@ -14,6 +14,7 @@ from localiser.particles import (
     effective_sample_size,
     estimate,
     from_gaussian,
+    log_sum,
     normalised,
     take,
 )
@@ -161,3 +162,10 @@ def test_columns_are_found_by_name():
     np.testing.assert_array_equal(particles.poses, [[0, 2, 4], [1, 3, 5]])
     with pytest.raises(ValueError, match="not in"):
         _ = particles["tilt"]
+
+
+@pytest.mark.parametrize("top", [0.0, -1e4, 1e4])
+def test_the_logarithm_of_a_sum_neither_overflows_nor_vanishes(top):
+    log_weight = top + np.append(np.random.default_rng(0).normal(0, 3, 50), -np.inf)
+    assert log_sum(log_weight) == pytest.approx(np.logaddexp.reduce(log_weight), rel=1e-14)
+    assert log_sum(np.full(3, -np.inf)) == -np.inf
