@@ -121,13 +121,20 @@ def _near(built: Built, parameters: MappingParameters) -> tuple[Index, Index]:
 
     The error of a track of little parallax reaches over half the building: it would join anything.
     """
+    from scipy.spatial import cKDTree
+
     sigma = np.sqrt(np.linalg.eigvalsh(built.cov)[:, 1]) + parameters.plumb_sigma_m
     certain = np.flatnonzero(sigma < _VAGUE_M)
     points, sigma = built.fit.points[certain], sigma[certain]
-    apart = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
     known = built.parallax[certain] >= np.deg2rad(parameters.parallax_min_deg) / 2
-    near = apart < np.sqrt(_JOIN_CHI2) * (sigma[:, None] + sigma[None])
-    one, other = np.nonzero(np.triu(near & (known[:, None] | known[None]), k=1))
+    # Two that are near are found around the vaguer of them.
+    around = cKDTree(points).query_ball_point(points, 2 * np.sqrt(_JOIN_CHI2) * sigma) if len(points) else []
+    vaguer = np.repeat(np.arange(len(points)), [len(x) for x in around])
+    other = np.array([index for x in around for index in x], dtype=np.int64)
+    apart = np.hypot(*(points[vaguer] - points[other]).T)
+    near = (apart < np.sqrt(_JOIN_CHI2) * (sigma[vaguer] + sigma[other])) & (known[vaguer] | known[other])
+    pairs = np.sort(np.stack([vaguer, other])[:, near & (vaguer != other)], axis=0)
+    one, other = np.unique(pairs, axis=1)
     return certain[one], certain[other]
 
 
@@ -148,6 +155,13 @@ def numbered(of: Index) -> Index:
     """Return the labels (S,) renumbered without gaps, -1 kept."""
     labels, number = np.unique(of, return_inverse=True)
     return number - 1 if labels[0] == -1 else number
+
+
+def same_groups(one: Index, other: Index) -> bool:
+    """Return whether two labellings (S,) put the same things together, whatever the labels; -1 is no label."""
+    pairs = np.unique(np.stack([one, other]), axis=1)
+    nothing = (pairs == -1).any(axis=0) & (pairs[0] != pairs[1])
+    return not nothing.any() and all(len(np.unique(labels)) == len(labels) for labels in pairs)
 
 
 def _common_sign(group: Index, count: int, sign: NDArray[np.int8]) -> NDArray[np.int8]:

@@ -22,7 +22,7 @@ from localiser.mapping.contradictions import without_contradictions
 from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
 from localiser.mapping.feet import Scale, scale_by_feet
 from localiser.mapping.known import with_leftovers
-from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered
+from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered, same_groups
 from localiser.mapping.loops import same_landmarks, without_contradicted
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.reassociate import reassociate
@@ -92,7 +92,7 @@ def build_from_log(
         of = reassociate(sightings, built, state.cameras, np.hypot(solver.sigma, _POSE_BEARING_RAD), parameters)
         state, built, smoothed = solver.solve(state, with_leftovers(of, track), noise)
         state, built, smoothed = solver.close_loops(state, built, smoothed, track, _LAST_LOOP_ROUNDS)
-        if (built.of == previous).all():
+        if same_groups(built.of, previous):
             break
     return _in_map(solver, state, built, smoothed, before, first_pose)
 
@@ -153,8 +153,11 @@ class _Solver:
             if (joined == np.arange(len(built))).all():
                 break
             of = numbered(np.where(built.of >= 0, joined[built.of], -1))
+            before = built.of
             state, built, smoothed = self.solve(state, of, _POSE_BEARING_RAD)
             state, built, smoothed = self.open_wrong_loops(state, built, smoothed, track)
+            if same_groups(built.of, before):
+                break
         return state, built, smoothed
 
     def open_wrong_loops(
