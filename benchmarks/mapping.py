@@ -2,6 +2,7 @@
 
 python benchmarks/mapping.py known              # edges simulated on the drives through configs/worlds
 python benchmarks/mapping.py laps               # two laps with wheels 4 % wrong, nothing else known
+python benchmarks/mapping.py long               # time and memory, two to ten minutes through the office
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
 python benchmarks/mapping.py bearings LOG…      # logs of coarse bearings with true poses, and a map to judge by
 """
@@ -12,6 +13,7 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 from time import process_time
 
 import numpy as np
@@ -92,6 +94,29 @@ def two_laps(seeds: range, clutter: float) -> None:
             )
 
 
+def long() -> None:
+    """Print seconds of one processor and the most memory that the process ever took, for longer and longer logs."""
+    from mapping_worlds import laps, with_looks
+
+    print("| images | edges | poses known, seconds | alone, seconds | RMSE m | memory, MB |")
+    for times in (2, 4, 8):
+        drive = laps("office", 0, times=times)
+        edges = with_looks(drive.edges(0), len(drive.landmark_map), 0)
+        sightings, parameters = Sightings.from_edges(edges, drive.camera), MappingParameters()
+        begin = process_time()
+        from_known_poses(drive, edges)
+        middle = process_time()
+        wheels = wheels_of(drive.odometry, drive.truth.t_ns, Config())
+        found = mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, parameters)
+        seconds, memory = process_time() - middle, getrusage(RUSAGE_SELF).ru_maxrss / 1024
+        error = aligned(found.poses, drive.truth.poses)
+        print(
+            f"| {len(edges)} | {len(sightings)} | {middle - begin:.0f} | {seconds:.0f} | "
+            f"{np.sqrt((error**2).mean()):.4f} | {memory:.0f} |",
+            flush=True,
+        )
+
+
 def ghosts(made: LandmarkMap, built: Built, edges: list) -> float:
     """Return the share of landmarks that stand within 0.1 m of another whose sightings are mostly of the same one."""
     owner = np.concatenate([frame.landmark_id for frame in edges])[built.used]
@@ -156,7 +181,7 @@ def rigid(found: Array, truth: Array) -> Callable[[Array], Array]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("known", "laps", "slam", "bearings"))
+    parser.add_argument("what", choices=("known", "laps", "long", "slam", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
@@ -165,6 +190,8 @@ if __name__ == "__main__":
         known(range(arguments.seeds), arguments.clutter)
     elif arguments.what == "laps":
         two_laps(range(arguments.seeds), arguments.clutter)
+    elif arguments.what == "long":
+        long()
     elif arguments.what == "slam":
         slam(arguments.logs)
     else:

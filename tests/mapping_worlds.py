@@ -65,15 +65,16 @@ def world(name: str) -> World:
     return World(landmark_map, log.camera, log.drive.truth.sampled(t_ns), log.drive.odometry.sampled(t_ns), visible)
 
 
-def laps(name: str, seed: int, distance_scale: float = 0.04) -> World:
+def laps(name: str, seed: int, distance_scale: float = 0.04, times: int | None = None) -> World:
     """Return a drive along a world's path, back, and along it again, with turns on the spot and wheels that are wrong.
 
-    Through the office it comes back once more, so that it is driven twice either way.
+    times: how often it is driven, by turns there and back; by default three times, through the office four.
     """
     model = documents.load_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
-    points = [way.to for way in model.drive.path]
-    there, back = points, points[-2::-1]
-    path = [*there, *back, *there[1:], *(back if name == "office" else [])]
+    there = [way.to for way in model.drive.path]
+    path = list(there)
+    for time in range(1, times or (4 if name == "office" else 3)):
+        path += there[-2::-1] if time % 2 else there[1:]
     ways = tuple(type(model.drive.path[0])(to=point) for point in path)
     drive = model.drive.model_copy(update={"path": ways})
     wheels = model.odometry.model_copy(update={"distance_scale": distance_scale})

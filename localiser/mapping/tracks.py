@@ -74,7 +74,7 @@ def follow(sightings: Sightings, cameras: Array, pose_sigma_rad: Array, paramete
         alive.last[row], alive.missed[row] = seen[column], 0
         track[seen[column]] = alive.id[row]
         alive = alive.take(np.flatnonzero(alive.missed <= parameters.missed_most))
-        fresh = np.setdiff1d(np.arange(len(seen)), column)
+        fresh = np.delete(np.arange(len(seen)), column)
         track[seen[fresh]] = count + np.arange(len(fresh))
         alive = alive.join(
             _start(track[seen[fresh]], seen[fresh], cameras[frame], heading[fresh], sigma[fresh], parameters)
