@@ -15,7 +15,7 @@ from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed
 
 _GATE = 11.8  # 99.7 % of a Gaussian in the plane
-_LEAST_SIGMA_M = 0.004  # no two visits see one edge nearer to the same place
+_LEAST_SIGMA_M = 0.008  # from its other side, an edge is the other side of a frame or a strip
 _APART_FRAMES = 30  # without a landmark, after which it is visited again
 
 
