@@ -15,7 +15,6 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from resource import RUSAGE_SELF, getrusage
 from time import process_time
 
 import numpy as np
@@ -124,9 +123,15 @@ def long() -> None:
 
 def alone(sightings: Sightings, wheels: mapping.Wheels, camera: Camera) -> tuple[Array, float, float]:
     """Return the poses (T, 3) that edges and wheels give, seconds of one processor, and MB that this process grew."""
-    begin, before = process_time(), getrusage(RUSAGE_SELF).ru_maxrss
+    begin, before = process_time(), most_memory_mb()
     poses = mapping.build_from_log(sightings, wheels, np.zeros(3), camera, MappingParameters()).poses
-    return poses, process_time() - begin, (getrusage(RUSAGE_SELF).ru_maxrss - before) / 1024
+    return poses, process_time() - begin, most_memory_mb() - before
+
+
+def most_memory_mb() -> float:
+    """Return the most memory that this process ever took, as Linux counts it; what `getrusage` has begins before it."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 def ghosts(made: LandmarkMap, built: Built, edges: list) -> float:
