@@ -202,6 +202,9 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 
     # Weigh: how well do the measured edges fit what each particle should see? Only what is new counts.
     share = independent_share(increment, mcl.correlation) if state.weighed else 1.0
+    if state.seen is not None and share < 1.0:  # else nothing lasts from image to image
+        turn_var = float(wheel_cov(increment, mcl.motion)[2, 2])
+        edges = mcl.observation.with_lasting(edges, state.seen, increment, turn_var)
     if mcl.level is not None:
         edges, state.attitude = mcl.level.levelled(state.attitude, edges, increment.path_m, share)
     if state.particles is None:

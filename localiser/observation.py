@@ -28,14 +28,14 @@ makes the filter too sure. `independent_share` is the part of a frame that count
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from localiser import ends, geometry, likelihood, polarity
+from localiser import ends, geometry, lasting, likelihood, polarity
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
@@ -108,6 +108,10 @@ class Observation(Protocol):
 
         blur_rad: sigma that is added to every edge's own.
         """
+        ...
+
+    def with_lasting(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Edges:
+        """Return the edges of an image, told where clutter of the last image is by now."""
         ...
 
     def targets(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float) -> Targets:
@@ -209,7 +213,16 @@ class EdgeObservation:
                 ]
             ),
             edges=np.column_stack(
-                [measured, variance, ended.e, ended.per_length, ended.room, ended.peak, edges.polarity]
+                [
+                    measured,
+                    variance,
+                    ended.e,
+                    ended.per_length,
+                    ended.room,
+                    ended.peak,
+                    edges.polarity,
+                    1.0 / edges.clutter,
+                ]
             )[order],
             offset=(mount.right_m, mount.back_m, mount.yaw_rad),
             view=(
@@ -269,6 +282,7 @@ class EdgeObservation:
         own = np.exp(-0.5 * (measured - predicted[:, None]) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         pair, edge = (index.ravel() for index in np.indices(own.shape))
         own *= self._agreement(edges, landmark_map, seen, pair, of_known[edge]).reshape(own.shape)
+        own /= edges.clutter[of_known]
         own *= inlier_share / max(len(predicted), 1)
         beta = own / ((1 - inlier_share) / self._span() + own.sum(axis=0))
         landmark, edge = np.nonzero(beta >= SETTLED)
@@ -287,6 +301,20 @@ class EdgeObservation:
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
         predicted, _ = self._predicted(right / np.where(faced, ahead, 1.0))
         return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
+
+    def with_lasting(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Edges:
+        """Return the edges of an image, told where clutter of the last image is by now; see `lasting`."""
+        (bearing, sigma), (earlier, earlier_sigma) = self._bearings(edges), self._bearings(before)
+        clutter = lasting.lasting(bearing, sigma, earlier, earlier_sigma, increment, turn_var, self._field_rad())
+        return replace(edges, clutter=clutter)
+
+    def _bearings(self, edges: Edges) -> tuple[Array, Array]:
+        """Return the bearing (E,) that the compared angle tells, and its sigma (E,); what is common does not move."""
+        if self.parameters.kind == "line":
+            return edges.bearing, edges.bearing_sigma
+        tilt_rad = self.camera.mount.tilt_rad
+        bearing = geometry.bearing_from_lean(edges.lean, tilt_rad)
+        return bearing, edges.lean_sigma * np.abs(geometry.bearing_per_lean(bearing, tilt_rad))
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
@@ -326,7 +354,7 @@ class EdgeObservation:
         variance = position_sigma[pair] ** 2 + measured_var[edge]
         residual = measured[edge] - predicted[pair]
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
-        return pair, edge, density * self._agreement(edges, landmark_map, seen, pair, edge)
+        return pair, edge, density / edges.clutter[edge] * self._agreement(edges, landmark_map, seen, pair, edge)
 
     def _agreement(
         self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, pair: NDArray[np.int64], edge: NDArray[np.int64]
@@ -364,6 +392,12 @@ class EdgeObservation:
         """Return the sigma (L,) in metres of each landmark's position, the mean over directions."""
         trace = np.trace(landmark_map.cov, axis1=1, axis2=2)
         return np.where(np.isnan(trace), self.parameters.landmark_sigma_m, np.sqrt(np.maximum(trace, 0) / 2))
+
+    def _field_rad(self) -> float:
+        """Return the angle (rad) between the bearings of the image's left and right border."""
+        a_left, a_right, _, _ = self.camera.upright_bounds
+        left, right = np.arctan(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
+        return float(abs(right - left))
 
     def _span(self) -> float:
         """Return the angle (rad) that clutter is spread over."""

@@ -116,6 +116,7 @@ class Search:
 
     def clues(self, edges: Edges) -> Clues:
         """Return what an image says of places."""
+        edges = replace(edges, clutter=np.ones(len(edges)))  # counted in full, at a power of a half
         view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
         return Clues(view, edges, self.observation, self.landmark_map)
 

@@ -50,6 +50,9 @@ class Weighs:
     def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
         return 0.0, np.inf
 
+    def with_lasting(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Edges:
+        return edges
+
 
 def filter_of(count: int = 300, motion: MotionParameters = NO_NOISE, **changes: object) -> Mcl:
     fields = {

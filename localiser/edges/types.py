@@ -39,6 +39,7 @@ class Edges:
         where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
     foot_probability: (E,) how likely the lower end stands on the floor; 0 where foot_range_m is nan.
     profile: (E, P) grey values across the edge from left to right, P may be 0.
+    clutter: (E,) how much denser clutter is expected where this edge is than anywhere in the image; 1 unless known.
     landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
     common: errors shared by all edges of the frame.
     rejected_px: (R, 2, 2) segments that were found and are not vertical edges, to look at.
@@ -56,6 +57,7 @@ class Edges:
     foot_range_sigma_m: Array
     foot_probability: Array
     profile: Array
+    clutter: Array
     landmark_id: NDArray[np.int64]
     common: CommonError
     rejected_px: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
@@ -79,6 +81,7 @@ class Edges:
         foot_range_sigma_m: Array | None = None,
         foot_probability: Array | None = None,
         profile: Array | None = None,
+        clutter: Array | None = None,
         landmark_id: NDArray[np.int64] | None = None,
         common: CommonError | None = None,
         rejected_px: Array | None = None,
@@ -100,6 +103,7 @@ class Edges:
             foot_range_sigma_m=unknown if foot_range_sigma_m is None else foot_range_sigma_m,
             foot_probability=unknown if foot_probability is None else foot_probability,
             profile=np.zeros((count, 0)) if profile is None else profile,
+            clutter=np.ones(count) if clutter is None else clutter,
             landmark_id=np.full(count, -1, dtype=np.int64) if landmark_id is None else landmark_id,
             common=nothing_common if common is None else common,
             rejected_px=np.zeros((0, 2, 2)) if rejected_px is None else rejected_px,

@@ -31,9 +31,10 @@ class Scene:
     """What all particles share in a frame: landmarks, edges and the camera, as the loop takes them.
 
     landmarks: (L, 6) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
-    m², mean polarity of its edges. edges: (E, 10) compared angle (rad, ascending, inf where unknown), its variance
+    m², mean polarity of its edges. edges: (E, 11) compared angle (rad, ascending, inf where unknown), its variance
     (rad²), upright image heights of the lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room
-    that clutter has and the peak beside it, polarity. offset: right, back (m) and yaw (rad) of the camera on the robot.
+    that clutter has and the peak beside it, polarity, 1 / how dense clutter is there. offset: right, back (m) and yaw
+    (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
     own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of

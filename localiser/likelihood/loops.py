@@ -55,7 +55,7 @@ _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN = range(6, 14)
 # Columns of edges.
-_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY = range(10)
+_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY, _RARE = range(11)
 # Rows of pairs.
 _RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _ALIKE, _DENSITY = (
     range(11)
@@ -322,7 +322,7 @@ def _fill(
         pairs[_SHORT_LOW, i] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
         pairs[_SHORT_HIGH, i] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
         pairs[_OF_PEAK_LOW, i], pairs[_OF_PEAK_HIGH, i] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
-        pairs[_ALIKE, i] = 1.0 + edges[e, _POLARITY] * leaning
+        pairs[_ALIKE, i] = edges[e, _RARE] * (1.0 + edges[e, _POLARITY] * leaning)
 
 
 @_inlined

@@ -1,0 +1,50 @@
+"""Clutter lasts: what is on no map is seen again in the next image, where the last one showed it.
+
+A mixture whose clutter is spread anew over each image takes every image of the same thing for new evidence: a robot
+that drives ahead for a minute, seen a hundred times near where some landmark should be, would be that landmark beyond
+doubt. But of an edge that continues one of the last image it is known where it is, whatever it is. If it is clutter,
+its bearing is that of the last image, turned with the robot and shifted by the parallax of a distance that nobody
+knows, with 1/r even between 0 and 1/near:
+
+    b' = b + turn - across / r,   across = m_right cos b + m_back sin b,
+
+and that, not the whole width of the image, is what a landmark's bearing must be likelier than. How an edge moves as the
+robot passes by still tells which landmark it is; that it is there once more does not.
+
+A landmark that is followed tells less by this, too, than one that is known for what it is: whether an edge is clutter
+is asked anew of each image. What it was found to be in the images before is not carried along.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from localiser.geometry import Array, Increment, wrap_angle
+
+NEAR_M = 1.0  # things on no map are farther away
+_GATE = 3.0  # sigmas within which an edge may continue another
+
+
+def lasting(
+    bearing: Array, sigma: Array, before: Array, before_sigma: Array, increment: Increment, turn_var: float, span: float
+) -> Array:
+    """Return how much denser clutter is at each edge (E,) than spread over the image, at least 1; all angles in rad.
+
+    bearing, sigma: (E,) of the edges; before, before_sigma: (B,) of those of the last image. increment: motion since.
+    turn_var: variance of its turn (rad²). span: angle that clutter is spread over. Denser only where just one edge of
+    the last image may be continued, and by one edge: else nothing is known of where a single one would be.
+    """
+    density = np.ones(len(bearing))
+    if not len(bearing) or not len(before):
+        return density
+    right, back, turn = increment.mean
+    across = right * np.cos(before) + back * np.sin(before)
+    expected = before + turn - across / (2 * NEAR_M)
+    variance = before_sigma**2 + turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
+    square = wrap_angle(bearing[:, None] - expected) ** 2 / variance
+    may = square < _GATE**2
+    one = may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None]
+    edge, of = np.nonzero(one)
+    peak = np.exp(-0.5 * square[edge, of]) / np.sqrt(2 * np.pi * variance[edge, of])
+    density[edge] = np.maximum(span * peak, 1.0)
+    return density
