@@ -83,10 +83,11 @@ def expected_step(particles: Particles, increment: Increment, parameters: Motion
     way = particles["heading"]  # of the camera, by which the biases are seen
     if CAMERA_YAW in particles.names:
         way = way + particles[CAMERA_YAW]
-    to_map = _to_map(way + direction_of_travel(increment))
+    travel = way + direction_of_travel(increment)
+    cos, sin = np.cos(travel), np.sin(travel)
     expected = by_bias @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
-    poses = np.stack([particles["x"], particles["z"], way]) + np.einsum("pjn,jn->pn", to_map, expected)
-    return Step(poses, np.einsum("pjn,jk->pkn", to_map, spread.root), by_bias, spread)
+    poses = np.stack([particles["x"], particles["z"], way]) + _in_map(expected, cos, sin)
+    return Step(poses, _in_map(spread.root[..., None], cos, sin), by_bias, spread)
 
 
 def stepped(
@@ -161,12 +162,15 @@ def _step_from_robot(increment: Increment) -> Array:
     return _map_from_step(np.zeros(3), increment).T
 
 
+def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
+    """Return (x, z, heading) (3, ..., N) of (along, left, turn) (3, ..., N or 1) by directions of travel (N,)."""
+    along, left, turn = steps
+    x = -sin * along - cos * left
+    return np.stack([x, sin * left - cos * along, np.broadcast_to(turn, x.shape)])
+
+
 def _map_from_step(pose: Array, increment: Increment) -> Array:
     """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map."""
-    return _to_map(np.asarray(pose[2] + direction_of_travel(increment)))
-
-
-def _to_map(way: Array) -> Array:
-    """Return the rotations (3, 3, ...) from (along, left, turn) to (x, z, heading), for directions of travel (...)."""
-    cos, sin, nought = np.cos(way), np.sin(way), np.zeros_like(way)
-    return np.array([[-sin, -cos, nought], [-cos, sin, nought], [nought, nought, nought + 1.0]])
+    way = float(pose[2]) + direction_of_travel(increment)
+    cos, sin = np.cos(way), np.sin(way)
+    return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
