@@ -356,6 +356,17 @@ def _add_up(pairs: Array, number: int, ends: Any, slot: Counts, density: Array, 
 
 
 @_inlined
+def _multiply(factor: Array, m: int, odds: Any, ratio: float) -> None:
+    """Multiply row m by 1 + odds · ratio; written out, so that it becomes one vector."""
+    f0, f1 = factor[m, 0] * (1.0 + odds[0] * ratio), factor[m, 1] * (1.0 + odds[1] * ratio)
+    f2, f3 = factor[m, 2] * (1.0 + odds[2] * ratio), factor[m, 3] * (1.0 + odds[3] * ratio)
+    f4, f5 = factor[m, 4] * (1.0 + odds[4] * ratio), factor[m, 5] * (1.0 + odds[5] * ratio)
+    f6, f7 = factor[m, 6] * (1.0 + odds[6] * ratio), factor[m, 7] * (1.0 + odds[7] * ratio)
+    factor[m, 0], factor[m, 1], factor[m, 2], factor[m, 3] = f0, f1, f2, f3
+    factor[m, 4], factor[m, 5], factor[m, 6], factor[m, 7] = f4, f5, f6, f7
+
+
+@_inlined
 def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indices, result: Array) -> None:
     """Add the logarithms of finite values ≥ 1 to `result`, to the last digits. bits, mantissa_bits: the same memory."""
     for i in range(len(value)):
@@ -434,8 +445,7 @@ def log_products(
                 m = touched[t] % _BLOCK
                 ratio = density[touched[t]] * block[_SEEN, m]
                 density[touched[t]] = 0.0
-                for i in range(LANES):
-                    factor[m, i] *= 1.0 + odds[i] * ratio
+                _multiply(factor, m, odds, ratio)
                 if factor[m, len(base) - 1] > SAFE:
                     log_factor[m] += np.log(factor[m])
                     factor[m] = 1.0
