@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, wrap_angle
+from localiser.geometry import Array, cos_sin, wrap_angle
 
 Indices = NDArray[np.int64]
 
@@ -157,9 +157,9 @@ def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
     count = np.diff(first, append=len(inside))
     share = share[inside]
     x, z, heading = poses[inside].T.copy()
-    sums = np.add.reduceat(share * [np.ones_like(x), x, z, np.sin(heading), np.cos(heading)], first, axis=1)
+    sums = np.add.reduceat(share * [np.ones_like(x), x, z, *cos_sin(heading)], first, axis=1)
     weight = sums[0]
-    mean_x, mean_z, sin, cos = sums[1:] / weight
+    mean_x, mean_z, cos, sin = sums[1:] / weight
     mean = np.stack([mean_x, mean_z, np.arctan2(sin, cos)], axis=-1)
 
     dx, dz, turn = (value - np.repeat(middle, count) for value, middle in zip((x, z, heading), mean.T, strict=True))

@@ -8,6 +8,7 @@ draws are the ends of the other edges.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ class Ends:
     missed: float
 
 
+@lru_cache(maxsize=4)  # the same edges are asked for several times in a frame
 def ends_of(edges: Edges, camera: Camera) -> Ends:
     """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
     count = len(edges)

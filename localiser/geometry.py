@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+MANY = 256  # angles, from which on a compiled loop is worth calling
+
 # ---------------------------------------------------------------------------------------------------------------
 # Angles
 # ---------------------------------------------------------------------------------------------------------------
@@ -35,11 +37,22 @@ def wrap_half_turn(angle: ArrayLike) -> Array:
     return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi / 2) % np.pi - np.pi / 2)
 
 
+def cos_sin(angle: Array) -> tuple[Array, Array]:
+    """Return cosine and sine (N,) of angles (N,), to one bit; of many angles ten times as fast as numpy."""
+    if len(angle) < MANY:
+        return np.cos(angle), np.sin(angle)
+    from localiser.turning import cos_sin_of
+
+    cos, sin = cos_sin_of(np.ascontiguousarray(angle))
+    return cos, sin
+
+
 def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
     """Return the direction (rad) of the weighted mean vector of unit vectors at `angles`."""
     angles = np.asarray(angles, dtype=np.float64)
     weights = np.ones_like(angles) if weights is None else np.asarray(weights, dtype=np.float64)
-    return float(np.arctan2(weights @ np.sin(angles), weights @ np.cos(angles)))
+    cos, sin = cos_sin(angles)
+    return float(np.arctan2(weights @ sin, weights @ cos))
 
 
 # ---------------------------------------------------------------------------------------------------------------

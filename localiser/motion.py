@@ -15,7 +15,7 @@ from pydantic import Field
 
 from localiser import geometry
 from localiser.biases import BIASES, BiasParameters, StepSpread, forgotten, learnt, projected, sensitivity
-from localiser.geometry import Array, Increment, wrap_angle
+from localiser.geometry import Array, Increment, cos_sin, wrap_angle
 from localiser.particles import CAMERA_YAW, Particles
 
 SLIP = 0.1  # sigma of slipping sideways, as a share of that along the way: no wheel is quite true
@@ -83,8 +83,7 @@ def expected_step(particles: Particles, increment: Increment, parameters: Motion
     way = particles["heading"]  # of the camera, by which the biases are seen
     if CAMERA_YAW in particles.names:
         way = way + particles[CAMERA_YAW]
-    travel = way + direction_of_travel(increment)
-    cos, sin = np.cos(travel), np.sin(travel)
+    cos, sin = cos_sin(way + direction_of_travel(increment))
     expected = by_bias @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
     poses = np.stack([particles["x"], particles["z"], way]) + _in_map(expected, cos, sin)
     return Step(poses, _in_map(spread.root[..., None], cos, sin), by_bias, spread)

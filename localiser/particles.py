@@ -158,7 +158,7 @@ def spread(particles: Particles, rng: np.random.Generator) -> Particles:
 
 def take(particles: Particles, index: NDArray[np.int64]) -> Particles:
     """Return the particles at `index`, equally weighted."""
-    return replace(particles, columns=particles.columns[:, index], log_weight=np.zeros(len(index)))
+    return replace(particles, columns=np.take(particles.columns, index, axis=1), log_weight=np.zeros(len(index)))
 
 
 def estimate(particles: Particles) -> Estimate:

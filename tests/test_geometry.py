@@ -463,3 +463,12 @@ def test_floor_range_at_above_and_straight_below_the_horizon():
 def test_wrapping_many_angles_is_wrapping_each(reach):
     angles = np.random.default_rng(0).uniform(-reach, reach, 500)
     np.testing.assert_array_equal(g.wrap_angle(angles), [float(g.wrap_angle(float(angle))) for angle in angles])
+
+
+@pytest.mark.parametrize("reach", [0.1, np.pi, 1000.0])
+def test_cosines_and_sines_of_many_angles_are_those_of_each(reach):
+    angles = np.append(np.random.default_rng(0).uniform(-reach, reach, g.MANY), np.arange(-8, 9) * np.pi / 4)
+    cos, sin = g.cos_sin(angles)
+    np.testing.assert_allclose(cos, np.cos(angles), rtol=0, atol=3e-16)
+    np.testing.assert_allclose(sin, np.sin(angles), rtol=0, atol=3e-16)
+    assert np.isnan(g.cos_sin(np.full(g.MANY, np.nan))).all()

@@ -22,7 +22,7 @@ import numpy as np
 
 from localiser import particles
 from localiser.camera import Camera
-from localiser.geometry import Array, Increment
+from localiser.geometry import MANY, Array, Increment, cos_sin
 from localiser.motion import MotionParameters, Step, expected_step, stepped
 from localiser.observation import Targets
 from localiser.particles import MOST_STAGES, Particles
@@ -96,7 +96,7 @@ def told(step: Step, camera: Camera, targets: Targets, share: float) -> Told:
     mount, angle, heading = camera.mount, targets.angle, step.poses[2]
     table = np.column_stack([targets.points, np.cos(angle), np.sin(angle), share / targets.variance])
     offset = (mount.right_m, mount.back_m, float(np.cos(mount.yaw_rad)), float(np.sin(mount.yaw_rad)))
-    steps = np.concatenate([step.poses[:2], [np.cos(heading), np.sin(heading)], step.axes.reshape(9, -1)])
+    steps = np.concatenate([step.poses[:2], cos_sin(heading), step.axes.reshape(9, -1)])
     found = loops.told(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
     root = found[:6]
     return Told(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))
@@ -106,6 +106,7 @@ def warm_up() -> None:
     """Compile the loops, or load them from the disk."""
     from localiser.guide import loops
 
+    cos_sin(np.zeros(MANY))
     for is_slope in (False, True):
         found = loops.told(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
     loops.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))
