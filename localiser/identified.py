@@ -38,14 +38,14 @@ class IdentifiedObservation(EdgeObservation):
         residual, variance = self._residuals(particles, edges, landmark_map)
         variance = variance + blur_rad**2
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
-        ratio = np.where(np.isfinite(density), density, 0.0) * self._span()
+        ratio = np.where(np.isfinite(density), density, 0.0) * self.angle.span_rad
         return np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
 
     def targets(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float) -> Targets:
         """Return the edges that are said to belong to a landmark."""
         edges = edges.take(edges.landmark_id >= 0)
         variance = np.nanmedian(self._residuals(particles, edges, landmark_map)[1], axis=0)
-        measured = self._measured(edges)[0]
+        measured = self.angle.measured(edges)[0]
         known = np.isfinite(variance) & np.isfinite(measured)
         return Targets(
             points=landmark_map.points[edges.landmark_id[known]],
@@ -69,9 +69,9 @@ class IdentifiedObservation(EdgeObservation):
         nan for a landmark behind the camera, where it cannot have been seen.
         """
         edges = edges.take(edges.landmark_id >= 0)
-        measured, measured_var = self._measured(edges)
+        measured, measured_var = self.angle.measured(edges)
         camera_poses = self.camera_poses(particles)[:, None, :]
         x, z = np.moveaxis(geometry.robot_from_map(camera_poses, landmark_map.points[edges.landmark_id]), -1, 0)
-        predicted, per_bearing = self._predicted(x / np.where(z < 0, -z, np.nan))
+        predicted, per_bearing = self.angle.predicted(x / np.where(z < 0, -z, np.nan))
         position_sigma = per_bearing * self._landmark_sigma(landmark_map)[edges.landmark_id] / np.hypot(x, z)
         return measured - predicted, measured_var + position_sigma**2

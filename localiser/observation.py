@@ -35,7 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from localiser import ends, geometry, lasting, likelihood, polarity
+from localiser import ends, lasting, likelihood, polarity
+from localiser.angle import Angle
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
@@ -143,6 +144,11 @@ class EdgeObservation:
     camera: Camera
     parameters: ObservationParameters
 
+    @property
+    def angle(self) -> Angle:
+        """The angle that is compared."""
+        return Angle(self.camera, self.parameters.kind)
+
     def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
         """Return log p(edges | particle) (N,), relative to all edges being clutter; the inlier share is unknown."""
         return InlierShare.unknown().log_mean(self.by_share(particles, edges, landmark_map))
@@ -173,7 +179,7 @@ class EdgeObservation:
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
         # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
-        ratio = total.reshape(count, len(edges)) * (self._span() / visible)[:, None]
+        ratio = total.reshape(count, len(edges)) * (self.angle.span_rad / visible)[:, None]
         return np.stack([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
 
     def camera_poses(self, particles: Particles) -> Array:
@@ -191,7 +197,7 @@ class EdgeObservation:
 
     def _scene(self, edges: Edges, landmark_map: LandmarkMap, blur_rad: float) -> likelihood.Scene:
         """Return what all particles share, as the compiled loop takes it."""
-        measured, variance = self._measured(edges)
+        measured, variance = self.angle.measured(edges)
         # Edges of which this observation knows nothing go to the end: no landmark comes near them.
         known = np.isfinite(measured) & np.isfinite(variance)
         measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
@@ -235,7 +241,7 @@ class EdgeObservation:
             range_m=(parameters.range_min_m, parameters.range_max_m),
             widest=widest_tangent(self.camera, parameters),
             gate=(GATE_SIGMAS, largest_var),
-            span=self._span(),
+            span=self.angle.span_rad,
             is_slope=self.parameters.kind == "slope",
         )
 
@@ -246,10 +252,10 @@ class EdgeObservation:
         """
         few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
         seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight)
-        predicted, per_bearing = self._predicted(seen.tangent)
+        predicted, per_bearing = self.angle.predicted(seen.tangent)
         times = np.bincount(seen.landmark, minlength=len(landmark_map))
         often = times >= _FEW / 2
-        variance = self._measured(edges)[1]
+        variance = self.angle.measured(edges)[1]
         if not often.any() or not np.isfinite(variance).any():
             return 0.0, np.inf
         mean, square = (
@@ -271,10 +277,10 @@ class EdgeObservation:
         """
         mean = self.camera.pose_in_map(estimate(particles).pose_as_seen)
         seen = sight(self.camera, mean[None], landmark_map, self.parameters.sight)
-        measured, measured_var = self._measured(edges)
+        measured, measured_var = self.angle.measured(edges)
         known = np.isfinite(measured) & np.isfinite(measured_var)
         of_known, measured, measured_var = np.flatnonzero(known), measured[known], measured_var[known]
-        predicted, per_bearing = self._predicted(seen.tangent)
+        predicted, per_bearing = self.angle.predicted(seen.tangent)
         position_var = (per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m) ** 2
         spread_var = self._spread_var(particles, landmark_map.points[seen.landmark])
 
@@ -284,7 +290,7 @@ class EdgeObservation:
         own *= self._agreement(edges, landmark_map, seen, pair, of_known[edge]).reshape(own.shape)
         own /= edges.clutter[of_known]
         own *= inlier_share / max(len(predicted), 1)
-        beta = own / ((1 - inlier_share) / self._span() + own.sum(axis=0))
+        beta = own / ((1 - inlier_share) / self.angle.span_rad + own.sum(axis=0))
         landmark, edge = np.nonzero(beta >= SETTLED)
         return Targets(
             points=landmark_map.points[seen.landmark[landmark]],
@@ -299,22 +305,14 @@ class EdgeObservation:
         faced = ahead > 0
         weight = np.where(faced, particles.weight[:, None], 0.0)
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
-        predicted, _ = self._predicted(right / np.where(faced, ahead, 1.0))
+        predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
         return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
 
     def with_lasting(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Edges:
         """Return the edges of an image, told where clutter of the last image is by now; see `lasting`."""
-        (bearing, sigma), (earlier, earlier_sigma) = self._bearings(edges), self._bearings(before)
-        clutter = lasting.lasting(bearing, sigma, earlier, earlier_sigma, increment, turn_var, self._field_rad())
+        (bearing, sigma), (earlier, earlier_sigma) = self.angle.bearings(edges), self.angle.bearings(before)
+        clutter = lasting.lasting(bearing, sigma, earlier, earlier_sigma, increment, turn_var, self.angle.field_rad)
         return replace(edges, clutter=clutter)
-
-    def _bearings(self, edges: Edges) -> tuple[Array, Array]:
-        """Return the bearing (E,) that the compared angle tells, and its sigma (E,); what is common does not move."""
-        if self.parameters.kind == "line":
-            return edges.bearing, edges.bearing_sigma
-        tilt_rad = self.camera.mount.tilt_rad
-        bearing = geometry.bearing_from_lean(edges.lean, tilt_rad)
-        return bearing, edges.lean_sigma * np.abs(geometry.bearing_per_lean(bearing, tilt_rad))
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
@@ -325,22 +323,22 @@ class EdgeObservation:
         residual = np.full(len(edges), np.nan)
         if len(edges) and len(seen.pose):
             pair, edge, density = self._densities(edges, landmark_map, seen)
-            likelier = density / len(seen.pose) > 1.0 / self._span()  # than clutter, at even shares
+            likelier = density / len(seen.pose) > 1.0 / self.angle.span_rad  # than clutter, at even shares
             pair, edge, density = pair[likelier], edge[likelier], density[likelier]
             # Ascending, so that the last write to an edge is its best landmark.
             ascending = np.argsort(density, kind="stable")
             pair, edge = pair[ascending], edge[ascending]
             landmark[edge] = seen.landmark[pair]
-            residual[edge] = self._measured(edges)[0][edge] - self._predicted(seen.tangent[pair])[0]
+            residual[edge] = self.angle.measured(edges)[0][edge] - self.angle.predicted(seen.tangent[pair])[0]
         return Matches(landmark, residual, visible)
 
     def _densities(
         self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, blur_rad: float = 0.0
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return c_el N(q_e; q_l, σ_el²) of every pair within the gate: indices into `seen` and `edges`, density."""
-        predicted, per_bearing = self._predicted(seen.tangent)
+        predicted, per_bearing = self.angle.predicted(seen.tangent)
         position_sigma = per_bearing * self._landmark_sigma(landmark_map)[seen.landmark] / seen.range_m
-        measured, measured_var = self._measured(edges)
+        measured, measured_var = self.angle.measured(edges)
         measured_var = measured_var + blur_rad**2
         # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
         known = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var))
@@ -366,44 +364,10 @@ class EdgeObservation:
         alike = polarity.agreement(edges.polarity[edge], polarity.leaning(landmark_map.polarity)[seen.landmark[pair]])
         return alike * ends.agreement(ends.ends_of(edges, self.camera), edge, expected, known, self.camera, margin)
 
-    def _measured(self, edges: Edges) -> tuple[Array, Array]:
-        """Return the measured angle (E,) and its variance (E,), the mount's common error included.
-
-        The common error is shared by all edges of a frame; here it widens each of them (safe, not efficient).
-        """
-        common = edges.common
-        if self.parameters.kind == "line":
-            spread = np.einsum("ek,kl,el->e", common.bearing_from_line, common.cov, common.bearing_from_line)
-            return edges.bearing, edges.bearing_sigma**2 + spread
-        spread = np.einsum("ek,kl,el->e", common.bearing_from_lean, common.cov, common.bearing_from_lean)
-        lean_per_bearing = 1.0 / geometry.bearing_per_lean(
-            geometry.bearing_from_lean(edges.lean, self.camera.mount.tilt_rad), self.camera.mount.tilt_rad
-        )
-        return edges.lean, edges.lean_sigma**2 + spread * lean_per_bearing**2
-
-    def _predicted(self, tangent: Array) -> tuple[Array, Array]:
-        """Return the angle that is compared (P,) for tan(bearing) (P,), and its derivative by the bearing."""
-        if self.parameters.kind == "line":
-            return np.arctan(tangent), np.ones_like(tangent)
-        s = np.sin(self.camera.mount.tilt_rad)
-        return np.arctan(s * tangent), s * (1 + tangent**2) / (1 + (s * tangent) ** 2)
-
     def _landmark_sigma(self, landmark_map: LandmarkMap) -> Array:
         """Return the sigma (L,) in metres of each landmark's position, the mean over directions."""
         trace = np.trace(landmark_map.cov, axis1=1, axis2=2)
         return np.where(np.isnan(trace), self.parameters.landmark_sigma_m, np.sqrt(np.maximum(trace, 0) / 2))
-
-    def _field_rad(self) -> float:
-        """Return the angle (rad) between the bearings of the image's left and right border."""
-        a_left, a_right, _, _ = self.camera.upright_bounds
-        left, right = np.arctan(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
-        return float(abs(right - left))
-
-    def _span(self) -> float:
-        """Return the angle (rad) that clutter is spread over."""
-        a_left, a_right, _, _ = self.camera.upright_bounds
-        predicted, _ = self._predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
-        return float(abs(predicted[1] - predicted[0]))
 
 
 def independent_share(increment: Increment, parameters: ObservationParameters) -> float:
