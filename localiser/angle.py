@@ -27,7 +27,7 @@ class Angle:
     def measured(self, edges: Edges) -> tuple[Array, Array]:
         """Return the measured angle (E,) and its variance (E,), the mount's common error included.
 
-        The common error is shared by all edges of a frame; here it widens each of them, which is safe while it is small.
+        The common error is shared by all edges of a frame; here it widens each of them: safe while it is small.
         """
         common = edges.common
         if self.kind == "line":
