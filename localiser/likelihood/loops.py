@@ -226,17 +226,18 @@ def _look(
         visible = visible & (length > 0) & (length * length * stretched >= shortest * ahead_sq)
         visible = visible & (room >= 0) & (room * room * stretched >= shortest * ahead_sq * inclined_sq)
 
-        # arctan of smaller over larger: Abramowitz, Stegun 1964, 4.4.49, to 2e-8.
+        # arctan of smaller over larger: Abramowitz, Stegun 1964, 4.4.49, to 2e-8; by halves, which do not wait for
+        # each other.
         across = abs(s) * aside if is_slope else aside
         steep = across > ahead
         numerator, denominator = (ahead if steep else across), (across if steep else ahead)
         per = 1.0 / (denominator * square)
         u = numerator * square * per
         v = u * u
-        angle = -0.0752896400 + v * (0.0429096138 + v * (-0.0161657367 + v * 0.0028662257))
-        angle = u * (
-            1 + v * (-0.3333314528 + v * (0.1999355085 + v * (-0.1420889944 + v * (0.1065626393 + v * angle))))
-        )
+        v2 = v * v
+        low_half = (1 - 0.3333314528 * v) + v2 * (0.1999355085 - 0.1420889944 * v)
+        high_half = (0.1065626393 - 0.0752896400 * v) + v2 * (0.0429096138 - 0.0161657367 * v + 0.0028662257 * v2)
+        angle = u * (low_half + v2 * v2 * high_half)
         angle = _HALF_PI - angle if steep else angle
         negative = ((right < 0) != (s < 0)) if is_slope else right < 0
         angle = -angle if negative else angle
@@ -378,9 +379,11 @@ def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indi
         m, exponent = (0.5 * m if high else m), (exponent + 1.0 if high else exponent)
         s = (m - 1.0) / (m + 1.0)  # log m = 2 artanh s, |s| ≤ 0.172
         v = s * s
-        series = 1 / 13 + v * (1 / 15 + v * (1 / 17 + v * (1 / 19)))
-        series = 1 + v * (1 / 3 + v * (1 / 5 + v * (1 / 7 + v * (1 / 9 + v * (1 / 11 + v * series)))))
-        result[i] += exponent * _LOG_TWO + 2 * s * series
+        v2 = v * v
+        v4 = v2 * v2
+        low_half = (1 + v / 3) + v2 * (1 / 5 + v / 7)
+        high_half = (1 / 9 + v / 11) + v2 * (1 / 13 + v / 15) + v4 * (1 / 17 + v / 19)
+        result[i] += exponent * _LOG_TWO + 2 * s * (low_half + v4 * high_half)
 
 
 @_entry
