@@ -261,9 +261,10 @@ def _edges_near(block: Array, size: int, first: Counts, near: Counts, begin: Cou
     """Turn bins into edges begin … end; return how many particles have some, in `near`."""
     some = 0
     for m in range(size):
-        begin[m], end[m] = first[np.uint64(block[_FIRST, m])], first[np.uint64(block[_END, m])]
+        e, beyond = first[np.uint64(block[_FIRST, m])], first[np.uint64(block[_END, m])]
+        begin[m], end[m] = e, beyond
         near[some] = m
-        some += end[m] > begin[m]
+        some += beyond > e
     return some
 
 
