@@ -179,6 +179,19 @@ def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offs
 
 
 @_inlined
+def _arctan(u: float) -> float:
+    """Return the arctangent of u, 0 … 1, to 2e-8 [Abramowitz, Stegun 1964, 4.4.49].
+
+    The series is added up by halves, which do not wait for each other.
+    """
+    v = u * u
+    v2 = v * v
+    low_half = (1 - 0.3333314528 * v) + v2 * (0.1999355085 - 0.1420889944 * v)
+    high_half = (0.1065626393 - 0.0752896400 * v) + v2 * (0.0429096138 - 0.0161657367 * v + 0.0028662257 * v2)
+    return u * (low_half + v2 * v2 * high_half)
+
+
+@_inlined
 def _look(
     block: Array,
     lanes: int,
@@ -226,18 +239,11 @@ def _look(
         visible = visible & (length > 0) & (length * length * stretched >= shortest * ahead_sq)
         visible = visible & (room >= 0) & (room * room * stretched >= shortest * ahead_sq * inclined_sq)
 
-        # arctan of smaller over larger: Abramowitz, Stegun 1964, 4.4.49, to 2e-8; by halves, which do not wait for
-        # each other.
         across = abs(s) * aside if is_slope else aside
         steep = across > ahead
         numerator, denominator = (ahead if steep else across), (across if steep else ahead)
         per = 1.0 / (denominator * square)
-        u = numerator * square * per
-        v = u * u
-        v2 = v * v
-        low_half = (1 - 0.3333314528 * v) + v2 * (0.1999355085 - 0.1420889944 * v)
-        high_half = (0.1065626393 - 0.0752896400 * v) + v2 * (0.0429096138 - 0.0161657367 * v + 0.0028662257 * v2)
-        angle = u * (low_half + v2 * v2 * high_half)
+        angle = _arctan(numerator * square * per)
         angle = _HALF_PI - angle if steep else angle
         negative = ((right < 0) != (s < 0)) if is_slope else right < 0
         angle = -angle if negative else angle
