@@ -29,6 +29,8 @@ _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 """Error of the wheels between two images even at a stand: right, backward (m), turn (rad)."""
 _LEAST_EXPLAINED = 0.1
 """Share of a log's edges below which its landmarks may be chance: poses that are free bend to fit some clutter."""
+_MOST_DRIFT_RAD = np.deg2rad(8.0)
+"""Heading error of the wheels in a full turn that coarse bearings still tell from the next landmark; see the docs."""
 _FEWEST_FRAMES = 2
 _STANDING_M = 0.05
 
@@ -154,6 +156,7 @@ def _from_log_alone(log: Log, odometry: Trajectory, edges: list[Edges], config: 
     sightings = mapping.Sightings.from_edges(edges, log.camera)
     _require_edges(log, sightings)
     wheels = wheels_of(log.odometry, odometry.t_ns, config)
+    require_association(log.path, sightings, wheels)
     found = mapping.build_from_log(sightings, wheels, odometry.poses[0], log.camera, parameters)
     cameras = found.camera.pose_in_map(found.poses)
     landmark_map = mapping.landmark_map_of(
@@ -199,6 +202,31 @@ def _require_edges(log: Log, sightings: mapping.Sightings) -> None:
         raise InputError(
             f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
         )
+
+
+def require_association(path: Path, sightings: mapping.Sightings, wheels: mapping.Wheels) -> None:
+    """Raise InputError when bearings are too coarse, and wheels too bad, to tell which landmark was seen.
+
+    A robot meets its landmarks again when it has turned round. Coarse bearings (median over `mapping.COARSE_RAD`) are
+    not followed from image to image reliably, so that wheels must say by then which landmark is which.
+    """
+    sigma = float(np.median(sightings.sigma))
+    drift = turn_drift(wheels)
+    if sigma > mapping.COARSE_RAD and drift > _MOST_DRIFT_RAD:
+        raise InputError(
+            f"expected bearings good to {np.rad2deg(mapping.COARSE_RAD):g}°, or wheels whose heading is good to "
+            f"{np.rad2deg(_MOST_DRIFT_RAD):g}° after a full turn; found {np.rad2deg(sigma):.1f}° and "
+            f"{np.rad2deg(drift):.0f}° (motion.alpha1, motion.alpha2): nothing tells which landmark was seen, and the "
+            f"map would be wrong; --poses {TRUTH} or the trajectory of another program makes one",
+            path=path,
+            field="--poses",
+        )
+
+
+def turn_drift(wheels: mapping.Wheels) -> float:
+    """Return how far (rad, one sigma) the wheels' heading is off after a full turn, or at the end if that is sooner."""
+    turned = float(np.abs(wheels.motion[:, 2]).sum())
+    return float(np.sqrt((wheels.sigma[:, 2] ** 2).sum() * min(1.0, 2 * np.pi / max(turned, 1e-9))))
 
 
 def _require_landmarks(
