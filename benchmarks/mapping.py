@@ -4,6 +4,7 @@ python benchmarks/mapping.py known              # edges simulated on the drives 
 python benchmarks/mapping.py laps               # two laps with wheels 4 % wrong, nothing else known
 python benchmarks/mapping.py long               # time and memory, two to ten minutes through the office
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
+python benchmarks/mapping.py coarse             # coarse bearings of a simulated robot, from a log alone
 python benchmarks/mapping.py bearings LOG…      # logs of coarse bearings with true poses, and a map to judge by
 """
 
@@ -20,7 +21,7 @@ from time import process_time
 import numpy as np
 
 from localiser import mapping
-from localiser.app.map_build import build_map, wheels_of
+from localiser.app.map_build import build_map, turn_drift, wheels_of
 from localiser.camera import Camera
 from localiser.config import Config, load_config
 from localiser.geometry import Array
@@ -167,20 +168,54 @@ def slam(logs: list[Path]) -> None:
 
 def bearings(logs: list[Path]) -> None:
     """Print how many landmarks are found by bearings from known poses; each is matched with one of its own."""
-    from scipy.optimize import linear_sum_assignment
-
     print("| log | landmarks | built | within 0.25 m | within 0.1 m | median m | seconds |")
     for path in logs:
         log = open_log(path)
         begin = process_time()
         made = build_map(log, "truth", load_config(None, [], log.settings), lambda: None).landmark_map
         seconds = process_time() - begin
-        apart = np.linalg.norm(log.landmark_map.points[:, None] - made.points[None], axis=-1)
-        error = apart[linear_sum_assignment(np.minimum(apart, 1.0))]
+        error = matched(log.landmark_map.points, made.points)
         print(
-            f"| {log.name} | {len(apart)} | {len(made)} | {(error < 0.25).sum()} | {(error < 0.1).sum()} | "
+            f"| {log.name} | {len(error)} | {len(made)} | {(error < 0.25).sum()} | {(error < 0.1).sum()} | "
             f"{np.median(error):.3f} | {seconds:.1f} |"
         )
+
+
+def coarse(seeds: range) -> None:
+    """Print how good maps of coarse bearings alone are, by how bad the wheels are; after the best similarity."""
+    from coarse_worlds import CAMERA, coarse_drive
+
+    print("| wheels | seed | drift a turn ° | RMSE m | landmarks | found | median m | seconds |")
+    for wheel_error in (0.1, 0.3, 0.5, 1.0):
+        for seed in seeds:
+            drive = coarse_drive(seed, wheel_error)
+            begin = process_time()
+            found = mapping.build_from_log(drive.sightings, drive.wheels, np.zeros(3), CAMERA, MappingParameters())
+            cameras = found.camera.pose_in_map(found.poses)
+            made = mapping.landmark_map_of(
+                drive.sightings, found.built, cameras, found.sigma, found.camera, MappingParameters(), "", ""
+            )
+            seconds = process_time() - begin
+            lay = rigid(found.poses, drive.truth, scaled=True)
+            off = np.linalg.norm(lay(found.poses[:, :2]) - drive.truth[:, :2], axis=1)
+            error = matched(drive.posts, lay(made.points))
+            print(
+                f"| {wheel_error} | {seed} | {np.rad2deg(turn_drift(drive.wheels)):.1f} | "
+                f"{np.sqrt((off**2).mean()):.3f} | {len(made)} | {(error < 0.25).sum()} of {len(error)} | "
+                f"{np.median(error):.3f} | {seconds:.0f} |",
+                flush=True,
+            )
+
+
+def matched(places: Array, points: Array) -> Array:
+    """Return how far (L,) each place is from the point that is its own; each point is of one place."""
+    from scipy.optimize import linear_sum_assignment
+
+    apart = np.linalg.norm(places[:, None] - points[None], axis=-1)
+    row, column = linear_sum_assignment(np.minimum(apart, 1.0))
+    error = np.full(len(places), np.inf)
+    error[row] = apart[row, column]
+    return error
 
 
 def aligned(found: Array, truth: Array) -> Array:
@@ -188,17 +223,19 @@ def aligned(found: Array, truth: Array) -> Array:
     return np.linalg.norm(rigid(found, truth)(found[:, :2]) - truth[:, :2], axis=1)
 
 
-def rigid(found: Array, truth: Array) -> Callable[[Array], Array]:
-    """Return the motion of points (K, 2) that brings poses (T, 3) nearest to the truth (T, 3)."""
+def rigid(found: Array, truth: Array, *, scaled: bool = False) -> Callable[[Array], Array]:
+    """Return the motion of points (K, 2), with `scaled` a similarity, that brings poses (T, 3) nearest to the truth."""
     middle, other = found[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
-    left, _, right = np.linalg.svd((found[:, :2] - middle).T @ (truth[:, :2] - other))
-    turn = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
-    return lambda points: (points - middle) @ turn + other
+    left, size, right = np.linalg.svd((found[:, :2] - middle).T @ (truth[:, :2] - other))
+    sign = np.array([1.0, np.linalg.det(left @ right)])
+    turn = left @ np.diag(sign) @ right
+    scale = float((size * sign).sum() / ((found[:, :2] - middle) ** 2).sum()) if scaled else 1.0
+    return lambda points: scale * (points - middle) @ turn + other
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("known", "laps", "long", "slam", "bearings"))
+    parser.add_argument("what", choices=("known", "laps", "long", "slam", "coarse", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
@@ -211,5 +248,7 @@ if __name__ == "__main__":
         long()
     elif arguments.what == "slam":
         slam(arguments.logs)
+    elif arguments.what == "coarse":
+        coarse(range(arguments.seeds))
     else:
         bearings(arguments.logs)
