@@ -8,6 +8,7 @@ that runs at one fixed rate, these are per metre and per radian.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -45,6 +46,7 @@ def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple
     return distance, turn
 
 
+@lru_cache(maxsize=64)  # asked for many times in a step, each time by arrays of a single number
 def direction_of_travel(increment: Increment) -> float:
     """Return the angle (rad) from the robot's forward axis, anticlockwise, along which distance noise acts.
 
@@ -142,6 +144,7 @@ def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
     return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
 
 
+@lru_cache(maxsize=64)
 def _ahead_m(increment: Increment) -> float:
     """Return the length of the chord along `direction_of_travel`, negative when backward."""
     direction = direction_of_travel(increment)
