@@ -113,9 +113,14 @@ def streaming(particles: Particles, result: Array) -> float:
     return float(result[-1, -1])
 
 
-def bare_step(observation: EdgeObservation, cloud: Particles, edges: Edges, landmark_map: LandmarkMap) -> None:
+def bare_step(
+    observation: EdgeObservation,
+    rng: np.random.Generator,
+    cloud: Particles,
+    edges: Edges,
+    landmark_map: LandmarkMap,
+) -> None:
     """Move, weigh, estimate and resample: the plain particle filter."""
-    rng = np.random.default_rng(0)
     moved = predict(cloud, Increment.from_mean([0.0, -0.1, 0.02]), MotionParameters(), rng)
     log_weight = InlierShare.unknown().log_mean(observation.by_share(moved, edges, landmark_map))
     weighed = Particles(moved.names, moved.columns, log_weight, moved.circular)
@@ -218,7 +223,8 @@ def step_and_lsd(images: int) -> dict[str, float]:
     image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     cv2.setNumThreads(1)
     detector = cv2.createLineSegmentDetector()
-    bare = partial(bare_step, EdgeObservation(CAMERA, ObservationParameters()), *frame_of(5000, 100, 10))
+    observation, rng = EdgeObservation(CAMERA, ObservationParameters()), np.random.default_rng(0)
+    bare = partial(bare_step, observation, rng, *frame_of(5000, 100, 10))
     taken = []
     for step in images_of_a_drive(100, 10, images):
         taken.append([fastest_ms([work], 1)[0] for work in (bare, step, lambda: detector.detect(image))])
