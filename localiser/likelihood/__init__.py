@@ -3,8 +3,9 @@
 It computes what `observation.EdgeObservation.by_share_plain` does with arrays. Four things make it fast, none of which
 changes the result by more than 1e-5: particles are sorted into cells of floor and heading, and only the landmarks that
 can be in view from a cell are looked at; an edge that no landmark comes near costs nothing, since its factor 1 - w is
-common to all particles; the loops run as vector instructions (`loops`); and no more particles are weighed at a time than
-the cache holds. A particle's result depends on nothing but that particle, so neither on how many threads share the work.
+common to all particles; the loops run as vector instructions (`loops`); and no more particles are weighed at a time
+than the cache holds. A particle's result depends on nothing but that particle, so neither on how many threads share the
+work.
 """
 
 from __future__ import annotations
