@@ -34,6 +34,8 @@ def test_only_what_odometry_and_truth_have_in_common_counts() -> None:
     odometry, truth = driven(0, 0, 0), driven(0.1, 0.1, 0)
     late = Trajectory(truth.t_ns[400:], truth.poses[400:])
     assert fit_wheels(odometry, late, 0, 200 * SECOND)["distance_scale"] == pytest.approx(0.1, abs=0.005)
+    ended = Trajectory(odometry.t_ns[:800], odometry.poses[:800])
+    assert fit_wheels(ended, truth, 0, 120 * SECOND) == fit_wheels(odometry, truth, 0, int(ended.t_ns[-1]))
     assert fit_wheels(odometry, truth, 0, 20 * SECOND) == {}, "too short"
     stood = Trajectory(odometry.t_ns, np.zeros_like(odometry.poses))
     assert fit_wheels(stood, truth, 0, 120 * SECOND) == {}

@@ -25,7 +25,8 @@ def fit_wheels(odometry: Trajectory, truth: Trajectory, from_ns: int, until_ns: 
 
     Empty where the two have less than some pieces in common, or the robot stood.
     """
-    from_ns, until_ns = max(from_ns, int(truth.t_ns[0])), min(until_ns, int(truth.t_ns[-1]))
+    for track in (odometry, truth):
+        from_ns, until_ns = max(from_ns, int(track.t_ns[0])), min(until_ns, int(track.t_ns[-1]))
     times = np.arange(from_ns, until_ns, PIECE_NS)
     if len(times) <= FEWEST_PIECES:
         return {}
