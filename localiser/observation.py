@@ -1,7 +1,8 @@
 """How well measured edges fit a pose: log-likelihood with unknown association.
 
 Each measured edge is a draw from a mixture: with probability w it belongs to one of the n landmarks that the camera
-can see from the pose, each as likely as the other, else it is clutter, spread evenly over the field of view:
+can see from the pose, each as likely as the other, else it is clutter, spread evenly over the field of view (and
+denser where the last image showed it, `lasting`):
 
     p(q_e | pose, w) = (1 - w) / span + (w / n) Σ_l c_el N(q_e; q_l(pose), σ_el²)
 

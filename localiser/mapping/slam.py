@@ -49,7 +49,7 @@ _NEAR_M, _FAR_M, _GUESS_M = 0.3, 25.0, 4.0
 class Slam:
     """Robot poses (T, 3) with the first one as given, landmarks, and what was found out about the robot.
 
-    constants: (4,) as in `smooth.CONSTANTS`. camera: with the mount's yaw as found. built: landmarks with covariances
+    constants: (4,) as in `factors.CONSTANTS`. camera: with the mount's yaw as found. built: landmarks with covariances
     that include the poses'. before: (T, 3) poses before loops were closed.
     """
 

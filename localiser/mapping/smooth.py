@@ -25,7 +25,7 @@ CONVERGED = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoothed:
-    """Robot poses (T, 3), landmarks (L, 2), constants (4,) as in `CONSTANTS`, and the final linear system, factored.
+    """Robot poses (T, 3), landmarks (L, 2), constants (4,) as in `factors`, and the final linear system, factored.
 
     weight: (K,) of each bearing by the robust cost. residual: (K,) rad.
     """
