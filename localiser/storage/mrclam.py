@@ -35,8 +35,10 @@ ODOMETRY_QUALITY = {
     "motion.bias.distance_sigma": 0.1,
     "motion.bias.turn_sigma": 0.1,
     "motion.bias.veer_sigma_deg_per_m": 3.0,
+    "motion.bias.delay_sigma_s": 0.2,
 }
-"""Velocities are as commanded, not as driven: off by a tenth for good, and by some degrees and 2 cm every 2 s."""
+"""Velocities are as commanded, not as driven: off by a tenth for good, late by tenths of a second, and off by some
+degrees and 2 cm every 2 s."""
 
 _TIME = Column("time", nanoseconds)
 
