@@ -19,9 +19,7 @@ Array = NDArray[np.float64]
 
 MANY = 256  # angles, from which on a compiled loop is worth calling
 
-# ---------------------------------------------------------------------------------------------------------------
-# Angles
-# ---------------------------------------------------------------------------------------------------------------
+# -- Angles -----------------------------------------------------------------------------------------------------------
 
 
 def wrap_angle(angle: ArrayLike) -> Array:
@@ -55,9 +53,7 @@ def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
     return float(np.arctan2(weights @ sin, weights @ cos))
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# Floor poses; the last axis of every pose is (x, z, heading), of every point (x, z)
-# ---------------------------------------------------------------------------------------------------------------
+# -- Floor poses; the last axis of every pose is (x, z, heading), of every point (x, z) -------------------------------
 
 
 def forward(heading: ArrayLike) -> Array:
@@ -177,9 +173,7 @@ class Increment:
         )
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# ROS (REP-103) at the border: x forward, y left, z up; yaw anticlockwise from x
-# ---------------------------------------------------------------------------------------------------------------
+# -- ROS (REP-103) at the border: x forward, y left, z up; yaw anticlockwise from x -----------------------------------
 
 
 def ros_from_pose(pose: ArrayLike) -> Array:
@@ -200,9 +194,7 @@ def ros_cov_from_cov(cov: ArrayLike) -> Array:
     return np.asarray(np.asarray(cov, dtype=np.float64) * sign[:, None] * sign[None, :])
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# Bearing, slope and lean of a vertical edge under tilt
-# ---------------------------------------------------------------------------------------------------------------
+# -- Bearing, slope and lean of a vertical edge under tilt ------------------------------------------------------------
 
 
 def _sin_of_tilt(tilt_rad: float) -> float:
@@ -277,9 +269,7 @@ def bearing_of_image_point(a: ArrayLike, e: ArrayLike, tilt_rad: float) -> Array
     return np.asarray(np.arctan2(a, np.cos(tilt_rad) + e * np.sin(tilt_rad)))
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# Two views of one edge (section 3 of the paper)
-# ---------------------------------------------------------------------------------------------------------------
+# -- Two views of one edge (section 3 of the paper) -------------------------------------------------------------------
 
 
 def rotation_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, tilt_rad: float) -> Array:
@@ -317,9 +307,7 @@ def _motion_per_depth(slope_1: ArrayLike, slope_2: ArrayLike) -> Array:
         return np.asarray(1.0 - np.asarray(slope_2, dtype=np.float64) / np.asarray(slope_1, dtype=np.float64))
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# How certain a bearing is
-# ---------------------------------------------------------------------------------------------------------------
+# -- How certain a bearing is -----------------------------------------------------------------------------------------
 
 
 def bearing_per_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
@@ -350,9 +338,7 @@ def bearing_per_tilt_from_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array
     return np.asarray(-0.5 * np.sin(2 * np.asarray(bearing_rad)) * np.cos(tilt_rad) / _sin_of_tilt(tilt_rad))
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# Floor contact of an edge (inverse perspective mapping)
-# ---------------------------------------------------------------------------------------------------------------
+# -- Floor contact of an edge (inverse perspective mapping) -----------------------------------------------------------
 
 
 def floor_range(height_m: ArrayLike, depression_rad: ArrayLike) -> Array:
@@ -368,9 +354,7 @@ def floor_range_sigma(height_m: ArrayLike, range_m: ArrayLike, depression_sigma_
     return np.asarray((r**2 + h**2) / h * np.asarray(depression_sigma_rad))
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# Trajectories
-# ---------------------------------------------------------------------------------------------------------------
+# -- Trajectories -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
