@@ -19,25 +19,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from localiser.geometry import Array, Increment, wrap_angle
+from localiser.geometry import Array, wrap_angle
 
 NEAR_M = 1.0  # things on no map are farther away
 _GATE = 3.0  # sigmas within which an edge may continue another
 
 
 def lasting(
-    bearing: Array, sigma: Array, before: Array, before_sigma: Array, increment: Increment, turn_var: float, span: float
+    bearing: Array, sigma: Array, before: Array, before_sigma: Array, motion: Array, turn_var: float, span: float
 ) -> Array:
     """Return how much denser clutter is at each edge (E,) than spread over the image, at least 1; all angles in rad.
 
-    bearing, sigma: (E,) of the edges; before, before_sigma: (B,) of those of the last image. increment: motion since.
-    turn_var: variance of its turn (rad²). span: angle that clutter is spread over. Denser only where just one edge of
-    the last image may be continued, and by one edge: else nothing is known of where a single one would be.
+    bearing, sigma: (E,) of the edges; before, before_sigma: (B,) of those of the last image. motion: (3,) of the camera
+    since, in its own frame then. turn_var: variance of its turn (rad²). span: angle that clutter is spread over. Denser
+    only where just one edge of the last image may be continued, and by one edge: else nothing is known of where a
+    single one would be.
     """
     density = np.ones(len(bearing))
     if not len(bearing) or not len(before):
         return density
-    right, back, turn = increment.mean
+    right, back, turn = motion
     across = right * np.cos(before) + back * np.sin(before)
     expected = before + turn - across / (2 * NEAR_M)
     variance = before_sigma**2 + turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2

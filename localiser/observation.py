@@ -40,7 +40,7 @@ from localiser import ends, lasting, likelihood, polarity
 from localiser.angle import Angle
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, Increment
+from localiser.geometry import Array, Increment, between, compose
 from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap, Sight, SightParameters, in_camera, sight, widest_tangent
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
@@ -312,7 +312,10 @@ class EdgeObservation:
     def with_lasting(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Edges:
         """Return the edges of an image, told where clutter of the last image is by now; see `lasting`."""
         (bearing, sigma), (earlier, earlier_sigma) = self.angle.bearings(edges), self.angle.bearings(before)
-        clutter = lasting.lasting(bearing, sigma, earlier, earlier_sigma, increment, turn_var, self.angle.field_rad)
+        mount = self.camera.robot_from_level
+        right, back, _ = between(mount, compose(increment.mean, mount))
+        motion = np.array([right, back, increment.mean[2]])
+        clutter = lasting.lasting(bearing, sigma, earlier, earlier_sigma, motion, turn_var, self.angle.field_rad)
         return replace(edges, clutter=clutter)
 
     def associate(self, pose: Array, edges: Edges, landmark_map: LandmarkMap) -> Matches:

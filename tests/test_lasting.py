@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from localiser import mcl
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.geometry import Increment, wrap_angle
+from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, SightParameters
 from localiser.lasting import NEAR_M, lasting
 from localiser.observation import EdgeObservation, ObservationParameters, Targets
@@ -21,8 +21,8 @@ from localiser.particles import POSE, Particles
 SPAN = 1.1
 
 
-def moved(right: float, back: float, turn: float) -> Increment:
-    return Increment.from_mean([right, back, turn])
+def moved(right: float, back: float, turn: float) -> Array:
+    return np.array([right, back, turn])
 
 
 def test_nothing_is_known_without_a_last_image() -> None:
@@ -111,9 +111,26 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
     sight = SightParameters(range_max_m=40.0)
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind, sight=sight))
     edges = one_edge(np.radians(10.0))
-    again = observation.with_lasting(edges, edges, moved(0.0, -0.1, 0.0), 1e-6)
+    again = observation.with_lasting(edges, edges, Increment.from_mean([0.0, -0.1, 0.0]), 1e-6)
     new, known = (np.diff(observation.log_likelihood(poses, each, landmark_map)) for each in (edges, again))
     assert 0.0 < known < 0.5 * new
+
+
+@pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.0, -0.1, 0.3)])
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, -0.4, 0.0), (0.0, 0.0, np.pi / 2), (0.1, -0.2, -0.7)])
+def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tuple[float, float, float]) -> None:
+    """Wherever it is on the robot: what stands ahead of it, twice as far as things may be near, is expected there."""
+    camera = CAMERA.with_mount(right_m=mount[0], back_m=mount[1], yaw_rad=mount[2])
+    observation = EdgeObservation(camera, ObservationParameters())
+    thing = map_from_robot(camera.robot_from_level, np.array([0.2, -2 * NEAR_M]))
+    poses = [np.zeros(3), np.asarray(step)]
+    seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
+    before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)
+    clutter = observation.with_lasting(after, before, Increment.from_mean(step), 0.0).clutter[0]
+    right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
+    across = float(right + back * 0.1)  # at a bearing of 0.1
+    sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
+    assert clutter == pytest.approx(observation.angle.field_rad / np.sqrt(2 * np.pi) / sigma, rel=0.2)
 
 
 def test_the_filter_knows_what_the_last_image_showed() -> None:
