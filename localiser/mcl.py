@@ -75,7 +75,8 @@ class Located:
     estimate: from the weighted particles, before resampling; where several places are possible, from those at the
     likeliest one. particles: all of them. ess: effective sample size. increment: motion since the last image.
     odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is within 0.5 m and 10°.
-    reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest first.
+    reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest first. attitude: by how
+    much tilt and roll differ from what is stated, None where edges do not tell.
     """
 
     t_ns: int
@@ -88,6 +89,7 @@ class Located:
     p_correct: float = 1.0
     reason: confidence.Reason = ""
     clusters: Clusters | None = None
+    attitude: Attitude | None = None
 
 
 STRAY_START = 0.01  # probability that a start that was stated is wrong
@@ -318,6 +320,7 @@ def _located(
         sure.p_correct,
         sure.reason,
         clusters,
+        state.attitude,
     )
 
 

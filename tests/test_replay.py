@@ -118,6 +118,10 @@ def test_metrics_are_those_of_the_files_beside_them(localiser: Localiser, log: P
             (float(final[name]), float(final[f"{name}_sigma"])), abs=1e-6
         )
     assert "delay" not in figures["biases"], "a robot that cannot be late"
+    for name, stated_sigma_deg in (("tilt", 0.5), ("roll", 0.3)):  # the mount of this log is exact
+        learnt = figures["biases"][name]
+        assert abs(learnt["value"]) < 4 * learnt["sigma"]
+        assert learnt["sigma"] < np.deg2rad(stated_sigma_deg)
 
 
 def test_same_seed_same_bytes_another_seed_differs(localiser: Localiser, log: Path, tmp_path: Path) -> None:

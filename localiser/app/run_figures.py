@@ -57,13 +57,14 @@ def write_figures(
 
 
 def _biases(inputs: RunInputs, history: History) -> dict[str, Any]:
-    """Return what the run has learnt of its wheels and mount, beside what the truth says of wheels."""
+    """Return what the run has learnt of its wheels and mount (rad), beside what the truth says of wheels."""
     truth, times = inputs.log.groundtruth, history.track.t_ns
     if truth is None or inputs.config.increments.source != "wheel":
         fit = {}
     else:
         fit = evaluate.fit_wheels(inputs.log.odometry, truth, int(times[0]), int(times[-1]))
-    return evaluate.bias_figures(history.frames[-1].located.estimate, fit)
+    last = history.frames[-1].located
+    return evaluate.bias_figures(last.estimate, fit) | evaluate.mount_figures(last.attitude)
 
 
 def _bound(inputs: RunInputs, history: History) -> Array | None:

@@ -5,7 +5,7 @@ from localiser.evaluate.bound import bearing_information, posterior_bound, rms_p
 from localiser.evaluate.consistency import nees, nees_band, share_inside
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
-from localiser.evaluate.wheels import bias_figures, fit_wheels
+from localiser.evaluate.wheels import bias_figures, fit_wheels, mount_figures
 
 __all__ = [
     "Efficiency",
@@ -17,6 +17,7 @@ __all__ = [
     "errors_against",
     "fit_wheels",
     "metrics",
+    "mount_figures",
     "nees",
     "nees_band",
     "posterior_bound",

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from localiser.attitude import MOUNT, Attitude
 from localiser.geometry import Array, Trajectory, between
 from localiser.particles import POSE, Estimate
 
@@ -47,6 +48,17 @@ def bias_figures(estimate: Estimate, fit: dict[str, float]) -> dict[str, Any]:
         | ({"least_squares": _figure(fit[name])} if name in fit else {})
         for name, value, sigma in learnt
         if sigma > 1e-9  # of what can be wrong
+    }
+
+
+def mount_figures(attitude: Attitude | None) -> dict[str, Any]:
+    """Return by how much tilt and roll (rad) differ from what is stated, with their sigmas; nothing where unknown."""
+    if attitude is None:
+        return {}
+    sigma = np.sqrt(np.diag(attitude.cov))
+    return {
+        name: {"value": _figure(value), "sigma": _figure(one)}
+        for name, value, one in zip(MOUNT, attitude.mean, sigma, strict=True)
     }
 
 
