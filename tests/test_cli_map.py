@@ -285,10 +285,13 @@ def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses:
         edges = [Edges.none()] * 40
     else:
         edges = edges[:4]
-    log = edge_log(tmp_path / "log", edges)
-    message = refused("map", "build", log, "--poses", poses, "-o", tmp_path / "map.yaml")
-    assert "expected" in message
-    assert not (tmp_path / "map.yaml").exists()
+    log, folder = edge_log(tmp_path / "log", edges), tmp_path / "out"
+    folder.mkdir()
+    (folder / "old.rrd").write_text("precious")
+    files = ("-o", folder / "map.yaml", "--trajectory", folder / "path.tum", "--rrd", folder / "old.rrd", "--force")
+    assert "expected" in refused("map", "build", log, "--poses", poses, *files)
+    assert [path.name for path in folder.iterdir()] == ["old.rrd"]
+    assert (folder / "old.rrd").read_text() == "precious"
 
 
 @pytest.mark.data

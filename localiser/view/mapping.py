@@ -65,13 +65,18 @@ class Finished:
 
 
 class MapFile:
-    """Writes the building of a map to a `.rrd` file. Raises OutputError where it cannot be written."""
+    """Writes the building of a map to a `.rrd` file, if a map comes out. Raises OutputError where it cannot be written.
+
+    Until then the recording has a name of its own: a build that is refused leaves what was there before.
+    """
 
     def __init__(self, path: Path, context: Context) -> None:
         from localiser.view.recorder import stream_to_file
 
-        self._stream = stream_to_file(path, context, _layout(context))
+        self._path, self._draft = path, path.with_name(f".{path.name}.part")
+        self._stream = stream_to_file(self._draft, context, _layout(context))
         self._recorder = _Recorder(self._stream, context)
+        self._finished = False
 
     def frame(self, frame: Growing) -> None:
         """Write one image and what is known after it."""
@@ -80,11 +85,16 @@ class MapFile:
     def finish(self, finished: Finished) -> None:
         """Write what came out."""
         self._recorder.finish(finished)
+        self._finished = True
 
     def close(self) -> None:
-        """End the file, which can be opened from now on."""
+        """End the file, which can be opened from now on, or drop it when nothing came out."""
         self._stream.flush()
         self._stream.disconnect()
+        if self._finished:
+            self._draft.replace(self._path)
+        else:
+            self._draft.unlink(missing_ok=True)
 
 
 class MapView(live.Feed["_Recorder"]):
