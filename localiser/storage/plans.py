@@ -20,7 +20,7 @@ from localiser.storage.images import measure
 
 OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
 _MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text
-_PGM_HEAD = re.compile(rb"(P[25])" + 3 * rb"(?:\s+|#[^\n]*\n)+(\d{1,9})" + rb"(?:[ \t]*#[^\n]*)?\s")
+_PGM_HEAD = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,99})" + rb"(?:[ \t]*#[^\n]*)?\s")
 Picture = NDArray[Any]
 _PNG_COLOUR_TYPE, _GREY_AND_ALPHA = 25, 4  # where a PNG says how it is coloured
 
