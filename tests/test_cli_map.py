@@ -204,8 +204,9 @@ def test_a_robot_that_stands_still_makes_no_map(tmp_path: Path) -> None:
     assert "expected a robot that drives" in refused("map", "build", log, "-o", tmp_path / "map.yaml")
 
 
-def test_too_little_parallax_is_said(tmp_path: Path) -> None:
-    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0, clutter=0.0), frames=6)
+@pytest.mark.parametrize("frames", [6, 8], ids=["of all", "of most"])
+def test_too_little_parallax_is_said(tmp_path: Path, frames: int) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0, clutter=0.0), frames=frames)
     message = refused("map", "build", log, "-o", tmp_path / "map.yaml")
     assert "parallax" in message
     assert "°" in message

@@ -241,12 +241,17 @@ def _require_landmarks(
         raise nothing_built(log, built, parameters)
     assert landmark_map.quality is not None
     explained = float(landmark_map.quality.sightings.sum()) / len(sightings)
-    if explained < _LEAST_EXPLAINED:
-        raise InputError(
-            f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
-            "of the edges: what the images show is clutter, or the poses do not fit them",
-            path=log.path,
-        )
+    if explained >= _LEAST_EXPLAINED:
+        return
+    narrow = (built.count >= parameters.sightings_min) & (np.rad2deg(built.parallax) < parameters.parallax_min_deg)
+    one_sided = float(built.count[narrow].sum()) / len(sightings)
+    if one_sided > 0.5:
+        raise _too_little_parallax(log, parameters, f"that {100 * one_sided:.0f} % of the edges are not")
+    raise InputError(
+        f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
+        "of the edges: what the images show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
 
 
 def nothing_built(log: Log, built: mapping.Built, parameters: mapping.MappingParameters) -> InputError:
@@ -261,14 +266,18 @@ def nothing_built(log: Log, built: mapping.Built, parameters: mapping.MappingPar
         )
     widest = float(np.rad2deg(built.parallax[followed].max()))
     if widest < parameters.parallax_min_deg:
-        return InputError(
-            f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found at most {widest:.1f}°: "
-            "too little parallax to tell distances; drive past things, not only towards them",
-            path=log.path,
-        )
+        return _too_little_parallax(log, parameters, f"at most {widest:.1f}°")
     return InputError(
         "expected edges that are found again where they should be, found none likely enough to exist: what the images "
         "show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
+
+
+def _too_little_parallax(log: Log, parameters: mapping.MappingParameters, found: str) -> InputError:
+    return InputError(
+        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found {found}: "
+        "too little parallax to tell distances; drive past things, not only towards them",
         path=log.path,
     )
 
