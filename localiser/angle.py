@@ -57,9 +57,7 @@ class Angle:
     @property
     def field_rad(self) -> float:
         """Return the angle (rad) between the bearings of the image's left and right border."""
-        a_left, a_right, _, _ = self.camera.upright_bounds
-        left, right = np.arctan(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
-        return float(abs(right - left))
+        return Angle(self.camera, "line").span_rad
 
     @property
     def span_rad(self) -> float:
