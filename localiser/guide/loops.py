@@ -6,37 +6,24 @@ know that rows do not overlap, and turns the loop into vector instructions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from localiser.compiled import entry, inlined
 from localiser.geometry import Array
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 NEAREST_M = 0.05  # ahead of the camera; what is nearer or behind tells nothing
 BLOCK = 64  # particles looked at together
 
-_RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
 # Rows of a block: camera, axes of the step, the camera's offset from the robot, and what targets add up to.
 _X, _Z, _COS, _SIN = range(4)
 _AXES, _GIVEN = 4, 13  # 9 rows
 _OFFSET_X, _OFFSET_Z, _A00, _A10, _A11, _A20, _A21, _A22, _B0, _B1, _B2, _LOG = range(13, 25)
 
 
-def _entry(function: F) -> F:
-    return cast(F, njit(cache=True, nogil=True, **_RULES)(function))
-
-
-def _inlined(function: F) -> F:
-    """Inline into the caller, where shapes are constant."""
-    return cast(F, njit(forceinline=True, **_RULES)(function))
-
-
-@_inlined
+@inlined
 def _place(block: Array, offset: Any) -> None:
     """Move from robots to their cameras, of which nothing is told yet."""
     right_m, back_m, cos_yaw, sin_yaw = offset
@@ -52,7 +39,7 @@ def _place(block: Array, offset: Any) -> None:
         block[_B0, m], block[_B1, m], block[_B2, m], block[_LOG, m] = 0.0, 0.0, 0.0, 0.0
 
 
-@_inlined
+@inlined
 def _add(block: Array, target: Any, sin_tilt: float, is_slope: bool) -> None:
     """Add what a target tells of each step."""
     x, z, cos_angle, sin_angle, certain = target
@@ -98,7 +85,7 @@ def _add(block: Array, target: Any, sin_tilt: float, is_slope: bool) -> None:
         block[_B2, m] += pull * g2
 
 
-@_inlined
+@inlined
 def _factor(block: Array) -> None:
     """Put the root L, L⁻¹ b and the evidence but for -log(l00 l11 l22) in the place of A, b and misfit."""
     for m in range(BLOCK):
@@ -116,7 +103,7 @@ def _factor(block: Array) -> None:
         block[_LOG, m] += 0.5 * (y0 * y0 + y1 * y1 + y2 * y2)
 
 
-@_entry
+@entry
 def told(
     steps: Array,
     targets: Array,
@@ -147,7 +134,7 @@ def told(
     return result
 
 
-@_entry
+@entry
 def drawn(root: Array, explained: Array, normal: Array, blind: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return steps (3, N) and log q/p (N,) of each: L⁻ᵀ (y + normal), or `normal` itself where `blind` (N,).
 

@@ -9,18 +9,17 @@ of `LANES`, so that every particle goes through the same instructions whatever s
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from localiser.compiled import entry, inlined
 from localiser.geometry import Array
+from localiser.turning import cos_sin_near
 
 Indices = NDArray[np.int64]
 Counts = NDArray[np.uint64]  # indices that are never negative, so that no loop has to look whether they are
-F = TypeVar("F", bound=Callable[..., Any])
 
 LANES = 8  # float64 in a vector register
 FEWEST = 2  # vectors, for which a vector loop is entered
@@ -29,18 +28,6 @@ ROOM = 512  # pairs weighed together; the buffers stay in the fastest cache
 UNKNOWN_M = 1e8  # heights beyond this are not known
 _BLOCK, _NEXT = np.uint64(BLOCK), np.uint64(1)
 SAFE = 1e150  # a product is put aside when it grows beyond
-
-_RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
-
-
-def _entry(function: F) -> F:
-    return cast(F, njit(cache=True, nogil=True, **_RULES)(function))
-
-
-def _inlined(function: F) -> F:
-    """Inline into the caller, where shapes are constant."""
-    return cast(F, njit(forceinline=True, **_RULES)(function))
-
 
 # exp(y) = exp(y/16)^16, the inner one as a polynomial between the gate, y = -18 or 6 sigmas, and 0: 2e-6 of its value.
 _LEAST = -18.0 / 16
@@ -65,7 +52,7 @@ _RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_
 # -- which landmarks can be in view from where ------------------------------------------------------------------------
 
 
-@_entry
+@entry
 def cells_of(poses: Array, low: Array, per_unit: Array, shape: Indices) -> Indices:
     """Return the cell (N,) of each of the poses (N, 3+): cells start at `low` (3,), per_unit (3,) in a unit."""
     cell = np.empty(len(poses), np.int64)
@@ -77,7 +64,7 @@ def cells_of(poses: Array, low: Array, per_unit: Array, shape: Indices) -> Indic
     return cell
 
 
-@_entry
+@entry
 def ordered(cell: Indices, cells: int) -> tuple[Indices, Indices]:
     """Return run (cells + 1,) and order (N,): particles of cell c are order[run[c] : run[c + 1]], ascending."""
     run = np.zeros(cells + 1, np.int64)
@@ -92,7 +79,7 @@ def ordered(cell: Indices, cells: int) -> tuple[Indices, Indices]:
     return run, order
 
 
-@_entry
+@entry
 def candidates(
     run: Indices,
     low: Array,
@@ -140,25 +127,16 @@ def candidates(
 # -- what particles see -----------------------------------------------------------------------------------------------
 
 
-@_inlined
+@inlined
 def _turn(block: Array, lanes: int) -> None:
     """Write cosine and sine of the headings: their series within an eighth of a turn, to the last digits."""
     for m in range(lanes):
         quarter = np.floor(block[_HEADING, m] * (2 / np.pi) + 0.5)
         d = block[_HEADING, m] - quarter * _HALF_PI
-        q = d * d
-        odd = 1 + q / -110 * (1 + q / -156 * (1 + q / -210))
-        odd = d * (1 + q / -6 * (1 + q / -20 * (1 + q / -42 * (1 + q / -72 * odd))))
-        even = 1 + q / -90 * (1 + q / -132 * (1 + q / -182 * (1 + q / -240)))
-        even = 1 + q / -2 * (1 + q / -12 * (1 + q / -30 * (1 + q / -56 * even)))
-        quarter -= 4 * np.floor(quarter / 4)
-        crossed = (quarter == 1) | (quarter == 3)
-        sin, cos = (even if crossed else odd), (odd if crossed else even)
-        block[_SIN, m] = -sin if quarter >= 2 else sin
-        block[_COS, m] = -cos if (quarter == 1) | (quarter == 2) else cos
+        block[_COS, m], block[_SIN, m] = cos_sin_near(quarter, d)
 
 
-@_inlined
+@inlined
 def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offset: Any, block: Array) -> None:
     """Write the camera poses of particles order[first : first + size]; the lanes beyond repeat the last one."""
     right, back, yaw = offset
@@ -178,7 +156,7 @@ def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offs
     _turn(block, lanes)
 
 
-@_inlined
+@inlined
 def _arctan(u: float) -> float:
     """Return the arctangent of u, 0 … 1, to 2e-8 [Abramowitz, Stegun 1964, 4.4.49].
 
@@ -191,7 +169,7 @@ def _arctan(u: float) -> float:
     return u * (low_half + v2 * v2 * high_half)
 
 
-@_inlined
+@inlined
 def _look(
     block: Array,
     lanes: int,
@@ -262,7 +240,7 @@ def _look(
         block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
 
 
-@_inlined
+@inlined
 def _edges_near(block: Array, size: int, first: Counts, near: Counts, begin: Counts, end: Counts) -> int:
     """Turn bins into edges begin … end; return how many particles have some, in `near`."""
     some = 0
@@ -274,7 +252,7 @@ def _edges_near(block: Array, size: int, first: Counts, near: Counts, begin: Cou
     return some
 
 
-@_inlined
+@inlined
 def _meet(
     edges: Array,
     block: Array,
@@ -307,7 +285,7 @@ def _meet(
     return number, more
 
 
-@_inlined
+@inlined
 def _fill(
     edges: Array,
     block: Array,
@@ -333,7 +311,7 @@ def _fill(
         pairs[_ALIKE, i] = edges[e, _RARE] * (1.0 + edges[e, _POLARITY] * leaning)
 
 
-@_inlined
+@inlined
 def _normal(y: float) -> float:
     """Return exp(16 y) for y ≤ 0, at least e^-18."""
     y = y if y > _LEAST else _LEAST
@@ -344,7 +322,7 @@ def _normal(y: float) -> float:
     return value * value
 
 
-@_inlined
+@inlined
 def _add_up(pairs: Array, number: int, ends: Any, slot: Counts, density: Array, touched: Counts, count: int) -> int:
     """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
     per_sigma = ends[1]
@@ -363,7 +341,7 @@ def _add_up(pairs: Array, number: int, ends: Any, slot: Counts, density: Array, 
     return count
 
 
-@_inlined
+@inlined
 def _multiply(factor: Array, m: int, odds: Any, ratio: float) -> None:
     """Multiply row m by 1 + odds · ratio; written out, so that it becomes one vector."""
     f0, f1 = factor[m, 0] * (1.0 + odds[0] * ratio), factor[m, 1] * (1.0 + odds[1] * ratio)
@@ -374,7 +352,7 @@ def _multiply(factor: Array, m: int, odds: Any, ratio: float) -> None:
     factor[m, 4], factor[m, 5], factor[m, 6], factor[m, 7] = f4, f5, f6, f7
 
 
-@_inlined
+@inlined
 def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indices, result: Array) -> None:
     """Add the logarithms of finite values ≥ 1 to `result`, to the last digits. bits, mantissa_bits: the same memory."""
     for i in range(len(value)):
@@ -393,7 +371,7 @@ def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indi
         result[i] += exponent * _LOG_TWO + 2 * s * (low_half + v4 * high_half)
 
 
-@_entry
+@entry
 def log_products(
     poses: Array,
     order: Indices,
