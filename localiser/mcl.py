@@ -296,7 +296,7 @@ def _tracked(
             return weighed
     # The first image, and one whose edges were taken for those of other landmarks.
     moved = _moved(mcl, state.particles, moves, rng)
-    weighed, state.inliers, _ = weighing.weigh(moved, edges, inliers, share, not state.weighed, rng)
+    weighed, state.inliers = weighing.weigh(moved, edges, inliers, share, not state.weighed, rng)
     return weighed
 
 

@@ -36,16 +36,14 @@ class Weighing:
         share: float,
         blurred: bool,
         rng: np.random.Generator,
-    ) -> tuple[Particles, InlierShare, float]:
+    ) -> tuple[Particles, InlierShare]:
         """Return the particles with `share` of the edges' log-likelihood weighed, and what that tells of clutter.
 
-        Last the log-evidence log Σ w p(edges | particle)^share: relative to all edges being clutter, before any stage.
         blurred: perhaps no particle fits at all, as at a start; then edges are blurred first and sharpened from stage
         to stage.
         """
         fewest = self.stage_below * len(moved)
         coarser_rad: float | None = None
-        log_evidence = 0.0
         for blur_rad in self._blurs(moved, edges) if blurred else [0.0]:
             left = share
             for stage in range(MOST_STAGES):
@@ -57,7 +55,6 @@ class Weighing:
                 last = stage == MOST_STAGES - 1
                 taken = left if last else particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
                 weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
-                log_evidence += particles.log_sum(weighed.log_weight) - particles.log_sum(moved.log_weight)
                 left -= taken
                 if left <= 0 and blur_rad == 0:
                     break
@@ -66,7 +63,7 @@ class Weighing:
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        return weighed, inliers.given(by_share, weighed.weight, share), log_evidence
+        return weighed, inliers.given(by_share, weighed.weight, share)
 
     def at_once(
         self, moved: Particles, edges: Edges, inliers: InlierShare, share: float
