@@ -168,6 +168,8 @@ def slam(logs: list[Path]) -> None:
 
 def bearings(logs: list[Path]) -> None:
     """Print how many landmarks are found by bearings from known poses; each is matched with one of its own."""
+    from coarse_worlds import matched
+
     print("| log | landmarks | built | within 0.25 m | within 0.1 m | median m | seconds |")
     for path in logs:
         log = open_log(path)
@@ -183,7 +185,7 @@ def bearings(logs: list[Path]) -> None:
 
 def coarse(seeds: range) -> None:
     """Print how good maps of coarse bearings alone are, by how bad the wheels are; after the best similarity."""
-    from coarse_worlds import CAMERA, coarse_drive
+    from coarse_worlds import CAMERA, coarse_drive, matched
 
     print("| wheels | seed | drift a turn ° | RMSE m | landmarks | found | median m | seconds |")
     for wheel_error in (0.1, 0.3, 0.5, 1.0):
@@ -205,17 +207,6 @@ def coarse(seeds: range) -> None:
                 f"{np.median(error):.3f} | {seconds:.0f} |",
                 flush=True,
             )
-
-
-def matched(places: Array, points: Array) -> Array:
-    """Return how far (L,) each place is from the point that is its own; each point is of one place."""
-    from scipy.optimize import linear_sum_assignment
-
-    apart = np.linalg.norm(places[:, None] - points[None], axis=-1)
-    row, column = linear_sum_assignment(np.minimum(apart, 1.0))
-    error = np.full(len(places), np.inf)
-    error[row] = apart[row, column]
-    return error
 
 
 def aligned(found: Array, truth: Array) -> Array:

@@ -76,3 +76,14 @@ def _seen(camera: Array, posts: Array, rng: np.random.Generator) -> Edges:
     unknown = np.full(len(bearings), np.nan)
     columns = complete(bearings, np.full(len(bearings), _STATED_RAD), unknown, unknown, CAMERA.mount.tilt_rad)
     return Edges.from_columns(*columns, landmark_id=np.concatenate([shown, np.full(len(false), -1)]).astype(np.int64))
+
+
+def matched(places: Array, points: Array) -> Array:
+    """Return how far (L,) each place is from the point that is its own; each point is of one place."""
+    from scipy.optimize import linear_sum_assignment
+
+    apart = np.linalg.norm(places[:, None] - points[None], axis=-1)
+    row, column = linear_sum_assignment(np.minimum(apart, 1.0))
+    error = np.full(len(places), np.inf)
+    error[row] = apart[row, column]
+    return error

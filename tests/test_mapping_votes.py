@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_worlds import matched
 
 from localiser import mapping
 from localiser.app.map_build import build_map
@@ -53,23 +54,12 @@ def map_of(sightings: Sightings, cameras: Array) -> LandmarkMap:
     return mapping.landmark_map_of(sightings, built, cameras, sigma, CAMERA, PARAMETERS, "test", "test")
 
 
-def errors(found: Array, places: Array) -> Array:
-    """Return how far (L,) each place is from the landmark that is its own: each landmark is of one place."""
-    from scipy.optimize import linear_sum_assignment
-
-    apart = np.linalg.norm(places[:, None] - found[None], axis=-1)
-    row, column = linear_sum_assignment(np.minimum(apart, 1.0))
-    result = np.full(len(places), np.inf)
-    result[row] = apart[row, column]
-    return result
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 def test_neighbours_nearer_than_a_bearing_tells_are_found_apart(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cameras = wandering(rng, 300)
     made = map_of(seen_from(cameras, PLACES, rng, 0.3, np.deg2rad(0.8)), cameras)
-    assert errors(made.points, PLACES).max() < 0.08
+    assert matched(PLACES, made.points).max() < 0.08
     assert len(made) <= len(PLACES) + 2
 
 
@@ -77,7 +67,7 @@ def test_errors_as_large_as_stated_are_no_obstacle() -> None:
     rng = np.random.default_rng(3)
     cameras, apart = wandering(rng, 300), PLACES[[0, 2, 3, 5, 6]]
     made = map_of(seen_from(cameras, apart, rng, 0.3, SIGMA), cameras)
-    assert errors(made.points, apart).max() < 0.08
+    assert matched(apart, made.points).max() < 0.08
 
 
 def test_clutter_alone_makes_hardly_any_landmark() -> None:
@@ -114,6 +104,6 @@ def test_a_place_that_is_looked_at_from_one_spot_only_is_no_landmark() -> None:
 def test_a_real_robot_finds_the_landmarks_by_bearings_alone(data_dir: Path, robot: int) -> None:
     log = open_log(data_dir / f"mrclam:{robot}")
     made = build_map(log, "truth", load_config(None, [], log.settings), lambda: None)
-    error = errors(made.landmark_map.points, log.landmark_map.points)
+    error = matched(log.landmark_map.points, made.landmark_map.points)
     assert (error < 0.25).sum() >= 12
     assert np.median(error) <= 0.08
