@@ -19,12 +19,12 @@ from localiser.documents import Document, Place, Schema
 from localiser.edges import EdgeParameters
 from localiser.edges.bearings import BearingSensor
 from localiser.errors import InputError
-from localiser.increments import IncrementParameters
+from localiser.filter.mcl import MclParameters
 from localiser.mapping import MappingParameters
-from localiser.mcl import MclParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
-from localiser.search import SearchParameters
+from localiser.relocalisation.global_localisation import SearchParameters
+from localiser.visual_odometry import IncrementParameters
 
 _LIBRARIES = ("numpy", "numba", "scipy", "opencv-python-headless", "pydantic", "rerun-sdk")
 _BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}

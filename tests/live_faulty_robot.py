@@ -10,8 +10,8 @@ from collections import Counter
 from pathlib import Path
 from threading import Event, Thread
 
-from localiser.app.serve import IMAGE, ODOMETRY, Passage, StandIn, drive
-from localiser.sources import Network
+from localiser.live.sources import Network
+from localiser.live.stand_in import IMAGE, ODOMETRY, Passage, StandIn, drive
 
 ODOMETRY_HZ = 50
 EVERY = {IMAGE: 7, ODOMETRY: 3}

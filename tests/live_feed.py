@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from short_log import CORRIDOR
 
-from localiser import mcl
-from localiser.app.live.inbound import TOPICS, CameraFinder
-from localiser.app.live.located import Filter
-from localiser.app.live.monitor import Monitor
-from localiser.app.live.outputs import Published
-from localiser.app.live.prepare import LiveOptions, begun_recording
-from localiser.app.live.run import LiveRun
-from localiser.app.live.state import Resumed
 from localiser.config import Config, load_config
+from localiser.filter import mcl
+from localiser.live.inbound import TOPICS, CameraFinder
+from localiser.live.located import Filter
+from localiser.live.monitor import Monitor
+from localiser.live.outputs import Published
+from localiser.live.prepare import LiveOptions, begun_recording
+from localiser.live.run import LiveRun
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.state import Resumed
 from localiser.observation import EdgeObservation
-from localiser.sources import Arrival, Inbox
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags.messages import ODOM, Messages
 

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import pytest
 
-from localiser.cli import main
+from localiser.commands import main
 
 CORRIDOR = Path(__file__).resolve().parent.parent / "logs" / "corridor"
 FRAMES = 12

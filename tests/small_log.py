@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from localiser import mcl
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
+from localiser.filter import mcl
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage import Image, write_log

@@ -11,12 +11,12 @@ from edge_images import camera_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localiser.app.edges.compare import NEAR_PX, Comparison, matches
-from localiser.app.edges.guides import bearings_shown, horizon, meridian
-from localiser.app.edges.inputs import _stems
-from localiser.app.edges.overlay import draw_overlay
-from localiser.app.edges.records import COLUMNS, csv_text, rows_of
 from localiser.camera import Camera
+from localiser.commands.edges.compare import NEAR_PX, Comparison, matches
+from localiser.commands.edges.guides import bearings_shown, horizon, meridian
+from localiser.commands.edges.inputs import _stems
+from localiser.commands.edges.overlay import draw_overlay
+from localiser.commands.edges.records import COLUMNS, csv_text, rows_of
 from localiser.edges import Edges
 
 CAMERA = camera_of(640, 480, tilt_deg=20.0)

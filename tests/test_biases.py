@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from localiser import particles
-from localiser.biases import BIASES, BiasParameters, at_start, forgotten
 from localiser.geometry import Array, Increment, arc_motion, between, compose, wrap_angle
 from localiser.motion import MotionParameters, predict, wheel_cov
+from localiser.motion.constant_errors import BIASES, BiasParameters, at_start, forgotten
 from localiser.particles import POSE, Particles
 
 WIDE = BiasParameters(

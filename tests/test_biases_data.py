@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from localiser import geometry, mcl
-from localiser.app.start import start_of
+from localiser import geometry
 from localiser.config import load_config
 from localiser.evaluate import bias_figures, fit_wheels
+from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
-from localiser.identified import observation_of
+from localiser.observation.known_association import observation_of
+from localiser.replay.start import start_of
 from localiser.storage import open_log
 
 KNOWN = ["observation.association=known", "motion.bias.delay_sigma_s=0.2"]

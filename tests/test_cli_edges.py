@@ -15,9 +15,9 @@ from edge_images import camera_of, wall_image
 from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 
-from localiser.app.edges import mount_warnings
 from localiser.calibration.check import MountCheck
 from localiser.camera import Camera
+from localiser.commands.edges import mount_warnings
 from localiser.config import Config
 from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.storage import load_camera, save_camera

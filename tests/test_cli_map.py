@@ -9,11 +9,11 @@ import pytest
 from mapping_worlds import world
 from typer.testing import CliRunner, Result
 
-from localiser import mcl
-from localiser.app import map_edges
-from localiser.cli.main import app
+from localiser.commands.main import app
+from localiser.commands.map import edges as map_edges
 from localiser.edges import EdgeParameters, Edges
 from localiser.errors import LocaliserError
+from localiser.filter import mcl
 from localiser.geometry import Trajectory
 from localiser.storage import load_map, load_tum, open_log, save_tum, write_log
 

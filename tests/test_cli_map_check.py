@@ -11,7 +11,7 @@ from mapping_worlds import world
 from rerun.chunk import RrdReader
 from test_cli_map import edge_log, refused, run
 
-from localiser.app.map_check import coverage
+from localiser.commands.map.check import coverage
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import Sightings, doubtful, duplicates, in_view, log_fit
 from localiser.storage import save_camera, save_map

@@ -11,7 +11,7 @@ import pytest
 from mapping_worlds import world
 from test_cli_map import edge_log, refused, run
 
-from localiser.app.map_plan import map_of_plan
+from localiser.commands.map.plan import map_of_plan
 from localiser.storage import find_run, load_json, load_map
 from localiser.storage.plans import PlanFile, classify, load_plan
 

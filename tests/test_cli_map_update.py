@@ -10,7 +10,7 @@ import pytest
 from mapping_worlds import world
 from test_cli_map import edge_log, refused, run
 
-from localiser.app.map_update import keep_old
+from localiser.commands.map.update import keep_old
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import joined_maps
 from localiser.storage import load_map, save_map

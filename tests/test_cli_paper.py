@@ -13,10 +13,10 @@ from conftest import ROOT
 from short_log import Localiser
 
 from localiser import geometry
-from localiser.app.paper import Reproduction, reproduce, steps
-from localiser.app.paper.arithmetic import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
-from localiser.app.paper.measured import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
-from localiser.app.paper.results import (
+from localiser.commands.paper import Reproduction, reproduce, steps
+from localiser.commands.paper.arithmetic import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
+from localiser.commands.paper.measured import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
+from localiser.commands.paper.results import (
     METHODS,
     Method,
     drive_errors,
@@ -26,8 +26,8 @@ from localiser.app.paper.results import (
     translations,
     turn_errors,
 )
-from localiser.app.paper.room import SIZES, camera_of, draw_places
-from localiser.app.paper.sheet import Sheet
+from localiser.commands.paper.room import SIZES, camera_of, draw_places
+from localiser.commands.paper.sheet import Sheet
 from localiser.edges import Edges
 
 TILT_RAD = np.deg2rad(TILT_2_DEG)
@@ -242,7 +242,7 @@ def test_the_command_prints_and_writes_every_table(
     assert "4/4" in result.err
 
     before = markdown
-    monkeypatch.setattr("localiser.app.paper.reproduce", lambda *_: pytest.fail("measured before looking"))
+    monkeypatch.setattr("localiser.commands.paper.reproduce", lambda *_: pytest.fail("measured before looking"))
     again = localiser("paper", "--out", out)
     assert again.exit_code == 2
     assert f"{out}: expected a new or empty folder" in again.err
@@ -252,7 +252,7 @@ def test_the_command_prints_and_writes_every_table(
 def test_quiet_writes_without_a_word(
     localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("localiser.app.paper.reproduce", lambda *_: reproduced)
+    monkeypatch.setattr("localiser.commands.paper.reproduce", lambda *_: reproduced)
     result = localiser("paper", "--quiet", "--out", tmp_path / "out")
     assert (result.exit_code, result.out, result.err) == (0, "", "")
     assert (tmp_path / "out" / "paper.png").is_file()

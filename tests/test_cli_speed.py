@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from unittest.mock import patch
 
-from localiser.cli.shared import paced
+from localiser.commands.options import paced
 
 
 def test_images_pass_at_the_speed_they_were_taken_times_a_factor() -> None:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from localiser.clusters import find_clusters
 from localiser.geometry import wrap_angle
 from localiser.particles import POSE, Particles, estimate
+from localiser.particles.clusters import find_clusters
 
 
 def cloud(mean, sigma, count, seed):

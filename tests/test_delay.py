@@ -6,13 +6,13 @@ from functools import reduce
 
 import numpy as np
 
-from localiser.biases import EXACT, BiasParameters
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
+from localiser.filter.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, moves_until, step
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose
 from localiser.landmarks import LandmarkMap, sight
-from localiser.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, moves_until, step
 from localiser.motion import MotionParameters
+from localiser.motion.constant_errors import EXACT, BiasParameters
 from localiser.observation import EdgeObservation, ObservationParameters
 
 SECOND = 1_000_000_000

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from proposal_room import CAMERA, room
 
-from localiser import geometry, search
-from localiser.clusters import Clusters, find_clusters
-from localiser.confidence import beside, confidence_of
-from localiser.doubt import OVERLOOKED, Doubt
+from localiser import geometry
+from localiser.filter.alternative_hypothesis import Rival
+from localiser.filter.confidence import beside, confidence_of
+from localiser.filter.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Trajectory
-from localiser.inliers import INLIER_SHARES
-from localiser.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation.inlier_rate import INLIER_SHARES
 from localiser.particles import CAMERA_YAW, POSE, Particles
-from localiser.rival import Rival
-from localiser.search import Search, SearchParameters
+from localiser.particles.clusters import Clusters, find_clusters
+from localiser.relocalisation import global_localisation as search
+from localiser.relocalisation.global_localisation import Search, SearchParameters
+from localiser.relocalisation.lost_probability import OVERLOOKED, Doubt
 from localiser.simulate import EdgeNoise, simulated_edges
 
 SECOND = 1_000_000_000

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localiser import guide
 from localiser.camera import Camera, Mount
+from localiser.filter import optimal_proposal as guide
+from localiser.filter.optimal_proposal import Guide, flattened, told
 from localiser.geometry import Increment, Trajectory
-from localiser.guide import Guide, flattened, told
-from localiser.identified import IdentifiedObservation
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters, expected_step, predict
 from localiser.observation import EdgeObservation, ObservationParameters, Targets
+from localiser.observation.known_association import IdentifiedObservation
 from localiser.particles import effective_sample_size, estimate, from_gaussian, normalised, take
 from localiser.simulate import simulated_edges
 

@@ -12,10 +12,10 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.edges.bearings import complete
 from localiser.geometry import Array
-from localiser.identified import IdentifiedObservation, observation_of
-from localiser.inliers import INLIER_SHARES
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation.known_association import IdentifiedObservation, observation_of
 from localiser.particles import POSE, Particles
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))

@@ -11,10 +11,11 @@ from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
-from localiser.increments import Belief, Followed, Frames, Gaussian, IncrementParameters, Odometer, follow, loops
-from localiser.increments.fuse import at_least, mixture
-from localiser.increments.sights import Sights
-from localiser.increments.twist import motion_by_twist, motion_gaussian, motion_of, twist_gaussian, twist_of
+from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, IncrementParameters, Odometer, follow
+from localiser.visual_odometry import twist_kernel as loops
+from localiser.visual_odometry.fuse import at_least, mixture
+from localiser.visual_odometry.sights import Sights
+from localiser.visual_odometry.twist import motion_by_twist, motion_gaussian, motion_of, twist_gaussian, twist_of
 
 CAMERA = Camera(
     640,

@@ -11,11 +11,11 @@ from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 from test_increments import CAMERA, POINTS, edges_from
 
-from localiser import mcl
+from localiser.filter import mcl
 from localiser.geometry import compose
-from localiser.increments import IncrementParameters, Odometer
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.visual_odometry import IncrementParameters, Odometer
 
 STEP, SLIP = np.array([0.0, -0.02, 0.0]), np.array([0.0, -0.1, np.radians(4.0)])
 

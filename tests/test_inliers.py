@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from localiser.geometry import Array
-from localiser.inliers import INLIER_SHARES, MEMORY_FRAMES, PRIOR_FRAMES, InlierShare
+from localiser.observation.inlier_rate import INLIER_SHARES, MEMORY_FRAMES, PRIOR_FRAMES, InlierShare
 
 RATIO = 30.0  # how much likelier an edge is under a landmark that fits than under clutter
 

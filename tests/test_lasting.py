@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from localiser import mcl
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
+from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, SightParameters
-from localiser.lasting import NEAR_M, lasting
 from localiser.observation import EdgeObservation, ObservationParameters, Targets
+from localiser.observation.persistent_clutter import NEAR_M, lasting
 from localiser.particles import POSE, Particles
 
 SPAN = 1.1

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.inliers import INLIER_SHARES
 from localiser.landmarks import LandmarkMap
-from localiser.likelihood import bins_of
 from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation.likelihood import bins_of
+from localiser.observation.polarity import SAME
 from localiser.particles import POSE, Particles
-from localiser.polarity import SAME
 
 FOCAL = 554.0
 # Pairs beyond six sigmas add less than 1e-8 of a peak each; log-weights may differ by that over many edges.

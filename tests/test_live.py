@@ -12,14 +12,14 @@ import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
 from short_log import Localiser
 
-from localiser import mcl
-from localiser.app.live.inbound import TOPICS, message_of
-from localiser.app.live.outputs import PosePublisher
-from localiser.app.live.prepare import read_camera
-from localiser.app.live.state import Checkpoints, Resumed
 from localiser.config import load_config
+from localiser.filter import mcl
 from localiser.geometry import compose
-from localiser.sources import Arrival, Inbox
+from localiser.live.inbound import TOPICS, message_of
+from localiser.live.outputs import PosePublisher
+from localiser.live.prepare import read_camera
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.state import Checkpoints, Resumed
 from localiser.storage import load_track, open_log
 from localiser.storage.bags.bag import stamp_of
 from localiser.storage.bags.images import stated_size

@@ -17,7 +17,7 @@ import pytest
 from live_processes import LEAST_HZ, SETTINGS, Program, free_endpoint, program
 from short_log import CORRIDOR
 
-from localiser.app.serve import start_text
+from localiser.live.stand_in import start_text
 from localiser.storage import open_log
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_feed import BEGIN_NS, MAKE, Feed, arrival, camera, drive, image, odometry
 
-from localiser.app.live.clock import RobotClock
-from localiser.app.live.inbound import TOPICS, message_of
-from localiser.sources import Arrival
+from localiser.live.clock import RobotClock
+from localiser.live.inbound import TOPICS, message_of
+from localiser.live.sources import Arrival
 from localiser.storage.bags.decisions import Decisions
 
 DAMAGED = 10_000

@@ -11,9 +11,9 @@ from live_feed import LOG, MAKE
 from short_log import CORRIDOR, Localiser
 from small_log import write_edge_log, write_small_log
 
-from localiser.app.serve import FIXED, IMAGE, INFO, ODOMETRY, Passage, StandIn, drive, start_text
 from localiser.errors import InputError
 from localiser.geometry import between
+from localiser.live.stand_in import FIXED, IMAGE, INFO, ODOMETRY, Passage, StandIn, drive, start_text
 
 
 class Wire:

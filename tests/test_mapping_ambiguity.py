@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mapping_worlds import world
 
-from localiser.app.map_alike import lookalikes, lookalikes_text
+from localiser.commands.map.lookalikes import lookalikes, lookalikes_text
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import ALIKE, Ambiguity, ambiguity, best_spots

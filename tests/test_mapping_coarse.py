@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from coarse_worlds import coarse_drive
 
-from localiser.app.map_build import build_map, require_association, turn_drift
+from localiser.commands.map.build import build_map, require_association, turn_drift
 from localiser.config import load_config
 from localiser.errors import InputError
 from localiser.mapping import Wheels

@@ -9,8 +9,8 @@ import pytest
 from mapping_worlds import World, world
 
 from localiser import mapping
-from localiser.app.map_build import wheels_of
 from localiser.camera import Camera, Mount
+from localiser.commands.map.build import wheels_of
 from localiser.config import Config
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose, robot_from_map

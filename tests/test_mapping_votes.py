@@ -9,7 +9,7 @@ import pytest
 from coarse_worlds import matched
 
 from localiser import mapping
-from localiser.app.map_build import build_map
+from localiser.commands.map.build import build_map
 from localiser.config import load_config
 from localiser.edges import Edges
 from localiser.edges.bearings import BearingSensor, complete

@@ -12,15 +12,26 @@ from grid_filter import GridFilter, headings
 from numpy.typing import NDArray
 
 from localiser import geometry, particles
-from localiser.biases import EXACT
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
+from localiser.filter.mcl import (
+    Event,
+    FilterState,
+    Located,
+    Mcl,
+    MclParameters,
+    Odometry,
+    Sighting,
+    Start,
+    finish,
+    step,
+)
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
-from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap
-from localiser.mcl import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, step
 from localiser.motion import MotionParameters, linearised
+from localiser.motion.constant_errors import EXACT
 from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
 from localiser.particles import POSE, Particles
 from localiser.simulate import EdgeNoise, simulated_edges
 

@@ -12,8 +12,8 @@ from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
-from localiser.proposals import Places, ProposalParameters, propose, view_of, warm_up
-from localiser.proposals.refine import refined
+from localiser.relocalisation import Places, ProposalParameters, propose, view_of, warm_up
+from localiser.relocalisation.refine import refined
 from localiser.simulate import EdgeNoise, simulated_edges
 
 ROOM = room()

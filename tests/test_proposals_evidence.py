@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 
-from localiser.inliers import INLIER_SHARES
 from localiser.landmarks import in_camera
-from localiser.polarity import SAME
-from localiser.proposals import Places, view_of
-from localiser.proposals.evidence import _arguments, evidence_of, score_by_share, score_loop, score_poses
-from localiser.proposals.places import half_view_rad
-from localiser.proposals.sectors import CELL_M, HEADINGS, Sectors
+from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation.polarity import SAME
+from localiser.relocalisation import Places, view_of
+from localiser.relocalisation.evidence import _arguments, evidence_of, score_by_share, score_loop, score_poses
+from localiser.relocalisation.places import half_view_rad
+from localiser.relocalisation.sectors import CELL_M, HEADINGS, Sectors
 
 ROOM = room()
 PLACES = Places.of(ROOM, CAMERA)

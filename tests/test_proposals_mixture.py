@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from localiser.geometry import wrap_angle
-from localiser.proposals import Proposals, Region
+from localiser.relocalisation import Proposals, Region
 
 REGION = Region((-2.0, 3.0), (-1.0, 1.5))
 MEAN = np.array([[0.0, 0.0, 3.1], [1.5, 0.5, -1.0]])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from localiser import geometry
 from localiser.geometry import wrap_angle
-from localiser.proposals import from_three_bearings, from_two_bearings
+from localiser.relocalisation import from_three_bearings, from_two_bearings
 
 property_test = settings(derandomize=True, deadline=None, max_examples=80)
 seeds = st.integers(0, 100_000)

@@ -20,7 +20,7 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_log import CAMERA, MAP, ODOMETRY, TRUTH, sightings, write_edge_log
 
 from localiser import storage
-from localiser.app.judge import figures_of
+from localiser.commands.judge import figures_of
 from localiser.evaluate import report
 from localiser.evaluate.metrics import ABOUT
 from localiser.landmarks import LandmarkMap

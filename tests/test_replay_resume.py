@@ -13,8 +13,8 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_log import write_edge_log
 
 from localiser import documents
-from localiser.app import replay as replay_module
-from localiser.mcl import FilterState
+from localiser.filter.mcl import FilterState
+from localiser.replay import run as replay_module
 from localiser.storage.checkpoint import save_checkpoint
 
 SAME = ("trajectory.csv", "trajectory.tum", "groundtruth.tum", "config.yaml", "run.yaml")

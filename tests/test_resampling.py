@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localiser import resampling
+from localiser.particles import resampling
 
 SCHEMES = [
     resampling.systematic_resample,

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localiser import likelihood
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
+from localiser.filter.mcl import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Trajectory, arc_motion, compose
 from localiser.landmarks import LandmarkMap, sight
-from localiser.mcl import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
-from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation import EdgeObservation, ObservationParameters, likelihood
 from localiser.particles import Particles
 
 SECOND = 1_000_000_000

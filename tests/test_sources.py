@@ -15,8 +15,8 @@ from live_processes import free_endpoint
 from short_log import Localiser
 
 from localiser.errors import InputError
-from localiser.sources import Arrival, CameraSource, Inbox, Network, topic_of
-from localiser.sources.keys import keys_of
+from localiser.live.sources import Arrival, CameraSource, Inbox, Network, topic_of
+from localiser.live.sources.keys import keys_of
 
 NAMES = st.lists(st.text("abcxyz_0", min_size=1, max_size=6).filter(lambda name: not name.isdigit()), min_size=1)
 PATIENCE_S = 30.0

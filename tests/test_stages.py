@@ -7,11 +7,11 @@ import pytest
 
 from localiser import particles
 from localiser.edges import Edges
+from localiser.filter.tempering import Weighing
 from localiser.geometry import Array, wrap_angle
-from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap
+from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
 from localiser.particles import Particles
-from localiser.weighing import Weighing
 
 SIGMA = np.array([0.1, 0.1, 0.05])
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from small_log import CAMERA, MAP, image
 
-from localiser.app.live.recording import Recording
 from localiser.errors import InputError, OutputError
+from localiser.live.recording import Recording
 from localiser.storage import open_log
 from localiser.storage.bags.bag import Bag
 from localiser.storage.bags.decisions import image_decision, odometry_decision

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from small_log import CAMERA, MAP, START, sightings
 
 from localiser.errors import InputError
-from localiser.frames import LocatedFrame
-from localiser.mcl import FilterState, Mcl, MclParameters, Odometry, Start, step
+from localiser.filter.frames import LocatedFrame
+from localiser.filter.mcl import FilterState, Mcl, MclParameters, Odometry, Start, step
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.storage.checkpoint import FORMAT, identity_of, load_checkpoint, save_checkpoint
 from localiser.storage.packing import field_types, pack, unpack

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from small_log import CAMERA, IMAGE_TIMES, MAP, ODOMETRY, START, TRUTH, image, write_edge_log, write_small_log
 
-from localiser import mcl
 from localiser.errors import InputError, OutputError
+from localiser.filter import mcl
 from localiser.storage import Image, ImageEvent, open_log, write_log
 
 

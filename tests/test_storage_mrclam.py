@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from localiser import geometry, mcl
+from localiser import geometry
 from localiser.edges.bearings import BearingSensor
 from localiser.errors import InputError
+from localiser.filter import mcl
 from localiser.storage import open_log
 from localiser.storage.mrclam import integrated
 

@@ -10,9 +10,9 @@ import pytest
 
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
-from localiser.frames import LocatedFrame
+from localiser.filter.frames import LocatedFrame
+from localiser.filter.mcl import Located
 from localiser.geometry import Array, Increment
-from localiser.mcl import Located
 from localiser.observation import Matches
 from localiser.particles import Estimate, Particles
 from localiser.storage import RunFolder, TrackWriter, find_run, json_text, load_json, load_track, load_tum

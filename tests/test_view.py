@@ -19,10 +19,10 @@ from rerun.chunk import RrdReader
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
-from localiser.frames import Image, LocatedFrame
+from localiser.filter.frames import Image, LocatedFrame
+from localiser.filter.mcl import Located
 from localiser.geometry import Array, Increment, Trajectory, compose, forward, robot_from_map
 from localiser.landmarks import LandmarkMap
-from localiser.mcl import Located
 from localiser.observation import Matches
 from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
 from localiser.view import Context, LiveView, RrdFile, live, palette, paths

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import mcl
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.edges.bearings import complete
+from localiser.filter import mcl
 from localiser.geometry import Array, wrap_angle
 from localiser.storage.files import write_text
 from localiser.storage.tables import (

@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from localiser import mcl
 from localiser.camera import Camera
 from localiser.documents import Document, dump, load, validate
 from localiser.errors import InputError, OutputError
+from localiser.filter import mcl
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, load_camera, save_camera

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from localiser import mcl
 from localiser.camera import Camera
 from localiser.errors import InputError
+from localiser.filter import mcl
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent

@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import geometry, mcl
+from localiser import geometry
 from localiser.edges import Edges
 from localiser.edges.bearings import BearingSensor, complete
 from localiser.errors import InputError
+from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.log import Log

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from localiser import mcl
+from localiser.filter import mcl
 
 _LAST_NS = 2**62
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from localiser import mcl
 from localiser.errors import InputError, OutputError
+from localiser.filter import mcl
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text, map_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages

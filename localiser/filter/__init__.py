@@ -1,0 +1,1 @@
+"""The particle filter: Monte Carlo localisation and what it believes."""

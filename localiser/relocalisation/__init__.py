@@ -1,0 +1,21 @@
+"""Where may the robot be? Poses proposed from one image's edges, as a density to draw particles from."""
+
+from localiser.relocalisation.evidence import warm_up
+from localiser.relocalisation.mixture import Proposals, Region
+from localiser.relocalisation.places import Places
+from localiser.relocalisation.propose import ProposalParameters, propose
+from localiser.relocalisation.resection import from_three_bearings, from_two_bearings
+from localiser.relocalisation.views import View, view_of
+
+__all__ = [
+    "Places",
+    "ProposalParameters",
+    "Proposals",
+    "Region",
+    "View",
+    "from_three_bearings",
+    "from_two_bearings",
+    "propose",
+    "view_of",
+    "warm_up",
+]

@@ -1,0 +1,1 @@
+"""Replay a log: events in, results out."""
