@@ -7,17 +7,16 @@ from dataclasses import replace
 
 from localiser.camera import Camera
 from localiser.config import Config
-from localiser.filter import mcl
+from localiser.filter import Level, Mcl
 from localiser.filter import optimal_proposal as guide
-from localiser.filter.attitude import Level
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.relocalisation.global_localisation import Search
-from localiser.storage.checkpoint import identity_of
+from localiser.relocalisation import Search
+from localiser.storage import identity_of
 from localiser.visual_odometry import Odometer
 
 
-def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> mcl.Mcl:
+def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> Mcl:
     """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
     observation.warm_up()
     guide.warm_up()
@@ -25,7 +24,7 @@ def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObserv
     if config.observation.association == "unknown":
         search = Search.of(observation, landmark_map, config.search)
         search.warm_up()
-    return mcl.Mcl(
+    return Mcl(
         landmark_map,
         observation,
         config.mcl,

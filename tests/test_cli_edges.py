@@ -17,7 +17,7 @@ from small_log import write_edge_log
 
 from localiser.calibration.check import MountCheck
 from localiser.camera import Camera
-from localiser.commands.edges import mount_warnings
+from localiser.commands.edges.mount import mount_warnings
 from localiser.config import Config
 from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.storage import load_camera, save_camera

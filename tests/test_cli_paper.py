@@ -13,9 +13,9 @@ from conftest import ROOT
 from short_log import Localiser
 
 from localiser import geometry
-from localiser.commands.paper import Reproduction, reproduce, steps
 from localiser.commands.paper.arithmetic import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
-from localiser.commands.paper.measured import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
+from localiser.commands.paper.measured import DRIVE_M, VIEWS, Measured, Place, Seen, steps, turn_rad
+from localiser.commands.paper.reproduce import Reproduction, reproduce
 from localiser.commands.paper.results import (
     METHODS,
     Method,
@@ -242,7 +242,9 @@ def test_the_command_prints_and_writes_every_table(
     assert "4/4" in result.err
 
     before = markdown
-    monkeypatch.setattr("localiser.commands.paper.reproduce", lambda *_: pytest.fail("measured before looking"))
+    monkeypatch.setattr(
+        "localiser.commands.paper.reproduce.reproduce", lambda *_: pytest.fail("measured before looking")
+    )
     again = localiser("paper", "--out", out)
     assert again.exit_code == 2
     assert f"{out}: expected a new or empty folder" in again.err
@@ -252,7 +254,7 @@ def test_the_command_prints_and_writes_every_table(
 def test_quiet_writes_without_a_word(
     localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("localiser.commands.paper.reproduce", lambda *_: reproduced)
+    monkeypatch.setattr("localiser.commands.paper.reproduce.reproduce", lambda *_: reproduced)
     result = localiser("paper", "--quiet", "--out", tmp_path / "out")
     assert (result.exit_code, result.out, result.err) == (0, "", "")
     assert (tmp_path / "out" / "paper.png").is_file()

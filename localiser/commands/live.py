@@ -15,7 +15,7 @@ import typer
 from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role
 
 if TYPE_CHECKING:
-    from localiser.live.prepare import LiveOptions
+    from localiser.live import LiveOptions
 
 live_app = typer.Typer(
     invoke_without_command=True,
@@ -103,7 +103,7 @@ def live(
         return
     from localiser.config import load_config
     from localiser.errors import InputError
-    from localiser.live.prepare import LiveOptions
+    from localiser.live import LiveOptions
     from localiser.live.sources import ENDPOINT
 
     if map_file is None:
@@ -147,8 +147,7 @@ def demo(
 
     from localiser.config import load_config
     from localiser.errors import InputError
-    from localiser.live.prepare import LiveOptions
-    from localiser.live.stand_in import drive, start_text
+    from localiser.live import LiveOptions, drive, start_text
     from localiser.storage import save_map
 
     driven = drive(log, 0)
@@ -195,8 +194,8 @@ def _free_endpoint() -> str:
 
 def _run(options: LiveOptions, seconds: float | None) -> None:
     """Run until the time is over, Ctrl-C or SIGTERM; then say what it came to."""
-    from localiser.live.prepare import opened
-    from localiser.replay.stop import asked_to_stop
+    from localiser.live import opened
+    from localiser.replay import asked_to_stop
 
     with asked_to_stop() as stop, opened(options, _say) as live:
         end = float("inf") if seconds is None else time.monotonic() + seconds

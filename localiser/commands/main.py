@@ -165,8 +165,7 @@ def replay(
     quiet: Quiet = False,
 ) -> None:
     """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
-    from localiser.replay.checkpoints import Checkpoints
-    from localiser.replay.run import Outputs, prepare
+    from localiser.replay import Checkpoints, Outputs, prepare
 
     settings = [*(overrides or [])]
     settings += [f"seed={seed}"] if seed is not None else []
@@ -216,7 +215,7 @@ def evaluate(
 ) -> None:
     """Compare runs with the truth in one table; of runs that differ by their seed alone, median and worst too."""
     from localiser.commands.judge import figures_of
-    from localiser.evaluate.table import errors_table
+    from localiser.evaluate import errors_table
 
     figures = {name: figures_of(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
     show(errors_table(figures))
@@ -265,7 +264,7 @@ def main() -> None:
 
 
 def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
-    from localiser.evaluate.table import errors_table
+    from localiser.evaluate import errors_table
 
     show(errors_table({folder.name: figures}))
     typer.echo(_how_sure(figures["confidence"]))

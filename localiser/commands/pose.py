@@ -22,7 +22,7 @@ def pose_set(
     topic: Annotated[str, typer.Option(metavar="NAME", help="Where live runs listen for poses.")] = "/initialpose",
 ) -> None:
     """Publish where the robot is, as a PoseWithCovarianceStamped; put a value that begins with a minus after `--`."""
-    from localiser.live.send_pose import send_pose
+    from localiser.live import send_pose
     from localiser.live.sources import ENDPOINT
 
     send_pose(pose, sigma, connect or [ENDPOINT], topic)

@@ -54,9 +54,9 @@ def simulate(
 
 
 def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:
+    from localiser.live import Passage, StandIn, drive
     from localiser.live.sources import Network
-    from localiser.live.stand_in import Passage, StandIn, drive
-    from localiser.replay.stop import asked_to_stop
+    from localiser.replay import asked_to_stop
 
     with asked_to_stop() as stop:
         log = drive(world, seed)

@@ -18,7 +18,7 @@ from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import rms_position
 from localiser.evaluate.consistency import share_inside
 from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
-from localiser.filter.confidence import CORRECT_M, CORRECT_RAD, SURE
+from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
 from localiser.geometry import Array, Trajectory
 
 DECIMALS = 6

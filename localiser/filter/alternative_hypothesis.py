@@ -18,11 +18,9 @@ import numpy as np
 
 from localiser.filter.confidence import beside
 from localiser.geometry import Array
-from localiser.observation.inlier_rate import InlierShare
-from localiser.particles import Particles
-from localiser.particles.clusters import find_clusters
-from localiser.relocalisation.global_localisation import Clues, Search, only, resampled
-from localiser.relocalisation.lost_probability import Doubt
+from localiser.observation import InlierShare
+from localiser.particles import Particles, find_clusters
+from localiser.relocalisation import Clues, Doubt, Search, only, resampled
 
 WON = float(np.log(1000.0))  # odds from which on the rival takes over
 MOST = 0.8  # of a rival's weight that one place must have

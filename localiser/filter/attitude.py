@@ -19,10 +19,9 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges import Edges
-from localiser.edges.mount import mount_error_of_edges
+from localiser.edges import Edges, mount_error_of_edges
 from localiser.geometry import Array
-from localiser.observation.endpoint_likelihood import at_border
+from localiser.observation import at_border
 
 MEMORY_M = 100.0  # way after which what was learnt of tilt and roll is forgotten
 MOUNT = ("tilt", "roll")

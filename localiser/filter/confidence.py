@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
-from localiser.particles import Particles
-from localiser.particles.clusters import Clusters, find_clusters
+from localiser.particles import Clusters, Particles, find_clusters
 
 CORRECT_M, CORRECT_RAD = 0.5, np.radians(10.0)
 SURE = 0.9  # from here on nothing needs a reason

@@ -25,15 +25,10 @@ from localiser.filter.optimal_proposal import Guide
 from localiser.filter.tempering import Weighing
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MotionParameters, predict, wheel_cov
-from localiser.motion.constant_errors import at_start, with_biases
-from localiser.observation import Observation, ObservationParameters, independent_share
-from localiser.observation.inlier_rate import InlierShare
-from localiser.particles import Estimate, Particles
-from localiser.particles.clusters import Clusters
-from localiser.particles.resampling import systematic_resample
-from localiser.relocalisation.global_localisation import SEEN_FIRST, Search, only, resampled
-from localiser.relocalisation.lost_probability import Doubt
+from localiser.motion import MotionParameters, at_start, predict, wheel_cov, with_biases
+from localiser.observation import InlierShare, Observation, ObservationParameters, independent_share
+from localiser.particles import Clusters, Estimate, Particles, systematic_resample
+from localiser.relocalisation import SEEN_FIRST, Doubt, Search, only, resampled
 from localiser.visual_odometry import Gaussian, Odometer
 
 # -- events: what a source yields, in the order of time ---------------------------------------------------------------

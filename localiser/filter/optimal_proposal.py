@@ -25,8 +25,7 @@ from localiser.camera import Camera
 from localiser.geometry import MANY, Array, Increment, cos_sin
 from localiser.motion import MotionParameters, Step, expected_step, stepped
 from localiser.observation import Targets
-from localiser.particles import MOST_STAGES, Particles
-from localiser.particles.resampling import systematic_resample
+from localiser.particles import MOST_STAGES, Particles, systematic_resample
 
 BLIND = 0.1  # share of steps drawn from odometry alone, and of particles resampled by what they weighed before
 

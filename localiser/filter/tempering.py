@@ -14,10 +14,8 @@ import numpy as np
 from localiser import particles
 from localiser.edges import Edges
 from localiser.landmarks import LandmarkMap
-from localiser.observation import Observation
-from localiser.observation.inlier_rate import InlierShare
-from localiser.particles import MOST_STAGES, POSE, Particles
-from localiser.particles.resampling import systematic_resample
+from localiser.observation import InlierShare, Observation
+from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,10 +9,21 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.live.sources import Arrival
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, POSE, TRANSFORMS, typestore
-from localiser.storage.bags.cameras import camera_of
-from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame
-from localiser.storage.bags.images import stated_size
+from localiser.storage.bags import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    ODOMETRY,
+    POSE,
+    TRANSFORMS,
+    FrameTree,
+    add_all,
+    camera_of,
+    mount_of,
+    plain_frame,
+    stated_size,
+    typestore,
+)
 
 TOPICS = {
     "image": "/camera/image_raw/compressed",

@@ -13,16 +13,15 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.config import Config
 from localiser.edges import find_edges
-from localiser.filter import mcl
-from localiser.filter.frames import LocatedFrame
+from localiser.filter import FilterState, Located, LocatedFrame, Mcl, Odometry, Sighting, Start, step
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.live.timeline import Frame
 from localiser.localiser import filter_of
 from localiser.observation import EdgeObservation
-from localiser.replay.sinks import Sink
-from localiser.storage.bags.images import grey_image, image_file
-from localiser.storage.images import check_whole, decoded
+from localiser.replay import Sink
+from localiser.storage import check_whole, decoded
+from localiser.storage.bags import grey_image, image_file
 from localiser.visual_odometry import Odometer
 
 _SOURCE = Path("image")  # what errors name it
@@ -38,9 +37,9 @@ class Filter:
     sinks: list[Sink]
     rng: np.random.Generator
     observation: EdgeObservation
-    state: mcl.FilterState = field(default_factory=mcl.FilterState)
-    _by_wheels: mcl.Mcl = field(init=False)
-    _by_edges: mcl.Mcl = field(init=False)
+    state: FilterState = field(default_factory=FilterState)
+    _by_wheels: Mcl = field(init=False)
+    _by_edges: Mcl = field(init=False)
 
     def __post_init__(self) -> None:
         self._by_wheels = filter_of(self.camera, self.landmark_map, self.observation, self.config)
@@ -56,9 +55,9 @@ class Filter:
         """Make what finding edges needs once for a camera."""
         find_edges(np.zeros((self.camera.height, self.camera.width), dtype=np.uint8), self.camera, self.config.edges)
 
-    def start(self, start: mcl.Start) -> None:
+    def start(self, start: Start) -> None:
         """Take where the robot is said to be."""
-        list(mcl.step(self._by_wheels, self.state, start, self.rng))
+        list(step(self._by_wheels, self.state, start, self.rng))
 
     def find_edges(self, frame: Frame) -> None:
         """Decode an image and find its edges. Raises InputError or ValueError when it is damaged."""
@@ -75,18 +74,18 @@ class Filter:
         if not frame.file:
             frame.pixels = image
 
-    def weigh(self, frame: Frame, wheels: Iterable[mcl.Odometry]) -> mcl.Located:
+    def weigh(self, frame: Frame, wheels: Iterable[Odometry]) -> Located:
         """Weigh an image whose edges are known, after the poses of the wheels until then."""
         assert frame.edges is not None
         begin = perf_counter()
         for pose in wheels:
-            list(mcl.step(self._by_wheels, self.state, pose, self.rng))
+            list(step(self._by_wheels, self.state, pose, self.rng))
         filter_ = self._by_wheels if frame.by_wheels else self._by_edges
-        (located,) = mcl.step(filter_, self.state, mcl.Sighting(frame.t_ns, frame.edges), self.rng)
+        (located,) = step(filter_, self.state, Sighting(frame.t_ns, frame.edges), self.rng)
         frame.stage_ms["filter"] = 1e3 * (perf_counter() - begin)
         return located
 
-    def show(self, frame: Frame, located: mcl.Located, truth: Array | None) -> None:
+    def show(self, frame: Frame, located: Located, truth: Array | None) -> None:
         """Hand a result to who looks on."""
         if self.sinks:
             matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.landmark_map)

@@ -11,10 +11,10 @@ from threading import Condition, Thread
 import numpy as np
 
 from localiser import geometry
-from localiser.filter.mcl import Located
+from localiser.filter import Located
 from localiser.geometry import Array
 from localiser.live.sources import Network
-from localiser.storage.bags.messages import Messages
+from localiser.storage.bags import Messages
 
 POSE_TOPIC, TRANSFORM_TOPIC = "/localiser/pose", "/tf"
 MOST_LINES = 1000

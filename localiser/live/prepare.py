@@ -16,7 +16,7 @@ from localiser.camera import Camera
 from localiser.config import Config
 from localiser.documents import nearest, read_text
 from localiser.errors import InputError
-from localiser.filter import mcl
+from localiser.filter import Start
 from localiser.live.inbound import TOPICS, CameraFinder, type_of
 from localiser.live.located import Filter
 from localiser.live.monitor import Monitor
@@ -27,14 +27,9 @@ from localiser.live.sources import ENDPOINT, Arrival, CameraSource, Inbox, Netwo
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.warm_up import warm_up
 from localiser.observation import EdgeObservation
-from localiser.replay.sinks import Sink, close_all
-from localiser.replay.start import START_SIGMA, given_pose
-from localiser.storage import load_camera, load_map
-from localiser.storage.bags.bag import TEXT
-from localiser.storage.bags.label import live_label_text
-from localiser.storage.bags.messages import Messages
-from localiser.storage.bags.topics import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC
-from localiser.storage.images import encode_image
+from localiser.replay import START_SIGMA, Sink, close_all, given_pose
+from localiser.storage import encode_image, load_camera, load_map
+from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, TEXT, Messages, live_label_text
 
 JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
 
@@ -83,7 +78,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
     landmark_map = load_map(options.map_file)
     given = load_camera(options.camera) if options.camera else None
     topics = _topics(options.topics)
-    start = mcl.Start(0, given_pose(options.start), np.diag(START_SIGMA**2)) if options.start else None
+    start = Start(0, given_pose(options.start), np.diag(START_SIGMA**2)) if options.start else None
     viewers: list[view.LiveView] = []
     sinks: list[Sink] = []
 

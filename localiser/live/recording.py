@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Condition, Thread
 
 from localiser.errors import OutputError
-from localiser.storage.bags.record import BagRecorder
+from localiser.storage.bags import BagRecorder
 
 COMMIT_S = 0.5
 MOST_BYTES = 256 * 2**20

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.filter import mcl
+from localiser.filter import Located, Start
 from localiser.geometry import Array, Trajectory
 from localiser.live.clock import LATE_NS, RobotClock
 from localiser.live.inbound import CameraFinder, message_of, type_of
@@ -24,11 +24,19 @@ from localiser.live.recording import Recording
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Frame, Timeline
-from localiser.storage.bags.bag import POSE, TEXT, stamp_of
-from localiser.storage.bags.decisions import anywhere_decision, clock_decision, start_decision
-from localiser.storage.bags.messages import Messages
-from localiser.storage.bags.poses import floor_cov, floor_pose
-from localiser.storage.bags.topics import DECISIONS_TOPIC, STATE_TOPIC
+from localiser.storage.bags import (
+    DECISIONS_TOPIC,
+    POSE,
+    STATE_TOPIC,
+    TEXT,
+    Messages,
+    anywhere_decision,
+    clock_decision,
+    floor_cov,
+    floor_pose,
+    stamp_of,
+    start_decision,
+)
 
 _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
@@ -48,7 +56,7 @@ class LiveRun:
     monitor: Monitor
     publish: Sequence[Publish]
     recording: Recording | None = None
-    start: mcl.Start | None = None
+    start: Start | None = None
     resumed: Resumed | None = None
     checkpoints: Checkpoints | None = None
     now_ns: Callable[[], int] = time.monotonic_ns
@@ -146,12 +154,12 @@ class LiveRun:
         self._stated = arrival.content
         self._record(arrival)
         if self.filter is None:
-            self.start = mcl.Start(0, mean, cov)
+            self.start = Start(0, mean, cov)
         else:
             newest_ns = max(self.timeline.newest_ns, self.timeline.weighed_ns)
             t_ns = stamp_of(message) + self.clock.offset_ns
             # Whoever states a pose may have another clock; then it is meant for now.
-            self._restart(mcl.Start(t_ns if newest_ns - LATE_NS <= t_ns <= newest_ns else newest_ns, mean, cov))
+            self._restart(Start(t_ns if newest_ns - LATE_NS <= t_ns <= newest_ns else newest_ns, mean, cov))
 
     def _time(self, arrival: Arrival, message: Any) -> int | None:
         """Return the time of a message by its stamp, None when that cannot be true."""
@@ -204,9 +212,9 @@ class LiveRun:
                 self._decide(anywhere_decision())
                 self.monitor.inform("no start is known: the robot is looked for on the whole map")
 
-    def _restart(self, start: mcl.Start) -> None:
+    def _restart(self, start: Start) -> None:
         assert self.filter is not None
-        begun = mcl.Start(self.timeline.restart(start.t_ns), start.mean, start.cov)
+        begun = Start(self.timeline.restart(start.t_ns), start.mean, start.cov)
         self.filter.start(begun)
         self._decide(start_decision(begun))
         x, z, heading = begun.mean
@@ -252,7 +260,7 @@ class LiveRun:
         if self.checkpoints is not None:
             self.checkpoints.save_if_due(self.filter, self.clock.offset_ns)
 
-    def _hand_out(self, frame: Frame, located: mcl.Located) -> None:
+    def _hand_out(self, frame: Frame, located: Located) -> None:
         offset_ns = self.clock.offset_ns
         now_ns, odometry_now = self._newest_odometry or (frame.t_ns, located.odometry)
         if now_ns < frame.t_ns:

@@ -9,8 +9,8 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.live.sources import Network
-from localiser.replay.start import given_pose
-from localiser.storage.bags.messages import Messages
+from localiser.replay import given_pose
+from localiser.storage.bags import Messages
 
 _PATIENCE_S = 3.0  # until a session that has just begun knows who listens
 _REPEATS, _PAUSE_S = 5, 0.3  # of the same message, which a live run takes once

@@ -18,7 +18,7 @@ from localiser.geometry import Trajectory
 from localiser.live.sources import Network
 from localiser.replay import simulated as simulate
 from localiser.storage import ImageEvent, Log, open_log
-from localiser.storage.bags.messages import MAP, ODOM, Messages
+from localiser.storage.bags import MAP, ODOM, Messages
 
 IMAGE, INFO = "/camera/image_raw/compressed", "/camera/camera_info"
 ODOMETRY, TRUTH, FIXED = "/odom", "/ground_truth/odom", "/tf_static"

@@ -14,11 +14,11 @@ import numpy as np
 
 from localiser import particles
 from localiser.errors import OutputError
-from localiser.filter import mcl
+from localiser.filter import FilterState, Start
 from localiser.live.located import Filter
 from localiser.live.timeline import Timeline, is_driven
 from localiser.localiser import identity
-from localiser.storage.checkpoint import checkpoint_bytes, load_checkpoint, save_checkpoint
+from localiser.storage import checkpoint_bytes, load_checkpoint, save_checkpoint
 
 EVERY_S = 3.0
 
@@ -50,14 +50,14 @@ class Checkpoints:
         if filter_ is not None and filter_.state.particles is not None:
             self._save(*self._moment(filter_, offset_ns))
 
-    def _moment(self, filter_: Filter, offset_ns: int) -> tuple[mcl.FilterState, np.random.Generator, dict[str, str]]:
+    def _moment(self, filter_: Filter, offset_ns: int) -> tuple[FilterState, np.random.Generator, dict[str, str]]:
         """Return the state by the robot's clock, and what goes with it; arrays are never changed in place."""
         state = filter_.state
         wheels = deque(replace(pose, t_ns=pose.t_ns - offset_ns) for pose in state.odometry)
         moment = replace(state, at_ns=state.at_ns - offset_ns, odometry=wheels, waiting=deque())
         return moment, copy.deepcopy(filter_.rng), _identity(filter_)
 
-    def _save(self, state: mcl.FilterState, rng: np.random.Generator, belongs_to: dict[str, str]) -> None:
+    def _save(self, state: FilterState, rng: np.random.Generator, belongs_to: dict[str, str]) -> None:
         try:
             save_checkpoint(self.path, state, rng, belongs_to)
         except OutputError as error:
@@ -72,7 +72,7 @@ class Resumed:
     text: str = field(default="", init=False)
     content: bytes = field(default=b"", init=False)
 
-    def begin(self, filter_: Filter, timeline: Timeline, t_ns: int) -> mcl.Start:
+    def begin(self, filter_: Filter, timeline: Timeline, t_ns: int) -> Start:
         """Put the saved state into a filter whose first image is at `t_ns`; return about where that is.
 
         Wheels that have gone on counting tell what happened in between; those that begin anew do not, and the robot
@@ -91,4 +91,4 @@ class Resumed:
         self.content = checkpoint_bytes(state, saved.rng, saved.identity)
         assert state.particles is not None
         found = particles.estimate(state.particles)
-        return mcl.Start(state.at_ns, found.pose, found.pose_cov)
+        return Start(state.at_ns, found.pose, found.pose_cov)

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from localiser.edges import Edges
-from localiser.filter import mcl
-from localiser.filter.frames import Image
+from localiser.filter import Image, Odometry
 from localiser.geometry import Array
-from localiser.storage.bags.decisions import image_decision, odometry_decision
+from localiser.storage.bags import image_decision, odometry_decision
 
 MOST_WAITING = 8
 MOST_ODOMETRY = 20_000
@@ -49,7 +48,7 @@ class Frame:
     by_wheels: bool = True
 
 
-def is_driven(sooner: mcl.Odometry, later: mcl.Odometry) -> bool:
+def is_driven(sooner: Odometry, later: Odometry) -> bool:
     """Whether a robot can have driven from one pose of its wheels to the next; else they have begun to count anew."""
     seconds = (later.t_ns - sooner.t_ns) / 1e9
     return seconds > 0 and float(np.hypot(*(later.pose - sooner.pose)[:2])) <= MOST_SPEED_M_S * seconds
@@ -71,7 +70,7 @@ class Timeline:
     heard_ns: int = -1
     late_odometry: int = 0
     skipped: dict[str, int] = field(default_factory=dict)
-    _released: deque[mcl.Odometry] = field(default_factory=lambda: deque(maxlen=2))  # on both sides of the last image
+    _released: deque[Odometry] = field(default_factory=lambda: deque(maxlen=2))  # on both sides of the last image
     _odometry: list[tuple[int, int, Array]] = field(default_factory=list)
     _frames: list[Frame] = field(default_factory=list)
 
@@ -123,13 +122,13 @@ class Timeline:
         """The newest image that still waits for the wheels."""
         return self._frames[-1] if self._frames else None
 
-    def release(self, frame: Frame) -> Iterator[mcl.Odometry]:
+    def release(self, frame: Frame) -> Iterator[Odometry]:
         """Yield the poses of the wheels up to the first at or after an image that is weighed now; they are settled."""
         self.weighed_ns = frame.t_ns
         self.decided(image_decision(frame.number, frame.t_ns, by_wheels=frame.by_wheels))
         while self._odometry and self.settled_ns < frame.t_ns:
             self.settled_ns, _, pose = self._odometry.pop(0)
-            self._released.append(mcl.Odometry(self.settled_ns, pose))
+            self._released.append(Odometry(self.settled_ns, pose))
             yield self._released[-1]
         self.settled_ns = max(self.settled_ns, frame.t_ns)
 
@@ -149,7 +148,7 @@ class Timeline:
             return False
         if t_ns - self.weighed_ns > 2 * PATIENCE_NS:
             return True  # edges tell less over so long a time than wheels that missed some of it
-        poses = [*self._released, *(mcl.Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
+        poses = [*self._released, *(Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
         return all(
             is_driven(sooner, later) and later.t_ns - sooner.t_ns <= PATIENCE_NS
             for sooner, later in pairwise(poses)
@@ -165,11 +164,11 @@ class Timeline:
         return start_ns
 
     @property
-    def first_odometry(self) -> mcl.Odometry | None:
+    def first_odometry(self) -> Odometry | None:
         """The first pose of the wheels that is not settled."""
-        return mcl.Odometry(self._odometry[0][0], self._odometry[0][2]) if self._odometry else None
+        return Odometry(self._odometry[0][0], self._odometry[0][2]) if self._odometry else None
 
-    def resume(self, settled: mcl.Odometry) -> None:
+    def resume(self, settled: Odometry) -> None:
         """Go on after the last pose that was settled in a run before, which is earlier than all that is here."""
         self._released.append(settled)
         self.settled_ns = self.weighed_ns = settled.t_ns

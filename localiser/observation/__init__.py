@@ -11,6 +11,7 @@ from localiser.observation.edge_observation import (
     Targets,
     independent_share,
 )
+from localiser.observation.endpoint_likelihood import at_border
 from localiser.observation.inlier_rate import INLIER_SHARES, MEMORY_FRAMES, PRIOR_FRAMES, InlierShare
 from localiser.observation.known_association import IdentifiedObservation, observation_of
 
@@ -28,6 +29,7 @@ __all__ = [
     "Observation",
     "ObservationParameters",
     "Targets",
+    "at_border",
     "independent_share",
     "observation_of",
 ]

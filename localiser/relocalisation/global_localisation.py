@@ -24,13 +24,14 @@ from pydantic import Field
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation
-from localiser.observation.inlier_rate import InlierShare
-from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum, resampling
-from localiser.particles.clusters import poses_per_cell
-from localiser.relocalisation import Places, Region, View, evidence, propose, view_of
+from localiser.observation import EdgeObservation, InlierShare
+from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum, poses_per_cell, resampling
+from localiser.relocalisation import evidence
 from localiser.relocalisation.lost_probability import Doubt
-from localiser.relocalisation.propose import FEWEST
+from localiser.relocalisation.mixture import Region
+from localiser.relocalisation.places import Places
+from localiser.relocalisation.proposals import FEWEST, propose
+from localiser.relocalisation.views import View, view_of
 
 CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
 FRESH_SHARE = 0.1  # of an image that must be new for another look around

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
+from localiser.observation import INLIER_SHARES, InlierShare
 from localiser.particles import log_sum, normalised
 
 SOME = 0.3  # of the edges: from here on they are not the landmarks of chance

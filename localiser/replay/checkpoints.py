@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from localiser.filter.frames import LocatedFrame
-from localiser.filter.mcl import FilterState
+from localiser.filter import FilterState, LocatedFrame
 from localiser.localiser import identity
 from localiser.replay.run_inputs import RunInputs
-from localiser.storage.checkpoint import checkpoint_of, load_checkpoint, save_checkpoint
+from localiser.storage import checkpoint_of, load_checkpoint, save_checkpoint
 
 STAGES = ("load", "edges", "filter", "sinks")
 

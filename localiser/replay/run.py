@@ -15,20 +15,18 @@ from localiser import view
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import find_edges, warm_up
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
-from localiser.filter import mcl
-from localiser.filter.frames import Image, LocatedFrame
+from localiser.filter import Event as FilterEvent
+from localiser.filter import Image, Located, LocatedFrame, Mcl, Sighting, finish, step
 from localiser.geometry import compose
 from localiser.localiser import filter_of
-from localiser.observation import EdgeObservation
-from localiser.observation.known_association import observation_of
+from localiser.observation import EdgeObservation, observation_of
 from localiser.replay.checkpoints import STAGES, Checkpoints, Running, begun, resumed
 from localiser.replay.run_figures import write_figures
 from localiser.replay.run_inputs import RunInputs, map_of
 from localiser.replay.sinks import History, Sink, close_all
 from localiser.replay.start import start_of
 from localiser.replay.stop import stop_request
-from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter, camera_error
-from localiser.storage.outputs import require_new_file
+from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter, camera_error, require_new_file
 from localiser.view import LiveView
 from localiser.visual_odometry import Odometer
 
@@ -62,7 +60,7 @@ class Replay:
 
     inputs: RunInputs
     observation: EdgeObservation
-    filter: mcl.Mcl
+    filter: Mcl
     running: Running
     folder: RunFolder
     history: History
@@ -109,13 +107,13 @@ class Replay:
         events = self.inputs.log.events(self.inputs.start, anywhere=self.inputs.start is None)
         pending = self._still_waiting(islice(events, done.events))
 
-        def steps() -> Iterator[Iterator[mcl.Located]]:
+        def steps() -> Iterator[Iterator[Located]]:
             for event in events:
                 measured = self._measure(event, pending)
                 done.events += 1
                 sees_wheels = not isinstance(event, ImageEvent) or event.by_wheels
-                yield mcl.step(filter_ if sees_wheels else blind, state, measured, rng)
-            yield mcl.finish(filter_, state, rng)
+                yield step(filter_ if sees_wheels else blind, state, measured, rng)
+            yield finish(filter_, state, rng)
 
         for located_frames in steps():
             for located, milliseconds in timed(located_frames):
@@ -130,15 +128,15 @@ class Replay:
     def _still_waiting(self, taken: Iterator[Event]) -> dict[int, Pending]:
         """Pass over events that were taken before; return the images among them that still wait for odometry."""
         waiting = {sighting.t_ns for sighting in self.running.state.waiting}
-        images = (event for event in taken if isinstance(event, (ImageEvent, mcl.Sighting)) and event.t_ns in waiting)
+        images = (event for event in taken if isinstance(event, (ImageEvent, Sighting)) and event.t_ns in waiting)
         return {
             event.t_ns: Pending(event.encoded() if isinstance(event, ImageEvent) else None, {"load": 0.0, "edges": 0.0})
             for event in images
         }
 
-    def _measure(self, event: Event, pending: dict[int, Pending]) -> mcl.Event:
+    def _measure(self, event: Event, pending: dict[int, Pending]) -> FilterEvent:
         """Return the event with its image turned into edges."""
-        if isinstance(event, mcl.Sighting):
+        if isinstance(event, Sighting):
             pending[event.t_ns] = Pending(None, {"load": 0.0, "edges": 0.0})
         if not isinstance(event, ImageEvent):
             return event
@@ -148,16 +146,16 @@ class Replay:
         edges = find_edges(image, self.inputs.log.camera, self.inputs.config.edges)
         found = perf_counter()
         pending[event.t_ns] = Pending(encoded, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
-        return mcl.Sighting(event.t_ns, edges)
+        return Sighting(event.t_ns, edges)
 
-    def _by_what_was_followed(self, located: mcl.Located) -> mcl.Located:
+    def _by_what_was_followed(self, located: Located) -> Located:
         """Return the result; where increments are not of wheels alone, all of them together are its odometry."""
         if self.inputs.config.increments.source == "wheel":
             return located
         before = self.history.frames[-1].located.odometry if self.history.frames else np.zeros(3)
         return replace(located, odometry=compose(before, located.increment.mean))
 
-    def _hand_over(self, located: mcl.Located, pending: Pending) -> None:
+    def _hand_over(self, located: Located, pending: Pending) -> None:
         located = self._by_what_was_followed(located)
         truth = self.inputs.log.groundtruth
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
@@ -259,7 +257,7 @@ def _require_fitting(log: Log, config: Config) -> None:
         )
 
 
-def timed(items: Iterator[mcl.Located]) -> Iterator[tuple[mcl.Located, float]]:
+def timed(items: Iterator[Located]) -> Iterator[tuple[Located, float]]:
     """Yield each item with the milliseconds that it took to come."""
     while True:
         begin = perf_counter()

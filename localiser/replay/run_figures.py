@@ -29,7 +29,7 @@ def write_figures(
 
     timing: by stage, what each frame took (ms). complete: whether the run got to the end of its log.
     """
-    from localiser.evaluate.report import save_report
+    from localiser.evaluate import save_report
 
     log, config, track = inputs.log, inputs.config, history.track
     edges = [frame.located.edges for frame in history.frames]

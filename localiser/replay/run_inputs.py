@@ -11,11 +11,9 @@ import numpy as np
 from localiser.config import Config
 from localiser.documents import dump
 from localiser.errors import InputError
-from localiser.filter import mcl
+from localiser.filter import Sighting, Start
 from localiser.landmarks import LandmarkMap
-from localiser.storage import Log, load_map
-from localiser.storage.checkpoint import identity_of
-from localiser.storage.packing import fingerprint
+from localiser.storage import Log, fingerprint, identity_of, load_map
 
 _SHORT = 6
 """As many digits of a fingerprint tell two maps, or two sets of settings, apart."""
@@ -32,13 +30,13 @@ class RunInputs:
     landmark_map: LandmarkMap
     map_file: Path | None
     config: Config
-    start: mcl.Start | None
+    start: Start | None
 
     @property
     def identity(self) -> dict[str, str]:
         """What must be the same for a run to go on from its checkpoint; images may not have been read yet."""
         log = self.log
-        frames = [frame if isinstance(frame, mcl.Sighting) else frame.t_ns for frame in log.frames]
+        frames = [frame if isinstance(frame, Sighting) else frame.t_ns for frame in log.frames]
         return identity_of(
             self.config.model_dump(exclude={"versions"}),
             log=(log.name, log.odometry, log.groundtruth, frames),
@@ -88,7 +86,7 @@ class RunInputs:
         return dump(data)
 
 
-def _described_start(start: mcl.Start) -> dict[str, Any]:
+def _described_start(start: Start) -> dict[str, Any]:
     sigma = np.sqrt(np.diag(start.cov))
     return {
         "t_ns": int(start.t_ns),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from localiser import documents, simulate, storage
 from localiser.errors import InputError
-from localiser.filter.mcl import Start
+from localiser.filter import Start
 from localiser.simulate import SimulatedLog
 
 

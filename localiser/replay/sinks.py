@@ -10,7 +10,7 @@ import numpy as np
 
 from localiser import particles
 from localiser.evaluate import Track
-from localiser.filter.frames import LocatedFrame
+from localiser.filter import LocatedFrame
 
 
 class Sink(Protocol):

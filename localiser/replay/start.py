@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.filter.mcl import Start
+from localiser.filter import Start
 from localiser.geometry import wrap_angle
 from localiser.storage import Log
 

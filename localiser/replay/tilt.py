@@ -14,9 +14,7 @@ from localiser.config import Config
 from localiser.edges import Edges
 from localiser.errors import InputError
 from localiser.geometry import Array
-from localiser.storage import ImageEvent, Log, camera_file, update_mount
-from localiser.storage.files import output_errors
-from localiser.storage.outputs import require_new_file
+from localiser.storage import ImageEvent, Log, camera_file, output_errors, require_new_file, update_mount
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.errors import OutputError
-from localiser.filter.frames import Image, LocatedFrame
-from localiser.filter.mcl import Located
+from localiser.filter import Image, Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.view import image as image_view
 from localiser.view import palette, paths, world

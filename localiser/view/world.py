@@ -8,8 +8,7 @@ import rerun as rr
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array
-from localiser.particles import Estimate, Particles
-from localiser.particles.clusters import Clusters
+from localiser.particles import Clusters, Estimate, Particles
 from localiser.view import palette
 
 MOST_PARTICLES = 2000

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges import Edges
-from localiser.edges.measure import FOOT_SIGMA_PX
+from localiser.edges import FOOT_SIGMA_PX, Edges
 from localiser.geometry import Array
 
 FOOT_HEIGHT_SIGMA_M = 0.03

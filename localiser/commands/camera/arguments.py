@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from localiser.calibration import Board
     from localiser.commands.camera.calibrate import Calibration
-    from localiser.replay.tilt import Tilt
+    from localiser.replay import Tilt
 
 _WELL_REACHED = 0.7
 
@@ -70,9 +70,8 @@ def tilt(
 ) -> None:
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
     from localiser.config import load_config
-    from localiser.replay.tilt import find_tilt, usable_images, write_plot, write_tilt
-    from localiser.storage import open_log
-    from localiser.storage.outputs import require_new_file
+    from localiser.replay import find_tilt, usable_images, write_plot, write_tilt
+    from localiser.storage import open_log, require_new_file
 
     if plot is not None:
         require_new_file(plot)
@@ -139,7 +138,7 @@ def calibrate(
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
     from localiser.commands.camera import calibrate as calibration
-    from localiser.storage.outputs import require_new_file
+    from localiser.storage import require_new_file
 
     if out is not None:
         require_new_file(out)

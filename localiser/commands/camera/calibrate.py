@@ -9,15 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from localiser.calibration import Board, BoardView, FloorMount, Intrinsics, calibrated, mount_over_board
-from localiser.calibration.intrinsics import FEWEST_VIEWS
+from localiser.calibration import FEWEST_VIEWS, Board, BoardView, FloorMount, Intrinsics, calibrated, mount_over_board
 from localiser.camera import Camera, Mount
 from localiser.documents import read_bytes
 from localiser.errors import InputError
-from localiser.storage import save_camera
-from localiser.storage.files import output_errors
-from localiser.storage.images import MAX_IMAGE_BYTES, load_image, measure
-from localiser.storage.outputs import require_new_file
+from localiser.storage import MAX_IMAGE_BYTES, load_image, measure, output_errors, require_new_file, save_camera
 
 _DPI = 600
 _MOST_LOOKED_AT = 3

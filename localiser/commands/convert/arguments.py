@@ -53,8 +53,7 @@ def convert(
     Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --odometry and --camera.
     """
     from localiser.commands.convert import steps as conversion
-    from localiser.storage import open_log
-    from localiser.storage.video import read_video
+    from localiser.storage import open_log, read_video
 
     if odometry is not None:
         if camera is None or topics:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from localiser import storage
 from localiser.errors import InputError
-from localiser.filter import mcl
+from localiser.filter import Sighting
 from localiser.storage import ImageEvent, Log
 from localiser.storage.bags import FILE_KINDS
 
@@ -53,7 +53,7 @@ def _to_folder(log: Log, out: Path, progress: Callable[[], None]) -> None:
         camera=log.camera,
         odometry=log.odometry,
         images=images() if log.has_images else None,
-        sightings=None if log.has_images else [frame for frame in log.frames if isinstance(frame, mcl.Sighting)],
+        sightings=None if log.has_images else [frame for frame in log.frames if isinstance(frame, Sighting)],
         landmark_map=log.landmark_map,
         groundtruth=log.groundtruth,
         start=log.start,

@@ -50,9 +50,8 @@ def doctor(
     """
     from localiser.commands.doctor import checks as examination
     from localiser.config import load_config
-    from localiser.live.inbound import TOPICS
-    from localiser.storage import load_camera, load_map
-    from localiser.storage.outputs import require_new_file
+    from localiser.live import TOPICS
+    from localiser.storage import load_camera, load_map, require_new_file
 
     if picture is not None:
         require_new_file(picture)

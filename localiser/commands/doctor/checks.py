@@ -25,13 +25,10 @@ from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live.inbound import CameraFinder, message_of, type_of
+from localiser.live import CameraFinder, message_of, type_of
 from localiser.live.sources import Arrival, CameraSource, Network, topic_of
-from localiser.storage.bags.bag import stamp_of
-from localiser.storage.bags.images import grey_image, image_file
-from localiser.storage.bags.poses import floor_pose
-from localiser.storage.files import write_bytes
-from localiser.storage.images import Image, check_whole, decoded, encode_image
+from localiser.storage import Image, check_whole, decoded, encode_image, write_bytes
+from localiser.storage.bags import floor_pose, grey_image, image_file, stamp_of
 
 State = Literal["ok", "warning", "missing"]
 LIBRARIES = ("numpy", "opencv-python-headless", "numba", "rosbags", "rerun-sdk", "eclipse-zenoh")

@@ -40,7 +40,9 @@ def edges(
     quiet: Quiet = False,
 ) -> None:
     """Find the vertical edges in images; write them as CSV and JSON, and a picture of each image."""
-    from localiser.commands.edges import EdgeRun, Outputs, inputs_of, mount_warnings
+    from localiser.commands.edges.inputs import inputs_of
+    from localiser.commands.edges.mount import mount_warnings
+    from localiser.commands.edges.run import EdgeRun, Outputs
     from localiser.commands.edges.tables import tables_of
     from localiser.config import load_config
 

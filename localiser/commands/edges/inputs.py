@@ -10,10 +10,7 @@ from pathlib import Path
 from localiser import storage
 from localiser.camera import Camera
 from localiser.errors import InputError
-from localiser.storage import Image, ImageEvent
-from localiser.storage.folder import FolderReader
-from localiser.storage.images import load_image
-from localiser.storage.runs import safe_name
+from localiser.storage import FolderReader, Image, ImageEvent, load_image, safe_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,7 @@ from localiser.commands.edges.guides import bearings_shown, horizon, meridian
 from localiser.commands.edges.records import FLOOR, foot_flag
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.storage import Image
-from localiser.storage.files import write_bytes
+from localiser.storage import Image, write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges import EdgeParameters, Edges
-from localiser.edges.mount import mount_error_of_edges
-from localiser.edges.profile import PROFILE_OFFSETS_PX
+from localiser.edges import PROFILE_OFFSETS_PX, EdgeParameters, Edges, mount_error_of_edges
 
 Row = dict[str, Any]
 

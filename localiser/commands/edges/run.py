@@ -17,10 +17,8 @@ from localiser.commands.edges.records import COLUMNS, PROFILE, csv_text, mount_b
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.errors import LocaliserError, RunEndedEarlyError
-from localiser.replay.stop import stop_request
-from localiser.storage import Image, RunFolder, json_text, save_camera
-from localiser.storage.files import output_errors, write_text
-from localiser.storage.outputs import require_new
+from localiser.replay import stop_request
+from localiser.storage import Image, RunFolder, json_text, output_errors, require_new, save_camera, write_text
 
 FORMAT = "localiser-edges/1"
 KEPT_IMAGES = 200

@@ -24,7 +24,7 @@ from localiser.commands.options import (
 
 if TYPE_CHECKING:
     from localiser.commands.map.build import MapBuilt
-    from localiser.view.mapping import MapView
+    from localiser.view import MapView
 
 map_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode="markdown", help="Build landmark maps, check and mend them."
@@ -139,7 +139,7 @@ def show_map(
             require_writable(file, overwrite=force)
     map_show.save_picture(landmark_map, picture)
     if rrd is not None:
-        from localiser.view.landmark_view import record_map
+        from localiser.view import record_map
 
         record_map(rrd, landmark_map)
     if not quiet:
@@ -185,7 +185,7 @@ def draw(
 
     from localiser.commands.map import draw as map_draw
     from localiser.commands.map.build import require_writable
-    from localiser.storage.plans import plan_picture, save_plan
+    from localiser.storage import plan_picture, save_plan
 
     for file in (out, plan_picture(out)):
         require_writable(file, overwrite=force)

@@ -21,8 +21,7 @@ from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import ENOUGH, LogFit
-from localiser.storage import Log
-from localiser.storage.files import write_bytes
+from localiser.storage import Log, write_bytes
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -60,7 +60,7 @@ def check(
     found, look = map_check.coverage(landmark_map, camera), map_alike.lookalikes(landmark_map, camera, path)
     map_check.save_picture(landmark_map, found, look, picture)
     if rrd is not None:
-        from localiser.view.lookalikes import record_lookalikes
+        from localiser.view import record_lookalikes
 
         record_lookalikes(rrd, camera, landmark_map, look.places, look.share, look.examples(), look.spots_at)
     typer.echo(map_check.coverage_text(found))

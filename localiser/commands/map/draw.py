@@ -12,9 +12,7 @@ from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
-from localiser.simulate import World
-from localiser.simulate.solids import Solids, solids_of
-from localiser.simulate.structure import vertical_edges
+from localiser.simulate import Solids, World, solids_of, vertical_edges
 
 CUT_M = 1.2
 """Height above the floor at which a plan shows a building."""

@@ -18,9 +18,8 @@ from localiser import geometry as geometry_module
 from localiser.camera import Camera
 from localiser.edges import CommonError, EdgeParameters, Edges, find_edges
 from localiser.errors import OutputError
-from localiser.filter.mcl import Sighting
-from localiser.storage import ImageEvent, Log
-from localiser.storage.files import write_bytes
+from localiser.filter import Sighting
+from localiser.storage import ImageEvent, Log, write_bytes
 
 _COLUMNS = tuple(field.name for field in fields(Edges) if field.name not in ("common", "rejected_px"))
 _KEPT_MAPS = 50  # files that the cache holds; the oldest go

@@ -74,8 +74,7 @@ def export(
     """Print a MAP as CSV, one landmark a row."""
     from localiser.commands.map.build import require_writable
     from localiser.commands.map.edit import table
-    from localiser.storage import load_map
-    from localiser.storage.files import write_text
+    from localiser.storage import load_map, write_text
 
     if csv is None:
         typer.echo(table(load_map(map_file)), nl=False)

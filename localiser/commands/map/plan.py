@@ -9,8 +9,7 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import FloorPlan, plan_landmarks
-from localiser.storage import load_map
-from localiser.storage.plans import is_plan, load_plan
+from localiser.storage import is_plan, load_map, load_plan
 
 
 def map_or_plan(path: Path) -> LandmarkMap:

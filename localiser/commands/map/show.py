@@ -10,7 +10,7 @@ import numpy as np
 
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.storage.files import write_bytes
+from localiser.storage import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from localiser.commands.map.build import MapBuilt
 from localiser.config import Config
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
-from localiser.storage.files import write_bytes
+from localiser.storage import write_bytes
 
 _GONE = 0.1
 """Probability of existence below which a landmark leaves the map: one miss or two only make it less certain."""

@@ -14,7 +14,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.mapping import LiveMap, MappingParameters
 from localiser.storage import ImageEvent, Log
-from localiser.view.mapping import Finished, Growing, MapFile, MapView, building_context
+from localiser.view import Finished, Growing, MapFile, MapView, building_context
 
 if TYPE_CHECKING:
     from localiser.commands.map.build import MapBuilt

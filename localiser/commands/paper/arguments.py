@@ -28,8 +28,9 @@ def paper(
     quiet: Quiet = False,
 ) -> None:
     """Reproduce the founding paper: its tables by our equations, its motions measured from rendered images."""
-    from localiser.commands.paper import reproduce, steps
-    from localiser.storage.outputs import require_new
+    from localiser.commands.paper.measured import steps
+    from localiser.commands.paper.reproduce import reproduce
+    from localiser.storage import require_new
 
     if out is not None:
         require_new(out)

@@ -10,7 +10,7 @@ from localiser.commands.paper import arithmetic, results
 from localiser.commands.paper.figure import figure_png
 from localiser.commands.paper.measured import Measured, measure
 from localiser.commands.paper.sheet import Sheet
-from localiser.storage.files import write_bytes, write_text
+from localiser.storage import write_bytes, write_text
 
 _HEAD = """# The paper, reproduced
 

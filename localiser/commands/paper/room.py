@@ -8,8 +8,7 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Array, forward, wrap_angle
-from localiser.simulate import World, structure_of, world_of
-from localiser.simulate.solids import Solids, clearance_m
+from localiser.simulate import Solids, World, clearance_m, structure_of, world_of
 
 FIELD_OF_VIEW_RAD = np.deg2rad(60.0)
 """Across the image, as in the paper's simulations; it does not say what the real camera had."""
