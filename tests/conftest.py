@@ -6,10 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
+from folders import ROOT
 from hypothesis import settings
 from short_log import Localiser
-
-ROOT = Path(__file__).resolve().parent.parent
 
 settings.register_profile("thorough", max_examples=1000)  # ten times the default: see `examples`
 
