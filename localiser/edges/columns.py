@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, links_loop, median_size_loop, peaks_loop
+from localiser.compiled import compiled
+from localiser.edges.loops import links_loop, median_size_loop, peaks_loop
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 from localiser.edges.undistort import Image
 from localiser.geometry import Array

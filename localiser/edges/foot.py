@@ -17,7 +17,8 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import changes_loop, compiled, sides_loop
+from localiser.compiled import compiled
+from localiser.edges.loops import changes_loop, sides_loop
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
 

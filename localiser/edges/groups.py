@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.loops import compiled, line_loop
+from localiser.compiled import compiled
+from localiser.edges.loops import line_loop
 from localiser.geometry import Array
 
 Values = Array | NDArray[np.int64]

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.compiled import compiled
 from localiser.edges.columns import (
     ALONG,
     SCALE_PX,
@@ -19,7 +20,7 @@ from localiser.edges.columns import (
     gradient_kernel,
 )
 from localiser.edges.groups import Groups, LineFit
-from localiser.edges.loops import compiled, samples_loop
+from localiser.edges.loops import samples_loop
 from localiser.geometry import Array
 
 LEAST_BLOCKS = 3

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import blocks_loop, compiled, pairs_loop
+from localiser.compiled import compiled
+from localiser.edges.loops import blocks_loop, pairs_loop
 from localiser.edges.undistort import Image, image_border, remap_tables
 from localiser.geometry import Array
 

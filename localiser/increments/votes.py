@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.compiled import compiled
 from localiser.geometry import Array
-from localiser.increments.loops import compiled
 
 
 @compiled
