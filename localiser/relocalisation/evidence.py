@@ -13,13 +13,13 @@ tan(bearing) and e, for each polarity that the map knows, so a landmark costs on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.geometry.compiled import checked
 from localiser.observation import polarity
 from localiser.relocalisation.places import Indices, Places, half_view_rad
 from localiser.relocalisation.sectors import CELL_M
@@ -107,7 +107,8 @@ def score_poses(evidences: list[Evidence], places: Places, robot_poses: Array) -
 
 def score_by_share(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
     """Return the score (K, N) of robot poses (N, 3) if the share w_k (K,) of the edges belongs to landmarks."""
-    return np.asarray(_kernel()(*_arguments(evidence, places, robot_poses), shares))
+    loop: Any = checked(score_loop)
+    return np.asarray(loop(*_arguments(evidence, places, robot_poses), shares))
 
 
 def warm_up(view: View, places: Places) -> None:
@@ -210,11 +211,3 @@ def score_loop(
                     product = 1.0
             result[share, n] = total + np.log(product)
     return result
-
-
-@cache
-def _kernel() -> Any:
-    """Return `score_loop` compiled: about a hundred times as fast."""
-    import numba
-
-    return numba.njit(cache=True)(score_loop)

@@ -8,25 +8,22 @@ Inverse, because the foot of an edge is seen at a depression whose tangent is h 
 because ρ = 0 is a far edge like any other, which shows the turn and nothing else. With c = 0 that is [Taylor06] eq. 13,
 with no turn and c along the axis it is eq. 9-11.
 
-E edges in the first frame, F in the second, P pairs of them, M links, K common errors. All in one file, since numba's
-cache knows no other: a change in a function called from elsewhere would go unseen.
+E edges in the first frame, F in the second, P pairs of them, M links, K common errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 _ROUNDS, _STEPS, _SMALL_STEP = 10, 3, 1e-5
 _LEAST_WEIGHT = 1e-6  # keeps the equations of an edge that tells nothing solvable
 _FAR_SIGMAS = 5.0
-_F = TypeVar("_F", bound=Callable[..., object])
 
 
 class Frame(NamedTuple):
@@ -61,11 +58,6 @@ class Model(NamedTuple):
     new_density: float
     floor_inverse: Array
     floor_share: Array
-
-
-def compiled(function: _F) -> _F:
-    """Compile with numba; kept on disk, so that only the first run ever waits for it."""
-    return cast(_F, numba.njit(cache=True, error_model="numpy")(function))
 
 
 # -- two views of one edge --------------------------------------------------------------------------------------------

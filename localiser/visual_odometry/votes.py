@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.visual_odometry.twist_kernel import compiled
+from localiser.geometry.compiled import compiled
 
 
 @compiled

@@ -9,6 +9,7 @@ from edge_images import camera_of, wall_image
 
 from localiser.edges import DETECTORS, EdgeParameters, Edges, find_edges, loops, warm_up
 from localiser.errors import InputError
+from localiser.geometry.compiled import compiled
 
 BEARINGS_DEG = [-20.0, -8.0, 3.0, 14.0, 22.0]
 GREYS = [60.0, 120.0, 70.0, 150.0, 110.0, 180.0]
@@ -164,13 +165,13 @@ def test_beside_clipped_white_the_place_is_less_certain_and_the_lean_is_not():
 def test_after_warming_up_nothing_is_left_to_compile():
     camera = CAMERAS["distorted"]
     warm_up(camera, EdgeParameters())
-    all_loops = [loops.compiled(getattr(loops, name)) for name in dir(loops) if name.endswith("_loop")]
-    compiled = [len(loop.signatures) for loop in all_loops]
+    all_loops = [compiled(getattr(loops, name)) for name in dir(loops) if name.endswith("_loop")]
+    signatures = [len(loop.signatures) for loop in all_loops]
     image = wall_image(camera, BEARINGS_DEG, GREYS, noise_sigma=3.0)
     image.flags.writeable = False
     assert len(find_edges(image, camera, EdgeParameters())) > 0
-    assert min(compiled) > 0
-    assert [len(loop.signatures) for loop in all_loops] == compiled
+    assert min(signatures) > 0
+    assert [len(loop.signatures) for loop in all_loops] == signatures
 
 
 @pytest.mark.parametrize(

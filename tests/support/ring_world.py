@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from localiser.camera import Camera, Mount
 from localiser.geometry import Array, between, compose, robot_from_map
 from localiser.mapping.factors import Bearings, Prior, Problem, SmoothParameters, Wheels
 
