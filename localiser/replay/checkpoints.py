@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from localiser.filter import FilterState, LocatedFrame
+from localiser.filter import FilterState, Located, LocatedFrame
+from localiser.geometry import Array
 from localiser.localiser import identity
+from localiser.observation import Matches
 from localiser.replay.run_inputs import RunInputs
 from localiser.storage import checkpoint_of, load_checkpoint, save_checkpoint
 
+_Kept = tuple[int, list[tuple[Located, Matches, Array | None, Mapping[str, float]]], dict[str, list[float]]]
 STAGES = ("load", "edges", "filter", "sinks")
 
 
@@ -46,7 +50,9 @@ class Checkpoints:
 
     def save(self, inputs: RunInputs, running: Running) -> None:
         """Write a checkpoint in the place of the one before. Raises OutputError."""
-        save_checkpoint(self.path, running.state, running.rng, inputs.identity, running.done)
+        done = running.done
+        frames = [(frame.located, frame.matches, frame.truth, frame.stage_ms) for frame in done.frames]
+        save_checkpoint(self.path, running.state, running.rng, inputs.identity, (done.events, frames, done.timing))
 
     def is_due(self, frames: int) -> bool:
         """Whether one is to be written after this many images."""
@@ -69,5 +75,7 @@ def begun(inputs: RunInputs, rng: np.random.Generator) -> Running:
 
 def resumed(path: Path, inputs: RunInputs) -> Running:
     """Return a replay as it was when its checkpoint was written. Raises InputError."""
-    saved = load_checkpoint(path, inputs.identity, Progress)
-    return Running(saved.state, saved.rng, saved.kept)
+    saved = load_checkpoint(path, inputs.identity, _Kept)
+    events, frames, timing = saved.kept
+    located = [LocatedFrame(found, matches, None, truth, stage_ms) for found, matches, truth, stage_ms in frames]
+    return Running(saved.state, saved.rng, Progress(events, located, timing))
