@@ -16,7 +16,7 @@ from localiser.storage.images import (
     load_image,
     measure,
 )
-from localiser.storage.log import Event, Frame, Log, LogReader
+from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.outputs import require_new, require_new_file
@@ -39,6 +39,7 @@ __all__ = [
     "ImageEvent",
     "Log",
     "LogReader",
+    "ReadOptions",
     "RunFolder",
     "TrackWriter",
     "camera_error",

@@ -23,7 +23,7 @@ from localiser.storage.cameras import FileModel, degrees, load_camera, save_came
 from localiser.storage.edge_tables import load_edges, save_edges
 from localiser.storage.files import inside, output_errors, write_bytes, write_text
 from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of
-from localiser.storage.log import Frame, Log, require_overlap
+from localiser.storage.log import Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.tables import Column, integer, read_table, text
 from localiser.storage.trajectories import load_poses, save_poses
@@ -65,13 +65,13 @@ class LogFile(BaseModel):
 class FolderReader:
     """Reads log folders."""
 
-    format = "folder"
+    format, looks_like, options = "folder", "a folder with a log.yaml", ()
 
     def recognises(self, path: Path) -> bool:
         """Whether `path` is a folder with a log.yaml, or that file itself."""
         return (path / LOG_FILE).exists() or path.name == LOG_FILE
 
-    def read(self, path: Path) -> Log:
+    def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log. That all images are there and of the camera's size is checked now. Raises InputError."""
         folder = path.parent if path.name == LOG_FILE else path
         document = load(folder / LOG_FILE)

@@ -140,7 +140,12 @@ def _cov(cov: CovFile | None) -> list[list[float]]:
 
 def save_map(landmark_map: LandmarkMap, path: Path) -> None:
     """Write a map file with everything that the map knows. Raises OutputError."""
-    write_text(path, dump(map_data(landmark_map)))
+    write_text(path, map_text(landmark_map))
+
+
+def map_text(landmark_map: LandmarkMap) -> str:
+    """Return the text of the map's file."""
+    return dump(map_data(landmark_map))
 
 
 def map_data(landmark_map: LandmarkMap) -> dict[str, Any]:
