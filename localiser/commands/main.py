@@ -11,9 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from localiser import __version__
-from localiser.commands import simulate
+from localiser.commands import convert, simulate
 from localiser.commands.camera.arguments import camera_app
-from localiser.commands.convert import arguments as convert
 from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
