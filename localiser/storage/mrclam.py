@@ -67,10 +67,8 @@ class MrclamReader:
         # Without truth a frame cannot be judged, without odometry not be located.
         frames = [frame for frame in sightings if odometry.covers(frame.t_ns) and truth.covers(frame.t_ns)]
         if not frames:
-            raise InputError(
-                "expected measurements while there is odometry and truth, found none",
-                path=folder / f"Robot{robot}_Measurement.dat",
-            )
+            problem = "expected measurements while there is odometry and truth, found none"
+            raise InputError(problem, path=folder / f"Robot{robot}_Measurement.dat")
         name = f"{folder.resolve().name}-robot{robot}"
         return Log(
             name=name,
