@@ -22,5 +22,5 @@ def test_what_draws_a_map_is_there_when_it_is_asked_for() -> None:
     from localiser import view
 
     assert callable(view.record_map)
-    with pytest.raises(AttributeError, match="'localiser.view' has no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match=r"'localiser\.view' has no attribute 'nothing'"):
         view.nothing  # noqa: B018
