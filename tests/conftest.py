@@ -10,7 +10,9 @@ from folders import ROOT
 from hypothesis import settings
 from short_log import Localiser
 
-settings.register_profile("thorough", max_examples=1000)  # ten times the default: see `examples`
+settings.register_profile("usual", deadline=None)  # how long an example takes depends on what else the machine does
+settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times the default: see `examples`
+settings.load_profile("usual")
 
 
 @pytest.fixture(scope="session")

@@ -23,6 +23,11 @@ class Place:
     line: int | None = None
     column: int | None = None
 
+    def error(self, key: Key, problem: str) -> InputError:
+        """Return the error that says what is wrong with the value here, which is the one at `key`."""
+        field = field_name(key) or None
+        return InputError(problem, path=self.source or None, line=self.line, column=self.column, field=field)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Document:
@@ -39,10 +44,7 @@ class Document:
 
     def error(self, key: Key, problem: str) -> InputError:
         """Return the error that says what is wrong with the value at `key`."""
-        place = self.place(key)
-        return InputError(
-            problem, path=place.source or None, line=place.line, column=place.column, field=field_name(key) or None
-        )
+        return self.place(key).error(key, problem)
 
     def under(self, *key: str) -> Document:
         """Return the document in which this one is the value at `key`."""

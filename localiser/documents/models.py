@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -95,8 +96,11 @@ class Schema:
     """Looks things up in the JSON schema of a model; the schema is made when it is first needed."""
 
     def __init__(self, adapter: TypeAdapter[Any]) -> None:
-        self._make: Callable[[], dict[str, Any]] = adapter.json_schema
-        self._schema: dict[str, Any] | None = None
+        self._adapter = adapter
+
+    @cached_property
+    def _root(self) -> dict[str, Any]:
+        return self._adapter.json_schema()
 
     def names(self, key: Key) -> list[str]:
         """Return the keys that the model knows at `key`."""
@@ -109,9 +113,7 @@ class Schema:
 
     def at(self, key: Key) -> list[dict[str, Any]]:
         """Return what the model takes at `key`: one schema, more for a union, none for a key that it does not know."""
-        if self._schema is None:
-            self._schema = self._make()
-        schemas = self._alternatives(self._schema)
+        schemas = self._alternatives(self._root)
         for part in key:
             inner = (s.get("items") if isinstance(part, int) else s.get("properties", {}).get(part) for s in schemas)
             schemas = [found for schema in inner if isinstance(schema, dict) for found in self._alternatives(schema)]
@@ -120,6 +122,6 @@ class Schema:
     def _alternatives(self, schema: dict[str, Any]) -> list[dict[str, Any]]:
         """Return the schemas that `schema` stands for, references and unions resolved."""
         if "$ref" in schema:
-            return self._alternatives((self._schema or {})["$defs"][schema["$ref"].rsplit("/", 1)[-1]])
+            return self._alternatives(self._root["$defs"][schema["$ref"].rsplit("/", 1)[-1]])
         options = schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf")
         return [found for option in options for found in self._alternatives(option)] if options else [schema]

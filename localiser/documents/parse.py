@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from localiser.documents.document import Document, Key, Place, field_name, shown
+from localiser.documents.document import Document, Key, Place, shown
 from localiser.documents.files import read_text
 from localiser.errors import InputError
 
@@ -58,17 +58,17 @@ class _Parser:
         self._loader.get_event()  # its end
         after = self._loader.get_event()
         if not isinstance(after, yaml.StreamEndEvent):
-            raise self._error(after, (), "expected one YAML document, found a second one")
+            raise self._place(after).error((), "expected one YAML document, found a second one")
         return Document(value, self._places)
 
     def _value(self, key: Key, event: Any) -> Any:
         self._places.setdefault(key, self._place(event))
         if isinstance(event, yaml.AliasEvent):
-            raise self._error(event, key, "expected a value, found an alias, which is not supported")
+            raise self._place(event).error(key, "expected a value, found an alias, which is not supported")
         if event.tag is not None:
-            raise self._error(event, key, f"expected plain data, found the tag {event.tag}")
+            raise self._place(event).error(key, f"expected plain data, found the tag {event.tag}")
         if len(key) > _MAX_DEPTH:
-            raise self._error(event, (), f"nested more than {_MAX_DEPTH} deep")
+            raise self._place(event).error((), f"nested more than {_MAX_DEPTH} deep")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(key)
         if isinstance(event, yaml.SequenceStartEvent):
@@ -79,10 +79,10 @@ class _Parser:
         mapping: dict[Any, Any] = {}
         while not isinstance(event := self._loader.get_event(), yaml.MappingEndEvent):
             if not isinstance(event, yaml.ScalarEvent):
-                raise self._error(event, key, "expected a name as key, found a list or a mapping")
+                raise self._place(event).error(key, "expected a name as key, found a list or a mapping")
             name = self._scalar(key, event)
             if name in mapping:
-                raise self._error(event, (*key, name), "given twice")
+                raise self._place(event).error((*key, name), "given twice")
             self._places[(*key, name)] = self._place(event)
             mapping[name] = self._value((*key, name), self._loader.get_event())
         return mapping
@@ -98,17 +98,11 @@ class _Parser:
         if event.implicit[0] and _EXPONENT.fullmatch(event.value):
             tag = _FLOAT_TAG  # 1e-3, which YAML 1.1 takes for a text for want of a point
         if tag in _NUMBERS and len(event.value) > _MAX_DIGITS:
-            raise self._error(event, key, f"expected a number of at most {_MAX_DIGITS} characters")
+            raise self._place(event).error(key, f"expected a number of at most {_MAX_DIGITS} characters")
         try:
             return self._loader.construct_object(yaml.ScalarNode(tag, event.value))
         except (ValueError, OverflowError, yaml.constructor.ConstructorError):
-            raise self._error(event, key, f"cannot be read as a value: {shown(event.value)}") from None
+            raise self._place(event).error(key, f"cannot be read as a value: {shown(event.value)}") from None
 
     def _place(self, event: Any) -> Place:
         return Place(self._source, event.start_mark.line + 1, event.start_mark.column + 1)
-
-    def _error(self, event: Any, key: Key, problem: str) -> InputError:
-        place = self._place(event)
-        return InputError(
-            problem, path=place.source, line=place.line, column=place.column, field=field_name(key) or None
-        )

@@ -48,9 +48,21 @@ class ImageEvent:
     by_wheels: bool = True
 
 
-def image_event(t_ns: int, name: str, path: Path, size: tuple[int, int]) -> ImageEvent:
-    """Return the event of the image file `path`; size: (width, height) of the camera."""
-    return ImageEvent(t_ns, name, lambda: load_image(path, size), lambda: read_image(path, size))
+def image_event(
+    t_ns: int,
+    name: str,
+    encoded: Callable[[], bytes],
+    size: tuple[int, int],
+    *,
+    path: Path,
+    field: str | None = None,
+    by_wheels: bool = True,
+) -> ImageEvent:
+    """Return the event of an image file of `size` (width, height), which is decoded when it is asked for.
+
+    path, field: where the image is from, for errors.
+    """
+    return ImageEvent(t_ns, name, lambda: decoded(encoded(), size, path=path, field=field), encoded, by_wheels)
 
 
 def read_image(path: Path, size: tuple[int, int]) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.storage.cameras import load_camera
-from localiser.storage.images import Image, ImageEvent, check_size, decoded, encode_image
+from localiser.storage.images import check_size, encode_image, image_event
 from localiser.storage.log import Log, require_overlap
 from localiser.storage.trajectories import load_poses
 
@@ -28,7 +29,17 @@ def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = 
     known = load_camera(camera)
     first_ns = int(poses.t_ns[0]) if start_ns is None else start_ns
     video = _Video(path, (known.width, known.height))
-    frames = [video.event(index, first_ns + t_ns) for index, t_ns in enumerate(_times_ns(path, known))]
+    frames = [
+        image_event(
+            first_ns + t_ns,
+            f"{path.name}/{index:06d}",
+            partial(video.file, index),
+            video.size,
+            path=path,
+            field=f"frame {index}",
+        )
+        for index, t_ns in enumerate(_times_ns(path, known))
+    ]
     return require_overlap(Log(name=path.stem, path=path, camera=known, odometry=poses, frames=frames))
 
 
@@ -70,15 +81,7 @@ class _Video:
     _next: int = 0
     _last: tuple[int, bytes] = field(default=(-1, b""))
 
-    def event(self, index: int, t_ns: int) -> ImageEvent:
-        """Return a frame as an event of a log."""
-
-        def load() -> Image:
-            return decoded(self._file(index), self.size, path=self.path, field=f"frame {index}")
-
-        return ImageEvent(t_ns, f"{self.path.name}/{index:06d}", load, lambda: self._file(index))
-
-    def _file(self, index: int) -> bytes:
+    def file(self, index: int) -> bytes:
         """Return a frame as a PNG file, which loses nothing more."""
         if self._last[0] != index:
             if self._capture is None or index < self._next:

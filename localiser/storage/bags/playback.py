@@ -10,7 +10,7 @@ from pathlib import Path
 from localiser.errors import InputError
 from localiser.storage.bags.bag import Bag, Message, Topic
 from localiser.storage.bags.images import image_file
-from localiser.storage.images import Image, ImageEvent, check_whole, decoded
+from localiser.storage.images import ImageEvent, check_whole, image_event
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,8 @@ class Playback:
                 self._last = (place.order, data)
             return self._last[1]
 
-        def load() -> Image:
-            return decoded(file(), self._size, path=self._path, field=field)
-
-        return ImageEvent(place.stamp_ns, f"{self._topic.name}/{place.order:06d}", load, file, by_wheels)
+        name = f"{self._topic.name}/{place.order:06d}"
+        return image_event(place.stamp_ns, name, file, self._size, path=self._path, field=field, by_wheels=by_wheels)
 
     def _fetch(self, place: ImagePlace) -> Message:
         if self._bag is None or place.order != self._next:

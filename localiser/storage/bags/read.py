@@ -44,11 +44,12 @@ class BagReader:
     def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; the bag is read once from end to end. Raises InputError."""
         with Bag(path) as bag:
-            chosen = choose(path, bag.topics, options.topics)
-            content = _Content(path, chosen.roles)
-            for message in bag.messages(chosen.all):
+            roles = choose(path, bag.topics, options.topics)
+            content = _Content(path, {topic.name: role for topic, role in roles.items()})
+            for message in bag.messages(roles):
                 content.take(message)
-        return _log(content, chosen.image, load_camera(options.camera) if options.camera else None)
+        image = next(topic for topic, role in roles.items() if role == "image")
+        return _log(content, image, load_camera(options.camera) if options.camera else None)
 
 
 @dataclass(slots=True, eq=False)

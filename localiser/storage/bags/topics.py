@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from localiser.documents import nearest
@@ -25,34 +24,10 @@ _TRUTH = re.compile(r"ground_?truth", re.IGNORECASE)
 _MOST_LISTED = 12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chosen:
-    """The topics that a log is read from. labels: what this program adds to a bag."""
+def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> dict[Topic, str]:
+    """Return the topics of a log and what each is for; one that this program adds to a bag stands for itself.
 
-    image: Topic
-    odometry: Topic
-    camera_info: Topic | None
-    groundtruth: Topic | None
-    transforms: tuple[Topic, ...]
-    labels: tuple[Topic, ...]
-
-    @property
-    def roles(self) -> dict[str, str]:
-        """What each topic is for, by its name."""
-        single = {name: getattr(self, name) for name in TYPES}
-        found = {topic.name: role for role, topic in single.items() if topic is not None}
-        found |= {topic.name: "transforms" for topic in self.transforms}
-        return found | {topic.name: topic.name for topic in self.labels}
-
-    @property
-    def all(self) -> list[Topic]:
-        """All of them."""
-        single = (self.image, self.odometry, self.camera_info, self.groundtruth)
-        return [topic for topic in single if topic is not None] + [*self.transforms, *self.labels]
-
-
-def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> Chosen:
-    """Return the topics of a log; asked: names by what they are for, which come before any guess.
+    asked: names by what they are for, which come before any guess.
 
     An odometry whose name says ground truth is the truth. Of several camera_info the one beside the image is taken, as
     ROS names them. Raises InputError that lists the choices when several fit or none does.
@@ -91,14 +66,15 @@ def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> Cho
     near = (f"{parent}/camera_info", f"{parent.rsplit('/', 1)[0]}/camera_info")
     beside = [topic for topic in of_type["camera_info"] if topic.name in near]
     fixed = [topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf_static"]
-    return Chosen(
-        image=image,
-        odometry=odometry,
-        camera_info=one("camera_info", beside or of_type["camera_info"]),
-        groundtruth=one("groundtruth", truths),
-        transforms=tuple(fixed),
-        labels=tuple(topic for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS),
-    )
+    single = {
+        "image": image,
+        "odometry": odometry,
+        "camera_info": one("camera_info", beside or of_type["camera_info"]),
+        "groundtruth": one("groundtruth", truths),
+    }
+    roles = {topic: role for role, topic in single.items() if topic is not None}
+    roles |= dict.fromkeys(fixed, "transforms")
+    return roles | {topic: topic.name for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS}
 
 
 def _listed(topics: Sequence[Topic]) -> str:
