@@ -23,7 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, load_camera, named, save_camera
 from localiser.storage.edge_tables import load_edges, save_edges
 from localiser.storage.files import inside, output_errors, require_new, write_bytes, write_text
-from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, read_image, suffix_of
+from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, whole_image, suffix_of
 from localiser.storage.log import Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.tables import Column, integer, read_table, text
@@ -118,7 +118,7 @@ def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
             raise table.error(row, "file", f"{error}, found {name!r}") from None
         here = _named_by(path, table.lines[row])
         here(check_head)(image, size)
-        event = image_event(t_ns, name, partial(read_image, image, size), size, path=image)
+        event = image_event(t_ns, name, partial(whole_image, image, size), size, path=image)
         events.append(replace(event, load=here(event.load), encoded=here(event.encoded)))
     return events
 

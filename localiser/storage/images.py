@@ -65,7 +65,7 @@ def image_event(
     return ImageEvent(t_ns, name, lambda: decoded(encoded(), size, path=path, field=field), encoded, by_wheels)
 
 
-def read_image(path: Path, size: tuple[int, int]) -> bytes:
+def whole_image(path: Path, size: tuple[int, int]) -> bytes:
     """Return what an image file holds, after checking that it is whole and of `size` (width, height).
 
     Raises InputError.
@@ -88,7 +88,7 @@ def check_whole(data: bytes, size: tuple[int, int], *, path: Path, field: str | 
 
 def load_image(path: Path, size: tuple[int, int]) -> Image:
     """Return an image file as (H, W) uint8 grey values. Raises InputError."""
-    return decoded(read_image(path, size), size, path=path)
+    return decoded(whole_image(path, size), size, path=path)
 
 
 def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> Image:

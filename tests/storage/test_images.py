@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from small_log import CAMERA, image
 
 from localiser.errors import InputError
-from localiser.storage.images import check_head, encode_image, image_event, load_image, measure, read_image
+from localiser.storage.images import check_head, encode_image, image_event, load_image, measure, whole_image
 
 SIZE = (CAMERA.width, CAMERA.height)
 JPEG = encode_image(image(0), ".jpg", 90)
@@ -35,7 +35,7 @@ def test_png_is_read_back_exactly(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
 def test_colour_becomes_grey_and_the_file_keeps_its_colour(tmp_path: Path, suffix: str) -> None:
     path = save(tmp_path, encode_image(colour(), suffix, 95))
-    event = image_event(7, "a", lambda: read_image(path, SIZE), SIZE, path=path)
+    event = image_event(7, "a", lambda: whole_image(path, SIZE), SIZE, path=path)
     grey = event.load()
     assert grey.shape == (CAMERA.height, CAMERA.width) and grey.dtype == np.uint8
     assert event.encoded() == path.read_bytes()
