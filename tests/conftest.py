@@ -9,7 +9,11 @@ import pytest
 from hypothesis import settings
 from short_log import Localiser
 
+from localiser import compiled
+
 ROOT = Path(__file__).resolve().parent.parent
+
+compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
 
 settings.register_profile("thorough", max_examples=1000)  # ten times the default: see `examples`
 
