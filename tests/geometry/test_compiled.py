@@ -267,7 +267,7 @@ def test_a_read_only_installation_runs_without_a_home(package: Path, tmp_path: P
     without = "" if has_temporary else f"tempfile.tempdir = '{NOWHERE}'"
     said = python(COSINE.format(without=without), package, HOME=NOWHERE, TMPDIR=str(temporary))
     where = temporary / f"localiser-compiled-{os.getuid()}" if has_temporary else None
-    assert said == f"{package / "geometry" / "angle_kernel.py"} {where} 1.0 0.0"
+    assert said == f"{package}/geometry/angle_kernel.py {where} 1.0 0.0"
     assert sorted(package.rglob("*")) == installed
     if where:
         assert stat.S_IMODE(where.stat().st_mode) == 0o700
