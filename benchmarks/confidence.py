@@ -22,12 +22,12 @@ import yaml
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.confidence import beside
+from localiser.filter.confidence import beside
+from localiser.filter.mcl import FilterState, Mcl, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.mcl import FilterState, Mcl, Odometry, Sighting, Start, step
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.search import Search
+from localiser.relocalisation.global_localisation import Search
 from localiser.simulate import EdgeNoise, simulated_edges, structure_of, truth_of, visible_mask, world_of
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"

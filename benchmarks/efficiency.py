@@ -24,15 +24,15 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from localiser import evaluate, geometry, motion
-from localiser.biases import EXACT
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.filter.mcl import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Increment, Trajectory
-from localiser.identified import observation_of
 from localiser.landmarks import LandmarkMap
-from localiser.mcl import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.motion import MotionParameters
+from localiser.motion.constant_errors import EXACT
 from localiser.observation import ObservationParameters
+from localiser.observation.known_association import observation_of
 from localiser.particles import POSE, Particles
 from localiser.simulate import simulated_edges, structure_of, truth_of, visible_mask, world_of
 

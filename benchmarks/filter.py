@@ -32,19 +32,19 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from localiser import mcl
-from localiser.app.filter import filter_of
 from localiser.camera import Camera, Mount
 from localiser.config import Config
 from localiser.edges import Edges
+from localiser.filter import mcl
+from localiser.filter.mcl import MclParameters
 from localiser.geometry import Array, Increment, Trajectory, compose
-from localiser.inliers import INLIER_SHARES, InlierShare
 from localiser.landmarks import LandmarkMap, in_camera, sight
-from localiser.mcl import MclParameters
+from localiser.localiser import filter_of
 from localiser.motion import MotionParameters, predict
 from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
 from localiser.particles import Particles, estimate, from_gaussian, take
-from localiser.resampling import systematic_resample
+from localiser.particles.resampling import systematic_resample
 from localiser.simulate import EdgeNoise, render, scene_of, simulated_edges, truth_of, world_of
 
 FOCAL = 554.0

@@ -22,9 +22,9 @@ import yaml
 from localiser import geometry
 from localiser.edges import EdgeParameters, find_edges
 from localiser.geometry import Array, Increment
-from localiser.increments import IncrementParameters, Odometer
 from localiser.simulate import Scene, render, scene_of, truth_of, world_of
 from localiser.simulate.solids import clearance_m
+from localiser.visual_odometry import IncrementParameters, Odometer
 
 WORLDS = Path(__file__).resolve().parent.parent / "configs" / "worlds"
 SECONDS = 0.2

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from edge_data import HouseView, house_views
 
-from localiser.app.map_build import build_map
+from localiser.commands.map.build import build_map
 from localiser.config import load_config
 from localiser.geometry import Array, wrap_angle
 from localiser.storage import open_log

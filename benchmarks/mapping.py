@@ -21,8 +21,8 @@ from time import process_time
 import numpy as np
 
 from localiser import mapping
-from localiser.app.map_build import build_map, turn_drift, wheels_of
 from localiser.camera import Camera
+from localiser.commands.map.build import build_map, turn_drift, wheels_of
 from localiser.config import Config, load_config
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap

@@ -20,10 +20,10 @@ from scenarios import Trial
 from localiser import geometry, motion
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, Trajectory
-from localiser.inliers import InlierShare
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
 from localiser.observation import EdgeObservation, independent_share
+from localiser.observation.inlier_rate import InlierShare
 from localiser.particles import POSE, Particles
 
 LEVELS = 4

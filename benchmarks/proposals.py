@@ -22,13 +22,13 @@ import yaml
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.clusters import find_clusters
 from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
-from localiser.proposals import Places, propose, view_of, warm_up
+from localiser.particles.clusters import find_clusters
+from localiser.relocalisation import Places, propose, view_of, warm_up
 from localiser.simulate import EdgeNoise, simulated_edges, structure_of, truth_of, visible_mask, world_of
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"

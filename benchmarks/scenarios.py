@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.filter.mcl import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.mcl import Start
 from localiser.simulate import EdgeNoise, odometry_of, simulated_edges, structure_of, truth_of, visible_mask, world_of
 from localiser.simulate.robot import OdometrySpec
 from localiser.simulate.structure import Structure, VerticalEdges

@@ -12,10 +12,10 @@ from observable import is_observable
 from scenarios import Trial
 
 from localiser.config import Config, load_config
+from localiser.filter.mcl import Event, FilterState, Mcl, Odometry, Sighting, step
 from localiser.geometry import Array, wrap_angle
-from localiser.mcl import Event, FilterState, Mcl, Odometry, Sighting, step
 from localiser.observation import EdgeObservation
-from localiser.search import Search
+from localiser.relocalisation.global_localisation import Search
 
 CORRECT_M, CORRECT_RAD = 0.5, np.deg2rad(10.0)  # what `Located.p_correct` speaks of
 BACK_M, BACK_FRAMES, BACK_WAY_M, SETTLED_FRAMES = 0.25, 100, 8.0, 5

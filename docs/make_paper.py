@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from localiser.app.paper import reproduce
-from localiser.app.paper.figure import figure_png
+from localiser.commands.paper.figure import figure_png
+from localiser.commands.paper.reproduce import reproduce
 
 PLACES, SEED = 10, 0
 DOCS = Path(__file__).parent

@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from localiser import cli
+from localiser import commands as cli
 
 
 def main() -> None:

@@ -16,15 +16,14 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from localiser import __version__, documents
 from localiser.documents import Document, Place, Schema
-from localiser.edges import EdgeParameters
-from localiser.edges.bearings import BearingSensor
+from localiser.edges import BearingSensor, EdgeParameters
 from localiser.errors import InputError
-from localiser.increments import IncrementParameters
+from localiser.filter import MclParameters
 from localiser.mapping import MappingParameters
-from localiser.mcl import MclParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
-from localiser.search import SearchParameters
+from localiser.relocalisation import SearchParameters
+from localiser.visual_odometry import IncrementParameters
 
 _LIBRARIES = ("numpy", "numba", "scipy", "opencv-python-headless", "pydantic", "rerun-sdk")
 _BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}

@@ -6,10 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
+from folders import ROOT
 from hypothesis import settings
 from short_log import Localiser
 
-ROOT = Path(__file__).resolve().parent.parent
+from localiser.geometry import compiled
+
+compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
 
 settings.register_profile("thorough", max_examples=1000)  # ten times the default: see `examples`
 

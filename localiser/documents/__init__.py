@@ -1,11 +1,12 @@
 """YAML documents in which every value knows its place, so that an error can name file, line, column and field."""
 
 from localiser.documents.document import Document, Key, Place, dump, field_name, shown
-from localiser.documents.files import read_bytes, read_text
+from localiser.documents.files import MAX_DOCUMENT_BYTES, read_bytes, read_text
 from localiser.documents.models import Schema, load_model, nearest, validate
 from localiser.documents.parse import load, parse
 
 __all__ = [
+    "MAX_DOCUMENT_BYTES",
     "Document",
     "Key",
     "Place",

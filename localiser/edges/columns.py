@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, links_loop, median_size_loop, peaks_loop
+from localiser.edges.loops import links_loop, median_size_loop, peaks_loop
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 SCALE_PX = 1.0
 """Width of the Gaussian whose derivative the image is filtered with: edges 3 px apart stay apart."""

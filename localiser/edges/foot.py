@@ -17,9 +17,10 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import changes_loop, compiled, sides_loop
+from localiser.edges.loops import changes_loop, sides_loop
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 FOOT_SIGMA_PX = 2.0
 """Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.loops import compiled, line_loop
+from localiser.edges.loops import line_loop
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 Values = Array | NDArray[np.int64]
 

@@ -11,16 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.columns import (
-    ALONG,
-    SCALE_PX,
-    GradientField,
-    Peaks,
-    gradient_kernel,
-)
+from localiser.edges.columns import ALONG, SCALE_PX, GradientField, Peaks, gradient_kernel
 from localiser.edges.groups import Groups, LineFit
-from localiser.edges.loops import compiled, samples_loop
+from localiser.edges.loops import samples_loop
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 LEAST_BLOCKS = 3
 _PRIOR_BLOCKS = 4.0

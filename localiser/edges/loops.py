@@ -3,28 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cache
-from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-
-_Loop = TypeVar("_Loop", bound=Callable[..., object])
-
-
-def compiled(loop: _Loop) -> _Loop:
-    """Return a loop of this module, compiled when it is first called; numba takes long to import."""
-    return cast(_Loop, _compiled(loop))
-
-
-@cache
-def _compiled(loop: Callable[..., object]) -> object:
-    import numba
-
-    return numba.njit(cache=True, error_model="numpy")(loop)
 
 
 def pairs_loop(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, mount_loop
+from localiser.edges.loops import mount_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 _TUKEY = 4.0
 """Segments further from the common direction than this many sigmas have no say."""

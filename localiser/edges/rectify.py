@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import blocks_loop, compiled, pairs_loop
+from localiser.edges.loops import blocks_loop, pairs_loop
 from localiser.edges.undistort import Image, image_border, remap_tables
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 ROWS_AT_ONCE = 2
 """Rows of the image that become one of the rectified one, averaged beforehand: half as much to look up."""

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, same_edge_loop
+from localiser.edges.loops import same_edge_loop
 from localiser.edges.mount import MountError, NadirMiss, mount_error, nadir_miss
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 _ABOVE_NADIR = 0.05
 """Least c + e s of an edge's ends: closer to the nadir point, or below it, a line tells no bearing ahead."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.edges.loops import compiled, vertical_loop
+from localiser.edges.loops import vertical_loop
 from localiser.edges.mount import mount_error_of_pointing, nadir_miss, pointing_of_edges
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 REACH_RAD = float(np.arctan(1 / 8))
 """How far from vertical `columns` looks, a column a block: lines that are not vertical have any direction up to this,

@@ -5,6 +5,8 @@ from localiser.evaluate.bound import bearing_information, posterior_bound, rms_p
 from localiser.evaluate.consistency import nees, nees_band, share_inside
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
+from localiser.evaluate.report import save_report
+from localiser.evaluate.table import errors_table
 from localiser.evaluate.wheels import bias_figures, fit_wheels, mount_figures
 
 __all__ = [
@@ -15,6 +17,7 @@ __all__ = [
     "bias_figures",
     "efficiency",
     "errors_against",
+    "errors_table",
     "fit_wheels",
     "metrics",
     "mount_figures",
@@ -22,6 +25,7 @@ __all__ = [
     "nees_band",
     "posterior_bound",
     "rms_position",
+    "save_report",
     "share_inside",
     "timing_metrics",
 ]

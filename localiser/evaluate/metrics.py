@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.confidence import CORRECT_M, CORRECT_RAD, SURE
 from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import rms_position
 from localiser.evaluate.consistency import share_inside
 from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
+from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
 from localiser.geometry import Array, Trajectory
 
 DECIMALS = 6

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from localiser.attitude import MOUNT, Attitude
+from localiser.filter import MOUNT, Attitude
 from localiser.geometry import Array, Trajectory, between
 from localiser.particles import POSE, Estimate
 

@@ -9,7 +9,7 @@ from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.live_map import Followed, LiveMap
 from localiser.mapping.merge import agreeing, fused, joined_maps
 from localiser.mapping.parameters import MappingParameters
-from localiser.mapping.plan import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
+from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
@@ -32,6 +32,7 @@ __all__ = [
     "LiveMap",
     "LogFit",
     "MappingParameters",
+    "Mask",
     "Sightings",
     "Slam",
     "Spot",

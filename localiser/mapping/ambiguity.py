@@ -9,15 +9,14 @@ where they look most alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map, wrap_angle
+from localiser.geometry.compiled import checked
 from localiser.landmarks import LandmarkMap, SightParameters
 
 ALIKE = 1.0
@@ -79,7 +78,7 @@ def ambiguity(landmark_map: LandmarkMap, camera: Camera, places: Array) -> Ambig
         # Blurred bearings part poses no better than sharp ones do: what they part is not looked at again.
         row = np.flatnonzero(blurred[:, column] < _WORTH_A_LOOK * ALIKE)
         start = others[rivals[row, column]]
-        found, apart = compiled_search()(
+        found, apart = checked(search_loop)(
             poses[row], start, points, polarity, limits, _GATES_RAD, start_sigma, sigma, density, _FOUND
         )
         apart[_same_place(poses[row], found, 1.0)] = np.inf
@@ -261,11 +260,3 @@ def search_loop(  # noqa: PLR0912  (numba compiles one loop best)
             twins[n] += np.linalg.solve(normal, right_side)
         twins[n, 2] = (twins[n, 2] + np.pi) % (2 * np.pi) - np.pi
     return twins, nats
-
-
-@cache
-def compiled_search() -> Callable[..., tuple[Array, Array]]:
-    """Return `search_loop` as machine code; kept on disk, so that only the first run ever waits for it."""
-    import numba
-
-    return numba.njit(cache=True)(search_loop)

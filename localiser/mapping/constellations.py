@@ -7,14 +7,13 @@ falls on older landmarks that look alike, and that must explain clearly more of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
+from localiser.geometry.compiled import checked
 from localiser.mapping.align import fitted_motion
 from localiser.mapping.landmarks import Built
 from localiser.mapping.likeness import log_likeness
@@ -77,7 +76,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _C
     moves = _moves(points[group], points[older], row, column)
     if len(moves) == 0:
         return nothing
-    explained = compiled_explained()
+    explained = checked(explained_loop)
     count = explained(points[group], points[older], row, column, moves, _CLOSE_M)[0]
     best = int(count.argmax())
     middle = points[group].mean(axis=0)
@@ -109,7 +108,7 @@ def _unrivalled(points: Array, group: Index, older: Index, row: Index, column: I
 
 def _moves(new: Array, old: Array, row: Index, column: Index) -> Array:
     """Return the rigid moves (M, 3), x, z and turn, that take two landmarks of the group onto two older ones."""
-    one, other = compiled_alike_pairs()(new, old[column], row, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
+    one, other = checked(alike_pairs_loop)(new, old[column], row, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
     baseline, older = new[row[other]] - new[row[one]], old[column[other]] - old[column[one]]
     turn = wrap_angle(np.arctan2(older[:, 1], older[:, 0]) - np.arctan2(baseline[:, 1], baseline[:, 0]))
     kept = np.abs(turn) < _TURN_MOST_RAD
@@ -191,19 +190,3 @@ def alike_pairs_loop(
                     kept += 1
             met += 1
     return one[:kept], other[:kept]
-
-
-@cache
-def compiled_alike_pairs() -> Callable[..., tuple[Index, Index]]:
-    """Return `alike_pairs_loop` as machine code."""
-    import numba
-
-    return numba.njit(cache=True)(alike_pairs_loop)
-
-
-@cache
-def compiled_explained() -> Callable[..., tuple[Index, Index]]:
-    """Return `explained_loop` as machine code."""
-    import numba
-
-    return numba.njit(cache=True)(explained_loop)

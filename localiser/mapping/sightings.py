@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges import Edges
-from localiser.edges.measure import foot_of_edges
+from localiser.edges import Edges, foot_of_edges
 from localiser.geometry import Array
 
 Index = NDArray[np.int64]

@@ -7,15 +7,13 @@ asked for is computed: XᵀA⁻¹X = (L⁻¹X)ᵀ D⁻¹ (L⁻¹X), where L⁻¹
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.geometry.compiled import checked
 
 Index = NDArray[np.int64]
 Index32 = NDArray[np.int32]
@@ -64,20 +62,20 @@ class Pattern:
         place = np.empty(size, dtype=np.int32)
         place[order] = np.arange(size)
         entry = np.where(rows.column >= 0, place[rows.column], -1).astype(np.int32)
-        start, upper, slot, diagonal = _compiled(pattern_loop)(rows.start, entry, size)
-        parent, count = _compiled(tree_loop)(start, upper)
+        start, upper, slot, diagonal = checked(pattern_loop)(rows.start, entry, size)
+        parent, count = checked(tree_loop)(start, upper)
         column = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
         return cls(order, place, entry, slot, start, upper, diagonal, parent, column)
 
     def normal(self, rows: Rows) -> tuple[Array, Array]:
         """Return the stored values (U,) of JᵀWJ, and JᵀW r (V,) in the order of elimination, of rows so patterned."""
         args = (rows.start, self.entry, rows.value, rows.residual, rows.weight, self.slot)
-        matrix, right = _compiled(normal_loop)(*args, len(self.rows), len(self.place))
+        matrix, right = checked(normal_loop)(*args, len(self.rows), len(self.place))
         return matrix, right
 
     def factor(self, values: Array) -> Factor:
         """Return the factors of the matrix with these stored values (U,); of nan if it is not positive definite."""
-        return Factor(self, *_compiled(factor_loop)(self.start, self.rows, values, self.parent, self.column))
+        return Factor(self, *checked(factor_loop)(self.start, self.rows, values, self.parent, self.column))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +89,7 @@ class Factor:
 
     def solve(self, right: Array) -> Array:
         """Return the variables (V,) for a right side (V,) in the order of elimination."""
-        solution = _compiled(solve_loop)(self.pattern.column, self.below, self.lower, self.pivot, right)
+        solution = checked(solve_loop)(self.pattern.column, self.below, self.lower, self.pivot, right)
         return np.asarray(solution[self.pattern.place])
 
     def taken_up(self, start: Index, variable: Index, value: Array) -> Array:
@@ -106,7 +104,7 @@ class Factor:
         earliest = np.minimum.reduceat(entry, start[:-1]) if len(start) > 1 else entry[:0]
         order = np.argsort(earliest, kind="stable")
         args = (p.parent, p.column, self.below, self.lower, self.pivot, order, start, entry, value)
-        return np.asarray(_compiled(taken_up_loop)(*args, _AT_ONCE))
+        return np.asarray(checked(taken_up_loop)(*args, _AT_ONCE))
 
 
 # -- plain loops, for numba to compile ---------------------------------------------------------------------------------
@@ -292,11 +290,3 @@ def taken_up_loop(
             reached[j] = False
     taken[:, 1, 0] = taken[:, 0, 1]
     return taken
-
-
-@cache
-def _compiled(loop: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a loop as machine code; kept on disk, so that only the first run ever waits for it."""
-    import numba
-
-    return numba.njit(cache=True)(loop)

@@ -4,7 +4,8 @@ from localiser.simulate.drive import Drive, drive_of, odometry_of, truth_of
 from localiser.simulate.edges import EdgeNoise, simulated_edges
 from localiser.simulate.log import SimulatedLog, simulate_log
 from localiser.simulate.render import Scene, expose, render, scene_of
-from localiser.simulate.structure import Structure, landmarks_of, structure_of
+from localiser.simulate.solids import Solids, clearance_m, solids_of
+from localiser.simulate.structure import Structure, landmarks_of, structure_of, vertical_edges
 from localiser.simulate.visible import Visible, visible_landmarks, visible_mask
 from localiser.simulate.world import World, world_of
 
@@ -13,9 +14,11 @@ __all__ = [
     "EdgeNoise",
     "Scene",
     "SimulatedLog",
+    "Solids",
     "Structure",
     "Visible",
     "World",
+    "clearance_m",
     "drive_of",
     "expose",
     "landmarks_of",
@@ -24,8 +27,10 @@ __all__ = [
     "scene_of",
     "simulate_log",
     "simulated_edges",
+    "solids_of",
     "structure_of",
     "truth_of",
+    "vertical_edges",
     "visible_landmarks",
     "visible_mask",
     "world_of",

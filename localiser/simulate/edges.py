@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.types import Edges
+from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
 

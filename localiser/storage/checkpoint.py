@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from localiser.documents import read_bytes
 from localiser.errors import InputError
-from localiser.mcl import FilterState
+from localiser.filter import FilterState
 from localiser.storage.files import write_bytes
 from localiser.storage.packing import fingerprint, pack, unpack
 

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import mcl
 from localiser.camera import Camera
-from localiser.edges import Edges
-from localiser.edges.bearings import complete
+from localiser.edges import Edges, complete
+from localiser.filter import Sighting
 from localiser.geometry import Array, wrap_angle
 from localiser.storage.files import write_text
 from localiser.storage.tables import (
@@ -43,7 +42,7 @@ COLUMNS = (
 )
 
 
-def load_edges(path: Path, camera: Camera) -> list[mcl.Sighting]:
+def load_edges(path: Path, camera: Camera) -> list[Sighting]:
     """Return one sighting for each time in the table, at least one.
 
     A row with a time and nothing else is a frame in which no edge was found. Of bearing and lean the one that is
@@ -61,7 +60,7 @@ def load_edges(path: Path, camera: Camera) -> list[mcl.Sighting]:
     times = table.columns["t_ns"]
     for t_ns, rows in groupby(range(len(table)), key=lambda row: times[row]):
         index = np.array([row for row in rows if found[row]], dtype=np.int64)
-        frames.append(mcl.Sighting(t_ns, _edges(table, measured, index, camera)))
+        frames.append(Sighting(t_ns, _edges(table, measured, index, camera)))
     return frames
 
 
@@ -91,7 +90,7 @@ def _check_row(table: Table, row: int, measured: Array, found: np.bool_) -> None
             raise table.error(row, f"{name}_rad", f"expected a {name} within ±90° of the camera's axis, found {given}")
 
 
-def save_edges(frames: Iterable[mcl.Sighting], camera: Camera, path: Path) -> None:
+def save_edges(frames: Iterable[Sighting], camera: Camera, path: Path) -> None:
     """Write the table of edges, a frame without any as a row with the time alone. Raises OutputError."""
     lines = [",".join(column.name for column in COLUMNS)]
     for frame in frames:

@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from localiser import mcl
 from localiser.camera import Camera
 from localiser.documents import Document, dump, load, validate
 from localiser.errors import InputError, OutputError
+from localiser.filter import Sighting, Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, load_camera, save_camera
@@ -138,11 +138,11 @@ def _named_by(table: Path, line: int) -> Iterator[None]:
         raise InputError(str(error), path=table, line=line, field="file") from error
 
 
-def start_from_file(file: StartFile, t_ns: int) -> mcl.Start:
+def start_from_file(file: StartFile, t_ns: int) -> Start:
     """Return the start that a file states, at the time of the log's first event."""
     mean = np.array([file.x, file.z, math.radians(file.heading_deg)])
     sigma = np.array([file.sigma_m, file.sigma_m, math.radians(file.sigma_deg)])
-    return mcl.Start(t_ns, mean, np.diag(sigma**2))
+    return Start(t_ns, mean, np.diag(sigma**2))
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -155,10 +155,10 @@ def write_log(
     camera: Camera,
     odometry: Trajectory,
     images: Iterable[tuple[int, Image | bytes]] | None = None,
-    sightings: Iterable[mcl.Sighting] | None = None,
+    sightings: Iterable[Sighting] | None = None,
     landmark_map: LandmarkMap | None = None,
     groundtruth: Trajectory | None = None,
-    start: mcl.Start | None = None,
+    start: Start | None = None,
     motion: Mapping[str, Any] | None = None,
     image_suffix: Literal[".jpg", ".png"] = ".jpg",
     jpeg_quality: int = 90,
@@ -220,7 +220,7 @@ def _write_images(images: Iterable[tuple[int, Image | bytes]], folder: Path, suf
     write_text(folder / "images.csv", "\n".join(lines) + "\n")
 
 
-def start_data(start: mcl.Start) -> dict[str, float]:
+def start_data(start: Start) -> dict[str, float]:
     """Return a start as plain data, as a file has it: one sigma for the position and one for the heading."""
     x, z, heading = (float(value) for value in start.mean)
     position_var = (start.cov[0, 0] + start.cov[1, 1]) / 2

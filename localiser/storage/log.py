@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from localiser import mcl
 from localiser.camera import Camera
 from localiser.errors import InputError
+from localiser.filter import Odometry, Sighting, Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent
 
-Frame = ImageEvent | mcl.Sighting
-Event = mcl.Start | mcl.Odometry | ImageEvent | mcl.Sighting
+Frame = ImageEvent | Sighting
+Event = Start | Odometry | ImageEvent | Sighting
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,10 +36,10 @@ class Log:
     odometry: Trajectory
     frames: Sequence[Frame]
     landmark_map: LandmarkMap | None = None
-    start: mcl.Start | None = None
+    start: Start | None = None
     groundtruth: Trajectory | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
-    restarts: Sequence[mcl.Start] = ()
+    restarts: Sequence[Start] = ()
     resumed: bytes = b""
 
     @property
@@ -57,16 +57,14 @@ class Log:
         """Whether the frames are images, not edges."""
         return isinstance(self.frames[0], ImageEvent)
 
-    def events(self, start: mcl.Start | None = None, *, anywhere: bool = False) -> Iterator[Event]:
+    def events(self, start: Start | None = None, *, anywhere: bool = False) -> Iterator[Event]:
         """Yield everything in the order of time: the start first, odometry before an image of the same time.
 
         start: used in place of the log's own. anywhere: whether the log's own is passed over.
         """
         if first := start or (None if anywhere else self.start):
             yield first
-        wheels = (
-            mcl.Odometry(int(t_ns), pose) for t_ns, pose in zip(self.odometry.t_ns, self.odometry.poses, strict=True)
-        )
+        wheels = (Odometry(int(t_ns), pose) for t_ns, pose in zip(self.odometry.t_ns, self.odometry.poses, strict=True))
         yield from heapq.merge(wheels, self.frames, self.restarts, key=lambda event: event.t_ns)
 
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import geometry, mcl
-from localiser.edges import Edges
-from localiser.edges.bearings import BearingSensor, complete
+from localiser import geometry
+from localiser.edges import BearingSensor, Edges, complete
 from localiser.errors import InputError
+from localiser.filter import Sighting
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.log import Log
@@ -142,7 +142,7 @@ def _landmarks(path: Path) -> LandmarkMap:
     return replace(landmark_map, cov=table.numbers("x std-dev", "y std-dev")[..., None] ** 2 * np.eye(2))
 
 
-def _sightings(folder: Path, robot: int, landmark_map: LandmarkMap, sensor: BearingSensor) -> Iterator[mcl.Sighting]:
+def _sightings(folder: Path, robot: int, landmark_map: LandmarkMap, sensor: BearingSensor) -> Iterator[Sighting]:
     """Yield the bearings of each time as one frame; other robots and unknown barcodes have the landmark id -1."""
     path = folder / f"Robot{robot}_Measurement.dat"
     table = read_columns(path, (_TIME, Column("barcode", integer), Column("range", number), Column("bearing", number)))
@@ -161,4 +161,4 @@ def _sightings(folder: Path, robot: int, landmark_map: LandmarkMap, sensor: Bear
         unknown = np.full(len(bearing), np.nan)
         landmark = [index.get(subjects.get(barcode, 0), -1) for barcode in barcodes]
         measured = complete(bearing, np.full(len(bearing), sigma), unknown, unknown, tilt)
-        yield mcl.Sighting(t_ns, Edges.from_columns(*measured, landmark_id=np.array(landmark, dtype=np.int64)))
+        yield Sighting(t_ns, Edges.from_columns(*measured, landmark_id=np.array(landmark, dtype=np.int64)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from localiser.edges.bearings import BearingSensor
+from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.storage.bags import BagReader
 from localiser.storage.folder import FolderReader

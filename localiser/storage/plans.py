@@ -13,8 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from localiser.documents import dump, load, read_bytes, validate
 from localiser.errors import InputError
-from localiser.mapping import MOST_CELLS, FloorPlan
-from localiser.mapping.plan import Mask
+from localiser.mapping import MOST_CELLS, FloorPlan, Mask
 from localiser.storage.files import write_bytes, write_text
 from localiser.storage.images import measure
 

@@ -7,8 +7,8 @@ from typing import TextIO
 
 import numpy as np
 
-from localiser.evaluate.accuracy import Track
-from localiser.frames import LocatedFrame
+from localiser.evaluate import Track
+from localiser.filter import LocatedFrame
 from localiser.storage.files import output_errors
 from localiser.storage.tables import Column, integer, number, number_or_unknown, read_table
 from localiser.storage.trajectories import tum_line

@@ -2,6 +2,21 @@
 
 from localiser.view.context import Context
 from localiser.view.file import RrdFile
+from localiser.view.landmark_view import record_map
 from localiser.view.live import LiveView, check_kind
+from localiser.view.lookalikes import record_lookalikes
+from localiser.view.mapping import Finished, Growing, MapFile, MapView, building_context
 
-__all__ = ["Context", "LiveView", "RrdFile", "check_kind"]
+__all__ = [
+    "Context",
+    "Finished",
+    "Growing",
+    "LiveView",
+    "MapFile",
+    "MapView",
+    "RrdFile",
+    "building_context",
+    "check_kind",
+    "record_lookalikes",
+    "record_map",
+]

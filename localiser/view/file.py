@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from localiser.frames import LocatedFrame
+from localiser.filter import LocatedFrame
 from localiser.view.context import Context
 
 

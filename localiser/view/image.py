@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.frames import Image
+from localiser.filter import Image
 from localiser.geometry import Array
 from localiser.view import palette
 

@@ -20,7 +20,7 @@ from threading import Condition, Thread
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from localiser.errors import InputError
-from localiser.frames import LocatedFrame
+from localiser.filter import LocatedFrame
 from localiser.view.context import Context
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.frames import Image
+from localiser.filter import Image
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.view import live, paths

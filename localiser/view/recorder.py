@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.errors import OutputError
-from localiser.frames import Image, LocatedFrame
+from localiser.filter import Image, Located, LocatedFrame
 from localiser.geometry import Array
-from localiser.mcl import Located
 from localiser.view import image as image_view
 from localiser.view import palette, paths, world
 from localiser.view.context import Context

@@ -7,9 +7,8 @@ import rerun as rr
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.clusters import Clusters
 from localiser.geometry import Array
-from localiser.particles import Estimate, Particles
+from localiser.particles import Clusters, Estimate, Particles
 from localiser.view import palette
 
 MOST_PARTICLES = 2000

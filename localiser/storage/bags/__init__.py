@@ -1,6 +1,71 @@
 """ROS bags, read and written with no ROS installed: ROS 1, ROS 2 with sqlite3, ROS 2 with MCAP."""
 
+from localiser.storage.bags.bag import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    ODOMETRY,
+    POSE,
+    TEXT,
+    TRANSFORMS,
+    stamp_of,
+    typestore,
+)
+from localiser.storage.bags.cameras import camera_of
+from localiser.storage.bags.decisions import (
+    anywhere_decision,
+    clock_decision,
+    image_decision,
+    odometry_decision,
+    start_decision,
+)
+from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame
+from localiser.storage.bags.images import grey_image, image_file, stated_size
+from localiser.storage.bags.label import live_label_text
+from localiser.storage.bags.messages import MAP, ODOM, Messages
+from localiser.storage.bags.poses import floor_cov, floor_pose
 from localiser.storage.bags.read import BagReader
+from localiser.storage.bags.record import BagRecorder
+from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC
 from localiser.storage.bags.write import FILE_KINDS, KINDS, write_bag
 
-__all__ = ["FILE_KINDS", "KINDS", "BagReader", "write_bag"]
+__all__ = [
+    "CAMERA_INFO",
+    "CAMERA_TOPIC",
+    "COMPRESSED",
+    "DECISIONS_TOPIC",
+    "FILE_KINDS",
+    "IMAGE",
+    "KINDS",
+    "LOG_TOPIC",
+    "MAP",
+    "MAP_TOPIC",
+    "ODOM",
+    "ODOMETRY",
+    "POSE",
+    "STATE_TOPIC",
+    "TEXT",
+    "TRANSFORMS",
+    "BagReader",
+    "BagRecorder",
+    "FrameTree",
+    "Messages",
+    "add_all",
+    "anywhere_decision",
+    "camera_of",
+    "clock_decision",
+    "floor_cov",
+    "floor_pose",
+    "grey_image",
+    "image_decision",
+    "image_file",
+    "live_label_text",
+    "mount_of",
+    "odometry_decision",
+    "plain_frame",
+    "stamp_of",
+    "start_decision",
+    "stated_size",
+    "typestore",
+    "write_bag",
+]

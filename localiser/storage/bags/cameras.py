@@ -6,8 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from localiser.camera import Camera, Mount
-from localiser.documents import Document
-from localiser.documents.document import Place
+from localiser.documents import Document, Place
 from localiser.storage.cameras import camera_from_document
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from localiser import mcl
+from localiser.filter import Start
 
 _LAST_NS = 2**62
 
@@ -38,7 +38,7 @@ def clock_decision(offset_ns: int) -> str:
     return json.dumps({"clock": offset_ns})
 
 
-def start_decision(start: mcl.Start) -> str:
+def start_decision(start: Start) -> str:
     """Return that the filter was started, exactly as it was."""
     return json.dumps({"start": start.t_ns, "mean": start.mean.tolist(), "cov": start.cov.tolist()})
 
@@ -59,7 +59,7 @@ class Decisions:
     images: set[int] = field(default_factory=set)
     blind: set[int] = field(default_factory=set)
     unused_odometry: set[int] = field(default_factory=set)
-    starts: list[mcl.Start | None] = field(default_factory=list)
+    starts: list[Start | None] = field(default_factory=list)
     offset_ns: int = 0
 
     def take(self, text: str) -> None:
@@ -86,9 +86,9 @@ class Decisions:
                 raise ValueError("expected a decision on an image, odometry, the clock or a start")
 
 
-def _start(t_ns: int, data: Mapping[str, Any]) -> mcl.Start:
+def _start(t_ns: int, data: Mapping[str, Any]) -> Start:
     mean = np.array(data.get("mean"), dtype=np.float64)
     cov = np.array(data.get("cov"), dtype=np.float64)
     if mean.shape != (3,) or cov.shape != (3, 3) or not (np.isfinite(mean).all() and np.isfinite(cov).all()):
         raise ValueError("expected a start of a pose and its covariance")
-    return mcl.Start(t_ns, mean, cov)
+    return Start(t_ns, mean, cov)

@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field
 
 from localiser.camera import Camera
-from localiser.documents import dump, parse, validate
-from localiser.documents.files import MAX_DOCUMENT_BYTES
+from localiser.documents import MAX_DOCUMENT_BYTES, dump, parse, validate
 from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, camera_from_document
 from localiser.storage.folder import StartFile, start_data

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from localiser import mcl
 from localiser.errors import InputError, OutputError
+from localiser.filter import Odometry
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text, map_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
@@ -116,7 +116,7 @@ class _Bagger:
         for event in log.events():
             while truth and truth[-1][0] <= event.t_ns:
                 self._pose("/ground_truth/odom", MAP, *truth.pop())
-            if isinstance(event, mcl.Odometry):
+            if isinstance(event, Odometry):
                 self._pose("/odom", ODOM, event.t_ns, event.pose)
             elif isinstance(event, ImageEvent):
                 self._send("/camera/camera_info", event.t_ns, make.camera_info(event.t_ns, log.camera))

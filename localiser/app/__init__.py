@@ -1,1 +1,0 @@
-"""The loops of the program: replay a log, simulate one, judge runs."""

@@ -1,0 +1,5 @@
+"""The command line: arguments, progress and messages only."""
+
+from localiser.commands.main import app, main
+
+__all__ = ["app", "main"]

@@ -1,0 +1,1 @@
+"""`localiser camera`: calibrate the lens, find tilt and roll."""

@@ -1,0 +1,1 @@
+"""`localiser convert`: logs to bags and back."""

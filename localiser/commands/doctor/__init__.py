@@ -1,0 +1,1 @@
+"""`localiser doctor`: does everything fit together?"""

@@ -1,0 +1,263 @@
+"""The picture of what was found: the image, its vertical edges by how certain they are, and what the mount says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from localiser.camera import Camera
+from localiser.commands.edges.guides import bearings_shown, horizon, meridian
+from localiser.commands.edges.records import FLOOR, foot_flag
+from localiser.edges import Edges
+from localiser.geometry import Array
+from localiser.storage import Image, write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm
+    from matplotlib.figure import Figure
+
+DPI = 100
+_PANEL_PX = {1: 1000, 2: 800, 3: 640}  # least width of a panel, by how many stand in a row
+_HEAD_PX, _TITLE_PX, _FOOT_PX, _MARGIN_PX = 62, 50, 78, 22
+_GROUND, _INK, _MUTED = "#14181d", "#f2f5f8", "#9fabb8"
+_REJECTED, _HORIZON = "#c7cdd4", "#7ee0a1"
+# Certain edges are blue, doubtful ones red; the middle is the lightest, so that it can be read without colour vision.
+_CERTAINTY = ("#35b6ff", "#9fe3ff", "#fff2a8", "#ffa24d", "#ff5a45")
+_SIGMA_DEG = (0.01, 1.0)
+_DIMMED = 1.45  # the image's white is drawn as this share of full white's inverse, so that lines stand out
+_LINE_PX = 14.0  # height of a label
+_RING_PX = 5.0
+_SURE_SHARE = 0.2  # a range less certain than this is not worth its label
+_BENT_STEPS = 9
+
+
+def save_overlay(path: Path, image: Image, camera: Camera, found: Mapping[str, Edges], *, title: str) -> None:
+    """Write the picture of one image (H, W) as PNG: one panel for each detector. Raises OutputError."""
+    from matplotlib import style
+
+    with style.context(["default", {"font.family": "DejaVu Sans", "font.size": 10, "text.color": _INK}]):
+        figure = draw_overlay(image, camera, found, title=title)
+        figure.canvas.draw()
+        pixels = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
+    _, data = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR))
+    write_bytes(path, bytes(data))
+
+
+def draw_overlay(image: Image, camera: Camera, found: Mapping[str, Edges], *, title: str) -> Figure:
+    """Return the picture as a figure; an image too small to see anything in is drawn a whole number of times larger."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    across = min(len(found), max(_PANEL_PX))
+    down = -(-len(found) // across)
+    zoom = max(1, -(-_PANEL_PX[across] // camera.width))
+    panel = np.array([camera.width, camera.height]) * zoom
+    size = np.array([
+        across * (panel[0] + _MARGIN_PX) + _MARGIN_PX,
+        _HEAD_PX + down * (panel[1] + _TITLE_PX) + _FOOT_PX,
+    ])  # fmt: skip
+    figure = Figure(figsize=tuple(size / DPI), dpi=DPI, facecolor=_GROUND)
+    FigureCanvasAgg(figure)
+    for place, (name, edges) in enumerate(found.items()):
+        row, column = divmod(place, across)
+        left = _MARGIN_PX + column * (panel[0] + _MARGIN_PX)
+        top = _HEAD_PX + _TITLE_PX + row * (panel[1] + _TITLE_PX)
+        box = np.array([left, size[1] - top - panel[1], *panel]) / [*size, *size]
+        axes = figure.add_axes(tuple(box))
+        _draw_panel(axes, image, camera, edges, zoom)
+        _draw_title(axes, name, edges)
+    _draw_head(figure, size, camera, title, zoom)
+    _draw_legend(figure, size)
+    return figure
+
+
+# -- a panel ----------------------------------------------------------------------------------------------------------
+
+
+def _draw_panel(axes: Axes, image: Image, camera: Camera, edges: Edges, zoom: int) -> None:
+    extent = (-0.5, camera.width - 0.5, camera.height - 0.5, -0.5)
+    larger = cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else image
+    axes.imshow(larger, cmap="gray", vmin=0, vmax=255 * _DIMMED, extent=extent, interpolation="nearest", aspect="auto")
+    axes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    _draw_guides(axes, camera)
+    _draw_lines(axes, camera, edges)
+    _draw_rings(axes, edges)
+    _annotate(axes, edges, zoom)
+
+
+def _draw_guides(axes: Axes, camera: Camera) -> None:
+    """Draw where vertical edges of round bearings would run, and the horizon."""
+    for bearing_deg in bearings_shown(camera):
+        line = meridian(camera, float(np.deg2rad(bearing_deg)))
+        if len(line) < 2:
+            continue
+        axes.plot(*line.T, ":", color=_INK, linewidth=0.9, alpha=0.4, zorder=2)
+        top = line[line[:, 1].argmin()]
+        if top[1] < 0.03 * camera.height:
+            axes.annotate(
+                f"{bearing_deg:+.0f}°" if bearing_deg else "0°", (top[0], -0.5), xytext=(0, 4),
+                textcoords="offset points", ha="center", va="bottom", fontsize=9, color=_MUTED, annotation_clip=False,
+            )  # fmt: skip
+    line = horizon(camera)
+    if len(line) > 1:
+        axes.plot(*line.T, "--", color=_HORIZON, linewidth=1.1, alpha=0.75, zorder=2)
+
+
+def _draw_lines(axes: Axes, camera: Camera, edges: Edges) -> None:
+    from matplotlib.collections import LineCollection
+
+    rejected = LineCollection(
+        list(_bent(edges.rejected_px, camera)), colors=_REJECTED, linewidths=0.8, alpha=0.55, zorder=3
+    )
+    axes.add_collection(rejected)
+    lines = _bent(edges.ends_px, camera)
+    axes.add_collection(LineCollection(list(lines), colors="black", linewidths=4.2, alpha=0.55, zorder=4))
+    colours = _certainty()(_scale()(np.rad2deg(edges.bearing_sigma)))
+    axes.add_collection(LineCollection(list(lines), colors=colours, linewidths=2.2, zorder=5))
+    known = edges.polarity[np.isfinite(edges.ends_px).all(axis=(1, 2))]
+    middle = lines[:, [0, -1]].mean(axis=1) if lines.shape[1] == 2 else lines[:, lines.shape[1] // 2]
+    for sign, marker in ((1, 5), (-1, 4)):  # carets to the right and to the left, with their bases on the edge
+        side = known == sign
+        style: dict[str, Any] = {"markeredgecolor": "black", "markeredgewidth": 0.5, "zorder": 6}
+        axes.plot(*middle[side].T, linestyle="none", marker=marker, color=_INK, markersize=6, **style)
+
+
+def _draw_rings(axes: Axes, edges: Edges) -> None:
+    """Ring every lower end that likely stands on the floor, dot what rather does not, cross out what is not seen."""
+    flag = foot_flag(edges)
+    on_floor, elsewhere, unseen = (edges.ends_px[flag == name, 0] for name in ("floor", "hidden", "outside"))
+    axes.plot(*elsewhere.T, "o", color=_INK, markeredgecolor="black", markersize=4, markeredgewidth=1, zorder=6)
+    beside = unseen.clip([0, 0], [axes.get_xlim()[1] - 3, axes.get_ylim()[0] - 3])  # whole, inside the picture
+    axes.plot(*beside.T, "x", color="black", markersize=7, markeredgewidth=3.5, zorder=6)
+    axes.plot(*beside.T, "x", color=_INK, markersize=6, markeredgewidth=1.5, zorder=7)
+    axes.plot(*on_floor.T, "o", color="none", markeredgecolor="black", markersize=9, markeredgewidth=3, zorder=6)
+    axes.plot(*on_floor.T, "o", color="none", markeredgecolor=_INK, markersize=9, markeredgewidth=1.5, zorder=7)
+
+
+def _annotate(axes: Axes, edges: Edges, zoom: int) -> None:
+    """Write an edge's number at its top and its range at its foot.
+
+    A number in whose place another one stands already is moved up or down along its edge, on which it stays; of ranges
+    in one place that of the longest edge is written.
+    """
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.5, foreground="black")]
+    style: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 9, "fontweight": "bold", "zorder": 9}
+    rings = edges.ends_px[foot_flag(edges) == "floor", 0] * zoom
+    placed: list[tuple[Array, float]] = [(ring, _RING_PX) for ring in rings]
+    size = np.array([axes.get_xlim()[1], axes.get_ylim()[0]]) * zoom
+    for wanted, text in _labels(edges, zoom):
+        half = 4.0 * len(text) + 1
+        for place in wanted.clip([half, 8], size - [half, 8]):  # kept inside the picture, to which it belongs
+            if not any(abs(place[0] - x) < half + width and abs(place[1] - y) < _LINE_PX for (x, y), width in placed):
+                placed.append((place, half))
+                axes.text(place[0] / zoom, place[1] / zoom, text, path_effects=halo, **style)
+                break
+
+
+def _labels(edges: Edges, zoom: int) -> Iterator[tuple[Array, str]]:
+    """Yield where (places, 2) on the enlarged picture to write what, best place first, and the most telling text."""
+    order = np.argsort(-edges.length_px, kind="stable")
+    for index in order:
+        bottom, top = edges.ends_px[index] * zoom
+        down = (bottom - top) / max(float(np.linalg.norm(bottom - top)), 1e-9)
+        along = np.arange(0.0, max(float(np.linalg.norm(bottom - top)) - 2 * _LINE_PX, 1.0), _LINE_PX)
+        yield np.concatenate([[top - [0, 11]], top + down * (along[:, None] + _LINE_PX)]), str(index + 1)
+    for index in order:
+        is_sure = edges.foot_range_sigma_m[index] < _SURE_SHARE * edges.foot_range_m[index]
+        if is_sure and not edges.foot_probability[index] < FLOOR:
+            yield edges.ends_px[index, :1] * zoom + [[0, 17], [0, 31]], f"{edges.foot_range_m[index]:.1f} m"
+
+
+def _bent(ends_px: Array, camera: Camera) -> Array:
+    """Return polylines (E, S, 2) between ends (E, 2, 2) of the image as taken, as the lens bends a straight line."""
+    ends = ends_px[np.isfinite(ends_px).all(axis=(1, 2))]
+    if not camera.is_distorted or len(ends) == 0:
+        return ends
+    straight = camera.image_from_pixels(ends)
+    along = np.linspace(0.0, 1.0, _BENT_STEPS)[:, None]
+    return camera.pixels_from_image(straight[:, None, 0] * (1 - along) + straight[:, None, 1] * along)
+
+
+# -- around the panels ------------------------------------------------------------------------------------------------
+
+
+def _draw_title(axes: Axes, name: str, edges: Edges) -> None:
+    shown = f"vertical edges: {len(edges)}, segments rejected: {len(edges.rejected_px)}"
+    place: dict[str, Any] = {"textcoords": "offset points", "va": "bottom", "xycoords": "axes fraction"}
+    axes.annotate(name, (0, 1), xytext=(0, 17), fontsize=12, fontweight="bold", **place)
+    axes.annotate(shown, (1, 1), xytext=(0, 17), ha="right", color=_MUTED, **place)
+
+
+def _draw_head(figure: Figure, size: Array, camera: Camera, title: str, zoom: int) -> None:
+    mount = camera.mount
+    tilt, roll = np.rad2deg([mount.tilt_rad, mount.roll_rad])
+    parts = [
+        f"{camera.width}×{camera.height}",
+        f"tilt {tilt:.2f}°",
+        f"roll {roll:.2f}°",
+        f"height {mount.height_m:.2f} m",
+    ]
+    if abs(tilt) > 1:
+        u, v = camera.nadir_px
+        parts.append(f"nadir point ({u:.0f}, {v:.0f}) px")
+    if zoom > 1:
+        parts.append(f"drawn {zoom}×")
+    left, line = _MARGIN_PX / size[0], 1 - np.array([24, 46]) / size[1]
+    figure.text(left, line[0], title, fontsize=15, fontweight="bold", va="center")
+    figure.text(left, line[1], "  ·  ".join(parts), fontsize=9.5, color=_MUTED, va="center")
+
+
+def _draw_legend(figure: Figure, size: Array) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.lines import Line2D
+
+    bar = figure.add_axes((1.6 * _MARGIN_PX / size[0], 34 / size[1], 200 / size[0], 9 / size[1]))
+    figure.colorbar(ScalarMappable(_scale(), _certainty()), cax=bar, orientation="horizontal", extend="both")
+    bar.set_xticks([0.01, 0.1, 1.0], ["0.01°", "0.1°", "1°"], color=_MUTED, fontsize=9)
+    bar.tick_params(which="both", length=0)
+    bar.set_title("sigma of the bearing", fontsize=9.5, loc="left", pad=5)
+    bar.spines[:].set_visible(False)
+    ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.5}
+    handles = [
+        Line2D([], [], color=_INK, linestyle="none", marker=5, label="lighter side"),
+        Line2D([], [], color=_INK, linestyle="none", label="lower end on the floor, with range", **ring),
+        Line2D(
+            [], [], color=_INK, linestyle="none", marker="o", markersize=4, label="lower end, hidden or above the floor"
+        ),
+        Line2D(
+            [],
+            [],
+            color=_INK,
+            linestyle="none",
+            marker="x",
+            markersize=6,
+            label="lower end outside, or above the horizon",
+        ),
+        Line2D([], [], color=_REJECTED, alpha=0.7, linewidth=1, label="segment, not vertical"),
+        Line2D([], [], color=_INK, alpha=0.6, linestyle=":", linewidth=1.2, label="bearing, to the nadir point"),
+        Line2D([], [], color=_HORIZON, linestyle="--", linewidth=1.2, label="horizon"),
+    ]
+    figure.legend(
+        handles=handles, loc="center right", bbox_to_anchor=(1 - _MARGIN_PX / size[0] / 2, 40 / size[1]),
+        ncols=4, frameon=False, fontsize=9.5, labelcolor=_INK, handlelength=1.6, columnspacing=1.6,
+    )  # fmt: skip
+
+
+def _certainty() -> LinearSegmentedColormap:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("certainty", _CERTAINTY)
+
+
+def _scale() -> LogNorm:
+    from matplotlib.colors import LogNorm
+
+    return LogNorm(*_SIGMA_DEG)

@@ -1,0 +1,217 @@
+"""`localiser live`: a robot that is running; and a demo with a stand-in for one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role
+
+if TYPE_CHECKING:
+    from localiser.live import LiveOptions
+
+live_app = typer.Typer(
+    invoke_without_command=True,
+    help="Localise a running robot: images and odometry come in over zenoh, poses go out.",
+    epilog="""Examples:
+
+`localiser live demo --view web`
+
+`localiser live --map maps/house.yaml --start 1.5,-2,90 --record drive.db3`
+
+`localiser live --map maps/house.yaml --connect tcp/192.168.1.5:7447 --topic image=/camera/image_raw --json`
+
+`localiser live --map maps/house.yaml --image 0 --camera camera.yaml`""",
+)
+
+
+Connect = Annotated[
+    list[str] | None,
+    typer.Option("--connect", metavar="ENDPOINT", help="The robot, or a zenoh router; tcp/127.0.0.1:7447. Repeatable."),
+]
+Listen = Annotated[
+    list[str] | None,
+    typer.Option("--listen", metavar="ENDPOINT", help="Where others may connect; by default this machine alone."),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="x,z,heading_deg", help="Where the robot is now, to 0.1 m and 3°; by default it is looked for."
+    ),
+]
+Record = Annotated[
+    Path | None,
+    typer.Option(
+        "--record", metavar="BAG.db3", help="Record what comes in, so that `localiser replay` repeats the run."
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Write every pose as a line of JSON on standard output.")]
+Seconds = Annotated[float | None, typer.Option(min=0.1, metavar="S", help="End after this time.")]
+LiveView = Annotated[
+    str,
+    typer.Option(
+        "--view", metavar="native|web|IP:PORT|none", help="Watch in Rerun; IP:PORT serves viewers on other machines."
+    ),
+]
+
+
+@live_app.callback()
+def live(
+    context: typer.Context,
+    map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map.")] = None,
+    connect: Connect = None,
+    listen: Listen = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--topic",
+            metavar="KIND=NAME",
+            help="Another topic for image, camera_info, odometry, transforms, initialpose or groundtruth. Repeatable.",
+        ),
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Camera file, in place of what the robot says of its camera.")
+    ] = None,
+    image: Annotated[
+        str | None,
+        typer.Option(metavar="SOURCE", help="A camera's number, a video file or a stream's address, read by OpenCV."),
+    ] = None,
+    start: Start = None,
+    record: Record = None,
+    json: Json = False,
+    view: LiveView = "none",
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save the state here every few seconds; replaces what is there.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the state in --checkpoint, if there is one.")
+    ] = False,
+    seconds: Seconds = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    seed: Seed = None,
+) -> None:
+    """Localise a running robot; see docs/live.md."""
+    if context.invoked_subcommand is not None:
+        return
+    from localiser.config import load_config
+    from localiser.errors import InputError
+    from localiser.live import LiveOptions
+    from localiser.live.sources import ENDPOINT
+
+    if map_file is None:
+        raise InputError("expected a map", field="--map")
+    if resume and checkpoint is None:
+        raise InputError("expected --checkpoint FILE to go on from", field="--resume")
+    settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
+    options = LiveOptions(
+        map_file,
+        load_config(config, settings),
+        topics_by_role(topics),
+        connect or ([] if listen else [ENDPOINT]),
+        listen or [],
+        camera,
+        image,
+        start,
+        record,
+        sys.stdout.fileno() if json else None,
+        view,
+        checkpoint,
+        resume,
+    )
+    _run(options, seconds)
+
+
+@live_app.command(epilog="Example: `localiser live demo --view web`")
+def demo(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG|WORLD", help="What the stand-in drives: a log with a map, or a world file.")
+    ] = Path("logs/corridor"),
+    record: Record = None,
+    json: Json = False,
+    view: LiveView = "none",
+    seconds: Seconds = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    seed: Seed = None,
+) -> None:
+    """Show the live mode with no robot: a stand-in sends a log over zenoh, as if it were driving now."""
+    from tempfile import TemporaryDirectory
+
+    from localiser.config import load_config
+    from localiser.errors import InputError
+    from localiser.live import LiveOptions, drive, start_text
+    from localiser.storage import save_map
+
+    driven = drive(log, 0)
+    if driven.landmark_map is None:
+        raise InputError("the log has no map", path=log, field="map")
+    settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
+    endpoint = _free_endpoint()
+    with TemporaryDirectory() as folder:
+        map_file = Path(folder) / "map.yaml"
+        save_map(driven.landmark_map, map_file)
+        options = LiveOptions(
+            map_file,
+            load_config(config, settings, driven.settings),
+            connect=[endpoint],
+            start=start_text(driven),
+            record=record,
+            json=sys.stdout.fileno() if json else None,
+            view=view,
+        )
+        with _stand_in(log, endpoint):
+            _run(options, seconds)
+
+
+@contextmanager
+def _stand_in(log: Path, endpoint: str) -> Iterator[None]:
+    """Run the robot's stand-in as a process of its own."""
+    command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", "--listen", endpoint, "--quiet"]
+    command += ["--odometry-hz", "100", "--wait"]
+    robot = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+    try:
+        yield
+    finally:
+        robot.terminate()
+        robot.wait()
+
+
+def _free_endpoint() -> str:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def _run(options: LiveOptions, seconds: float | None) -> None:
+    """Run until the time is over, Ctrl-C or SIGTERM; then say what it came to."""
+    from localiser.live import opened
+    from localiser.replay import asked_to_stop
+
+    with asked_to_stop() as stop, opened(options, _say) as live:
+        end = float("inf") if seconds is None else time.monotonic() + seconds
+        live.run.run(lambda: stop.is_set() or time.monotonic() >= end)
+        _say_figures(live.run)
+
+
+def _say(text: str, level: str) -> None:
+    typer.secho(text, err=True, fg="yellow" if level == "WARNING" else None)
+
+
+def _say_figures(run: Any) -> None:
+    figures = run.monitor.figures()
+    typer.echo("  ".join(f"{name} {value:.4g}" for name, value in figures.items()), err=True)
+    left_out = {**run.timeline.skipped, **{f"{role} dropped": n for role, n in run.inbox.dropped.items()}}
+    if run.timeline.late_odometry:
+        left_out["odometry"] = run.timeline.late_odometry
+    if left_out:
+        typer.echo("left out: " + ", ".join(f"{why} {n}" for why, n in left_out.items()), err=True)

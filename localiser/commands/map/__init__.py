@@ -1,0 +1,1 @@
+"""`localiser map`: build maps, look at them, check and mend them."""

@@ -1,0 +1,1 @@
+"""`localiser paper`: the founding paper, reproduced."""

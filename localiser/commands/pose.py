@@ -1,0 +1,29 @@
+"""`localiser pose`: tell a live run where the robot is."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+pose_app = typer.Typer(no_args_is_help=True, help="Tell a live run where the robot is.")
+
+
+@pose_app.command("set", epilog="Example: `localiser pose set 1.5,-2,90 --sigma 0.5,10`")
+def pose_set(
+    pose: Annotated[str, typer.Argument(metavar="x,z,heading_deg", help="In the map: metres and degrees.")],
+    sigma: Annotated[
+        str, typer.Option(metavar="M,DEG", help="How far that may be off, one sigma: metres and degrees.")
+    ] = "0.1,3",
+    connect: Annotated[
+        list[str] | None,
+        typer.Option("--connect", metavar="ENDPOINT", help="The robot, or a zenoh router; tcp/127.0.0.1:7447."),
+    ] = None,
+    topic: Annotated[str, typer.Option(metavar="NAME", help="Where live runs listen for poses.")] = "/initialpose",
+) -> None:
+    """Publish where the robot is, as a PoseWithCovarianceStamped; put a value that begins with a minus after `--`."""
+    from localiser.live import send_pose
+    from localiser.live.sources import ENDPOINT
+
+    send_pose(pose, sigma, connect or [ENDPOINT], topic)
+    typer.echo(f"sent to {topic}", err=True)

@@ -1,0 +1,31 @@
+"""One image with everything that a run knows of it: what every sink takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.filter.mcl import Located
+from localiser.geometry import Array
+from localiser.observation import Matches
+
+Image = NDArray[np.uint8] | bytes
+"""Pixels (height, width) grey or (height, width, 3) BGR as OpenCV has them, or the bytes of a JPEG or PNG file."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocatedFrame:
+    """One image, located.
+
+    matches: which landmark each edge shows, seen from the estimate. image: None where edges were measured elsewhere.
+    truth: (3,) true pose then, where known. stage_ms: what each stage of the work took.
+    """
+
+    located: Located
+    matches: Matches
+    image: Image | None
+    truth: Array | None
+    stage_ms: Mapping[str, float]

@@ -1,0 +1,88 @@
+"""Floor poses, increments, angles, and the equations of the paper as plain functions.
+
+Frames and signs (docs/conventions.md). Robot and camera: x right, y up, z backward. Map: right-handed, y up,
+the floor is the (x, z) plane. A pose is (x, z, heading); heading turns about +y, anticlockwise seen from above,
+and is 0 when the robot faces map -z. Bearing is positive to the right. Lean is the angle of an image line from the
+image vertical, positive when the top leans right; the paper's slope is m = 1 / tan(lean).
+
+[Taylor06] is Taylor, Geva, Boles, "Using Camera Tilt to Assist with Localisation", ICARA 2006.
+"""
+
+from localiser.geometry.angles import MANY, Array, circular_mean, cos_sin, wrap_angle, wrap_half_turn
+from localiser.geometry.increment import Increment
+from localiser.geometry.poses import (
+    arc_log,
+    arc_motion,
+    between,
+    compose,
+    forward,
+    interpolate_pose,
+    map_from_robot,
+    pose_from_ros,
+    right,
+    robot_from_map,
+    ros_cov_from_cov,
+    ros_from_pose,
+)
+from localiser.geometry.slopes import (
+    bearing_from_lean,
+    bearing_from_point,
+    bearing_of_image_point,
+    bearing_per_lean,
+    bearing_per_tilt_from_lean,
+    constrained_lean_sigma,
+    depth_from_slopes,
+    edge_a_at,
+    floor_range,
+    floor_range_sigma,
+    lean_from_bearing,
+    lean_from_slope,
+    lean_sigma_of_segment,
+    motion_from_slopes,
+    nadir_point,
+    rotation_from_slopes,
+    slope_from_lean,
+    slope_from_point,
+)
+from localiser.geometry.trajectory import Trajectory
+
+__all__ = [
+    "MANY",
+    "Array",
+    "Increment",
+    "Trajectory",
+    "arc_log",
+    "arc_motion",
+    "bearing_from_lean",
+    "bearing_from_point",
+    "bearing_of_image_point",
+    "bearing_per_lean",
+    "bearing_per_tilt_from_lean",
+    "between",
+    "circular_mean",
+    "compose",
+    "constrained_lean_sigma",
+    "cos_sin",
+    "depth_from_slopes",
+    "edge_a_at",
+    "floor_range",
+    "floor_range_sigma",
+    "forward",
+    "interpolate_pose",
+    "lean_from_bearing",
+    "lean_from_slope",
+    "lean_sigma_of_segment",
+    "map_from_robot",
+    "motion_from_slopes",
+    "nadir_point",
+    "pose_from_ros",
+    "right",
+    "robot_from_map",
+    "ros_cov_from_cov",
+    "ros_from_pose",
+    "rotation_from_slopes",
+    "slope_from_lean",
+    "slope_from_point",
+    "wrap_angle",
+    "wrap_half_turn",
+]

@@ -1,0 +1,290 @@
+"""How loops are compiled by numba, and where their machine code is kept, so that only the first run waits for it.
+
+numba's own cache knows the file of a loop and no other: a function that is inlined from elsewhere may change, and the
+old machine code stays in use. Here the name of a kept file is a digest of everything that is compiled: the loop, the
+compiled functions and the constants it reaches, wherever they are defined, how they are compiled, the types of the
+arguments, the processor and the versions of numba, LLVM, numpy and Python. So kept code is never out of date, and
+several checkouts, users of one account and processes share it.
+
+numba takes long to import, so it is imported when the first loop is compiled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import platform
+import stat
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, ModuleType
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# Sums may be contracted to fused operations, but never be put into another order: results do not depend on what stands
+# beside a particle.
+_RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
+_FOREIGN = ("builtins", "math", "numpy", "numba")  # told apart by their versions
+_KEPT_FILES = 1000  # of about 70 kB; those used last stay
+_CHECKSUM_BYTES = 32
+
+
+# -- how loops are compiled -------------------------------------------------------------------------------------------
+
+
+def entry(function: F) -> F:
+    """Compile a loop over particles that Python calls; its machine code is kept."""
+    return cast(F, _with_numba(function, is_kept=True, nogil=True, **_RULES))
+
+
+def inlined(function: F) -> F:
+    """Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
+    return cast(F, _with_numba(function, is_kept=False, forceinline=True, **_RULES))
+
+
+def compiled(function: F) -> F:
+    """Compile any other loop, with sums as they are written; its machine code is kept.
+
+    A decorator, or called where the loop is first needed: the same function is compiled once.
+    """
+    return cast(F, _compiled(function, "numpy"))
+
+
+def checked(function: F) -> F:
+    """Compile as `compiled` does, but a division by 0 raises ZeroDivisionError."""
+    return cast(F, _compiled(function, "python"))
+
+
+@cache
+def _compiled(function: Callable[..., Any], error_model: str) -> Any:
+    return _with_numba(function, is_kept=True, error_model=error_model)
+
+
+def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> Any:
+    from numba import njit
+
+    loop = njit(**rules)(function)
+    if is_kept and hasattr(loop, "targetoptions"):  # a plain function where NUMBA_DISABLE_JIT is set
+        loop._cache = _Kept(loop)
+    return loop
+
+
+# -- where machine code is kept ---------------------------------------------------------------------------------------
+
+
+@cache
+def folder() -> Path | None:
+    """Return the folder of kept machine code; None where nothing can be kept, so that every run compiles anew.
+
+    That is `$LOCALISER_CACHE/compiled`, else `localiser/compiled` in the user's cache folder, else a folder in the one
+    for temporary files: the first that can be written and belongs to this user alone, since whoever writes into it
+    decides what this process runs.
+    """
+    return next((place for place in _places() if _is_private(place)), None)
+
+
+def _places() -> Iterator[Path]:
+    if stated := os.environ.get("LOCALISER_CACHE"):
+        yield Path(stated) / "compiled"
+    with suppress(RuntimeError):  # a user without a home
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "localiser" / "compiled"
+    with suppress(OSError):  # no folder for temporary files
+        yield Path(tempfile.gettempdir()) / f"localiser-compiled-{_user()}"
+
+
+def _is_private(place: Path) -> bool:
+    """Make a folder where there is none, and tell whether it is a real one that this user alone can use."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            place.mkdir(mode=0o700)
+        found = place.lstat()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != _user() or stat.S_IMODE(found.st_mode) & 0o077:
+            return False
+        tempfile.TemporaryFile(dir=place).close()
+    except OSError:
+        return False
+    return True
+
+
+def _user() -> int:
+    return os.getuid() if hasattr(os, "getuid") else 0
+
+
+class _Kept:
+    """The machine code of one loop, a file for each signature; to numba, the loop's cache."""
+
+    def __init__(self, loop: Any) -> None:
+        self._loop = loop
+
+    @property
+    def cache_path(self) -> str:
+        """Where files are kept, for numba's `stats`."""
+        return str(folder() or "")
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Return the compiled loop as numba saved it; None where it is not kept, or its file is damaged."""
+        from numba.core.compiler import CompileResult
+
+        path = self._path(signature, target.codegen())
+        content = _read(path) if path else None
+        if content is None:
+            return None
+        target.refresh()
+        return CompileResult._rebuild(target, *pickle.loads(content))
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep a compiled loop, if it can be used by another process."""
+        from numba.core.serialize import dumps
+
+        path = self._path(signature, result.codegen)
+        if path and not result.lifted and not result.library.has_dynamic_globals:
+            _write(path, dumps(result._reduce()))
+
+    def flush(self) -> None:
+        """Do nothing: what is kept is never out of date."""
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        where = folder()
+        if where is None:
+            return None
+        function = self._loop.py_func
+        try:
+            content = (_versions(), codegen.magic_tuple(), _told_types(signature), _told(self._loop, {}))
+        except _UnknownError as unknown:
+            message = f"{function.__qualname__} is compiled anew in every run: {unknown}"
+            warnings.warn(message, RuntimeWarning, stacklevel=1)
+            return None
+        digest = hashlib.sha256(repr(content).encode()).hexdigest()
+        return where / f"{function.__name__}-{digest[:40]}"
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        content = path.read_bytes()
+        os.utime(path)  # used just now
+    except OSError:
+        return None
+    checksum, content = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+    return content if hashlib.sha256(content).digest() == checksum else None
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all. That it cannot be kept is no reason to fail."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+        Path(file.name).replace(path)
+        _forget_oldest(path.parent)
+    except OSError:
+        return
+
+
+def _forget_oldest(where: Path) -> None:
+    with os.scandir(where) as files:
+        by_use = sorted(files, key=lambda file: file.stat().st_mtime)
+    for file in by_use[:-_KEPT_FILES]:
+        Path(file.path).unlink(missing_ok=True)
+
+
+# -- what machine code depends on -------------------------------------------------------------------------------------
+
+
+class _UnknownError(TypeError):
+    """A loop uses something of which it is not known how it changes the code."""
+
+
+@cache
+def _versions() -> tuple[object, ...]:
+    import llvmlite
+    import numba
+
+    told = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_")}
+    told.pop("NUMBA_NUM_THREADS", None)
+    versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version, platform.machine())
+    return (*versions, *sorted(told.items()))
+
+
+def _told_types(signature: Any) -> tuple[object, ...]:
+    from numba.core.sigutils import normalize_signature
+
+    arguments, returned = normalize_signature(signature)
+    return (str(returned), *(_told_type(argument) for argument in arguments))
+
+
+def _told_type(argument: Any) -> tuple[object, ...]:
+    """Return what numba's type of an argument decides; the name of a named tuple's type leaves out its fields."""
+    from numba.core import types
+
+    if isinstance(argument, types.Callable):
+        raise _UnknownError(f"an argument is {argument}")
+    inner = tuple(_told_type(each) for each in argument) if hasattr(argument, "__iter__") else ()
+    named = _told(argument.instance_class, {}) if hasattr(argument, "instance_class") else ()
+    return (str(argument), named, inner)
+
+
+def _told(value: Any, met: dict[int, int]) -> tuple[object, ...]:
+    """Return what a value adds to the code of a loop that uses it. met: the loops on the way here, by identity."""
+    told: tuple[object, ...]
+    match value:
+        case None | bool() | int() | float() | complex() | str() | bytes() | np.generic():
+            told = (type(value).__name__, repr(value))
+        case tuple():
+            told = (_told(type(value), met), *(_told(each, met) for each in value))
+        case set() | frozenset():
+            told = ("set", *sorted(repr(_told(each, met)) for each in value))
+        case dict():
+            told = ("dict", *((key, _told(each, met)) for key, each in sorted(value.items())))
+        case np.ndarray() if not value.dtype.hasobject:
+            told = ("array", str(value.dtype), value.shape, value.strides, value.tobytes())
+        case type() if _is_foreign(value.__module__) or hasattr(value, "_fields"):
+            told = ("type", value.__module__, value.__qualname__, getattr(value, "_fields", ()))
+        case ModuleType() if _is_foreign(value.__name__):
+            told = ("module", value.__name__)
+        case BuiltinFunctionType() | np.ufunc():
+            told = ("function", str(getattr(value, "__module__", "")), value.__name__)
+        case _ if hasattr(value, "targetoptions") and hasattr(value, "py_func"):
+            told = _told_loop(value, met)
+        case _:
+            raise _UnknownError(f"it uses {value!r}")
+    return told
+
+
+def _is_foreign(module: str) -> bool:
+    return module.partition(".")[0] in _FOREIGN
+
+
+def _told_loop(loop: Any, met: dict[int, int]) -> tuple[object, ...]:
+    if id(loop) in met:
+        return ("again", met[id(loop)])
+    met[id(loop)] = len(met)
+    function = loop.py_func
+    cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
+    around = (loop.targetoptions, function.__defaults__, function.__kwdefaults__, cells)
+    code = _told_code(function.__code__, function.__globals__, met)
+    return ("loop", function.__module__, function.__qualname__, *(_told(each, met) for each in around), code)
+
+
+def _told_code(code: CodeType, module: dict[str, Any], met: dict[int, int]) -> tuple[object, ...]:
+    """Return what a function does: its instructions, and the content of constants and globals that they use.
+
+    Globals that only share the name of an attribute are among them: that costs less than to tell them apart.
+    """
+    return (
+        code.co_code,
+        (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags),
+        (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars),
+        tuple(
+            _told_code(each, module, met) if isinstance(each, CodeType) else _told(each, met) for each in code.co_consts
+        ),
+        tuple((name, _told(module[name], met)) for name in sorted(module.keys() & code.co_names)),
+    )

@@ -1,0 +1,20 @@
+"""A running robot: messages in, poses out; the same filter as in a replay."""
+
+from localiser.live.inbound import TOPICS, CameraFinder, message_of, type_of
+from localiser.live.prepare import LiveOptions, opened
+from localiser.live.send_pose import send_pose
+from localiser.live.stand_in import Passage, StandIn, drive, start_text
+
+__all__ = [
+    "TOPICS",
+    "CameraFinder",
+    "LiveOptions",
+    "Passage",
+    "StandIn",
+    "drive",
+    "message_of",
+    "opened",
+    "send_pose",
+    "start_text",
+    "type_of",
+]

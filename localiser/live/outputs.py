@@ -1,0 +1,121 @@
+"""What leaves a live run: poses over the network, and lines of JSON. Neither ever waits for whoever reads them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import deque
+from dataclasses import dataclass
+from threading import Condition, Thread
+
+import numpy as np
+
+from localiser import geometry
+from localiser.filter import Located
+from localiser.geometry import Array
+from localiser.live.sources import Network
+from localiser.storage.bags import Messages
+
+POSE_TOPIC, TRANSFORM_TOPIC = "/localiser/pose", "/tf"
+MOST_LINES = 1000
+LEAST_SURE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Published:
+    """One image's result as it goes out. stamp_ns, now_ns: of the image and of the wheels' last pose, by the robot.
+
+    now: (3,) pose in the map then. by_wheels: whether wheels were ever heard. latency_ms: from the image's stamp, by
+    this machine's calendar. error_m: where the robot tells the truth beside.
+    """
+
+    located: Located
+    stamp_ns: int
+    now_ns: int
+    now: Array
+    by_wheels: bool
+    latency_ms: float
+    error_m: float | None = None
+
+    def line(self) -> str:
+        """Return the line of JSON."""
+        located, estimate = self.located, self.located.estimate
+        x, z, heading = estimate.pose.tolist()
+        now_x, now_z, now_heading = self.now.tolist()
+        data = {
+            "stamp_ns": self.stamp_ns,
+            "t_ns": located.t_ns,
+            "x": x,
+            "z": z,
+            "heading": heading,
+            "cov": estimate.pose_cov[np.triu_indices(3)].tolist(),
+            "now": {"stamp_ns": self.now_ns, "x": now_x, "z": now_z, "heading": now_heading},
+            "edges": len(located.edges),
+            "p_correct": round(float(located.p_correct), 4),
+            "latency_ms": round(self.latency_ms, 3),
+        }
+        return json.dumps(data | ({} if self.error_m is None else {"error_m": round(self.error_m, 6)}))
+
+
+def pose_now(located: Located, odometry_now: Array) -> Array:
+    """Return the pose (3,) in the map at the wheels' last pose: the estimate, moved on by what the wheels did since."""
+    return geometry.compose(located.estimate.pose, geometry.between(located.odometry, odometry_now))
+
+
+class PosePublisher:
+    """Publishes the pose with its covariance, and the transform from the map to the odometry's frame (REP-105).
+
+    The transform, by which robots drive, is held back while the estimate is more likely wrong than right.
+    """
+
+    def __init__(self, network: Network) -> None:
+        """Publish on a network."""
+        self._network, self._messages = network, Messages()
+
+    def publish(self, published: Published) -> bytes:
+        """Send both; returns the pose's message."""
+        located, make = published.located, self._messages
+        estimate = located.estimate
+        pose = make.encode(make.pose_in_map(published.stamp_ns, estimate.pose, estimate.pose_cov))
+        self._network.publish(POSE_TOPIC, pose)
+        if published.by_wheels and located.p_correct >= LEAST_SURE:
+            transform = make.map_from_odometry(published.now_ns, estimate.pose, located.odometry)
+            self._network.publish(TRANSFORM_TOPIC, make.encode(transform))
+        return pose
+
+
+class JsonLines:
+    """Writes lines to a file descriptor on a thread of its own; of a reader that is too slow the oldest are dropped."""
+
+    def __init__(self, descriptor: int) -> None:
+        """Begin."""
+        self._descriptor = descriptor
+        self._queue: deque[str | None] = deque(maxlen=MOST_LINES)
+        self._changed = Condition()
+        self._thread = Thread(target=self._work, name="json", daemon=True)
+        self._thread.start()
+
+    def put(self, line: str | None) -> None:
+        """Write a line; None ends the thread."""
+        with self._changed:
+            self._queue.append(line)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End; waits a moment for a slow reader."""
+        self.put(None)
+        self._thread.join(1.0)
+
+    def _work(self) -> None:
+        try:
+            while (line := self._next()) is not None:
+                rest = f"{line}\n".encode()
+                while rest:
+                    rest = rest[os.write(self._descriptor, rest) :]
+        except OSError:
+            return  # nobody reads any more
+
+    def _next(self) -> str | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue)
+            return self._queue.popleft()

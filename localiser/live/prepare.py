@@ -1,0 +1,176 @@
+"""From what a user asked for to a live run: files are read, the network is joined, outputs are opened."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from localiser import view
+from localiser.camera import Camera
+from localiser.config import Config
+from localiser.documents import nearest, read_text
+from localiser.errors import InputError
+from localiser.filter import Start
+from localiser.live.inbound import TOPICS, CameraFinder, type_of
+from localiser.live.located import Filter
+from localiser.live.monitor import Monitor
+from localiser.live.outputs import JsonLines, PosePublisher, Published
+from localiser.live.recording import Recording
+from localiser.live.run import LiveRun
+from localiser.live.sources import ENDPOINT, Arrival, CameraSource, Inbox, Network
+from localiser.live.state import Checkpoints, Resumed
+from localiser.live.warm_up import warm_up
+from localiser.observation import EdgeObservation
+from localiser.replay import START_SIGMA, Sink, close_all, given_pose
+from localiser.storage import encode_image, load_camera, load_map
+from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, TEXT, Messages, live_label_text
+
+JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """What a live run is asked to do.
+
+    topics: names by what they are for, in place of `TOPICS`. image: a camera or stream that OpenCV reads, in place of a
+    topic. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
+    resume: whether to go on from there, if it is there.
+    """
+
+    map_file: Path
+    config: Config
+    topics: Mapping[str, str] = field(default_factory=dict)
+    connect: Sequence[str] = (ENDPOINT,)
+    listen: Sequence[str] = ()
+    camera: Path | None = None
+    image: str | None = None
+    start: str | None = None
+    record: Path | None = None
+    json: int | None = None
+    view: str = "none"
+    checkpoint: Path | None = None
+    resume: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Live:
+    """A live run that is ready. address: of the page, when it is watched in a browser."""
+
+    run: LiveRun
+    viewers: list[view.LiveView]
+
+    @property
+    def address(self) -> str | None:
+        """Where the run can be watched, once the camera is known."""
+        return self.viewers[0].address if self.viewers else None
+
+
+@contextmanager
+def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Live]:
+    """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
+    view.check_kind(options.view)
+    landmark_map = load_map(options.map_file)
+    given = load_camera(options.camera) if options.camera else None
+    topics = _topics(options.topics)
+    start = Start(0, given_pose(options.start), np.diag(START_SIGMA**2)) if options.start else None
+    viewers: list[view.LiveView] = []
+    sinks: list[Sink] = []
+
+    def tell(text: str, level: str) -> None:
+        say(text, level)
+        for viewer in viewers:
+            viewer.message(time.time_ns(), text, level)
+
+    def filter_of(camera: Camera) -> Filter:
+        observation = EdgeObservation(camera, options.config.observation)
+        if options.view != "none":
+            viewers.append(view.LiveView(options.view, view.Context("live", camera, landmark_map)))
+            sinks.append(viewers[0])
+            if viewers[0].address:
+                how = "Watch with `rerun {}`" if options.view != "web" else "Watch at {}"
+                say(how.format(viewers[0].address), "INFO")
+        rng = np.random.default_rng(options.config.seed)
+        filter_ = Filter(camera, landmark_map, options.config, sinks, rng, observation)
+        filter_.warm_up()
+        return filter_
+
+    with ExitStack() as stack:
+        inbox, monitor = Inbox(), Monitor(tell)
+        recording = begun_recording(options, lambda why: tell(why, "WARNING"))
+        if recording is not None:
+            stack.callback(recording.close)
+        network = stack.enter_context(Network(options.connect, options.listen))
+        publish: list[Callable[[Published], bytes | None]] = [PosePublisher(network).publish]
+        if options.json is not None:
+            lines = JsonLines(options.json)
+            stack.callback(lines.close)
+            publish.append(lambda published: lines.put(published.line()))
+        stack.callback(lambda: close_all(sinks, complete=True))
+        warm_up(landmark_map, options.config)
+        finder = CameraFinder(given, topics["image"])
+        run = LiveRun(inbox, finder, filter_of, monitor, publish, recording, start)
+        if options.checkpoint is not None:
+            run.checkpoints = Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why))
+            if options.resume and options.checkpoint.exists():
+                run.resumed = Resumed(options.checkpoint)
+        for role, topic in topics.items():
+            if role != "image" or options.image is None:
+                network.subscribe(role, topic, type_of(role, topic), inbox)
+        if options.image is not None:
+            stack.callback(read_camera(options.image, topics["image"], inbox).close)
+        yield Live(run, viewers)
+
+
+def _topics(asked: Mapping[str, str]) -> dict[str, str]:
+    for role in asked:
+        if role not in TOPICS:
+            raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
+    return {**TOPICS, **asked}
+
+
+def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
+    """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
+    if options.record is None:
+        return None
+    recording = Recording(options.record, failed)
+    texts = {
+        LOG_TOPIC: live_label_text(options.record.stem, "", _changed_settings(options.config)),
+        MAP_TOPIC: read_text(options.map_file),
+    }
+    if options.camera is not None:
+        texts[CAMERA_TOPIC] = read_text(options.camera)
+    make = Messages()
+    for topic, text in texts.items():
+        recording.write(topic, TEXT, time.time_ns(), make.encode(make.text(text)))
+    return recording
+
+
+def _changed_settings(config: Config) -> dict[str, Any]:
+    """Return every setting that is not the default, by its name with dots."""
+    default = Config().model_dump(exclude={"versions"})
+    found: dict[str, Any] = {}
+    for name, value in config.model_dump(exclude={"versions"}).items():
+        if isinstance(value, dict):
+            found |= {f"{name}.{key}": part for key, part in value.items() if part != default[name][key]}
+        elif value != default[name]:
+            found[name] = value
+    return found
+
+
+def read_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
+    """Return the camera whose frames come into the inbox as compressed images, as a robot would send them."""
+    make = Messages()
+
+    def take(t_ns: int, image: Any) -> None:
+        message = make.compressed(t_ns, encode_image(image, ".jpg", JPEG_QUALITY))
+        inbox.put(Arrival("image", topic, make.encode(message)))
+
+    source = CameraSource(address, take)
+    source.start()
+    return source

@@ -1,0 +1,290 @@
+"""The live loop: what arrives is read and put in order, the newest image is weighed, the pose goes out."""
+
+from __future__ import annotations
+
+import time
+from base64 import b64encode
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from localiser.errors import InputError
+from localiser.filter import Located, Start
+from localiser.geometry import Array, Trajectory
+from localiser.live.clock import LATE_NS, RobotClock
+from localiser.live.inbound import CameraFinder, message_of, type_of
+from localiser.live.located import Filter
+from localiser.live.monitor import Monitor
+from localiser.live.outputs import POSE_TOPIC, Published, pose_now
+from localiser.live.recording import Recording
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.state import Checkpoints, Resumed
+from localiser.live.timeline import Frame, Timeline
+from localiser.storage.bags import (
+    DECISIONS_TOPIC,
+    POSE,
+    STATE_TOPIC,
+    TEXT,
+    Messages,
+    anywhere_decision,
+    clock_decision,
+    floor_cov,
+    floor_pose,
+    stamp_of,
+    start_decision,
+)
+
+_IDLE_S = 0.05
+_EXPECTED = ("image", "odometry")
+Publish = Callable[[Published], bytes | None]
+
+
+@dataclass(slots=True, eq=False)
+class LiveRun:
+    """A live run. publish: sends a result, returns its message. filter_of: makes the filter once the camera is known.
+
+    start: given by the user, without its time; None looks for the robot everywhere. now_ns: the clock of arrivals.
+    """
+
+    inbox: Inbox
+    finder: CameraFinder
+    filter_of: Callable[[Any], Filter]
+    monitor: Monitor
+    publish: Sequence[Publish]
+    recording: Recording | None = None
+    start: Start | None = None
+    resumed: Resumed | None = None
+    checkpoints: Checkpoints | None = None
+    now_ns: Callable[[], int] = time.monotonic_ns
+    filter: Filter | None = None
+    clock: RobotClock = field(default_factory=RobotClock)
+    timeline: Timeline = field(init=False)
+    _counts: Counter[str] = field(default_factory=Counter)
+    _messages: Messages = field(default_factory=Messages)
+    _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
+    _stated: bytes = b""
+    _newest_odometry: tuple[int, Array] | None = None
+    _intervals_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
+    _costs_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
+
+    def __post_init__(self) -> None:
+        self.timeline = Timeline(self._decide)
+
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Run until `ended` says so."""
+        while not ended():
+            self._take_all(self.inbox.take(_IDLE_S if self._is_idle() else 0.0))
+            self.monitor.watch(_EXPECTED)  # now, when nothing waits that was not looked at
+            self._weigh_next()
+
+        if self.checkpoints is not None:
+            self.checkpoints.close(self.filter, self.clock.offset_ns)
+
+    def turn(self, arrivals: Iterable[Arrival]) -> None:
+        """Take in what has arrived, then weigh one image, or find the edges of one that waits for the wheels."""
+        self._take_all(arrivals)
+        self._weigh_next()
+
+    def _is_idle(self) -> bool:
+        waiting = self.timeline.waiting
+        return waiting is None or waiting.edges is not None or self.filter is None
+
+    # -- in ---------------------------------------------------------------------------------------------------------
+
+    def _take_all(self, arrivals: Iterable[Arrival]) -> None:
+        """Read every message, record it if it is one, and act on it."""
+        for arrival in arrivals:
+            try:
+                message = message_of(arrival)
+                getattr(self, f"_take_{arrival.role}")(arrival, message)
+            except ValueError as error:
+                self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
+
+    def _take_camera_info(self, arrival: Arrival, message: Any) -> None:
+        self.finder.take_info(message)
+        self._record(arrival)
+
+    def _take_transforms(self, arrival: Arrival, message: Any) -> None:
+        self.finder.take_transforms(message)
+        self._record(arrival)
+
+    def _take_image(self, arrival: Arrival, message: Any) -> None:
+        self.finder.take_image(message)
+        self.monitor.heard("image")
+        t_ns = self._time(arrival, message)
+        number = self._record(arrival)
+        if t_ns is None:
+            return
+        if self.finder.camera is None:
+            self.monitor.warn("no camera", f"images wait for the camera: {self.finder.problem}")
+            return
+        self._begin(t_ns)
+        frame = Frame(number, t_ns, stamp_of(message), arrival.at_ns, message)
+        self.timeline.add_frame(frame)
+
+    def _take_odometry(self, arrival: Arrival, message: Any) -> None:
+        pose = np.array(floor_pose(message))
+        self.finder.take_odometry(message)
+        self.monitor.heard("odometry")
+        t_ns = self._time(arrival, message)
+        number = self._record(arrival)
+        if t_ns is None:
+            self.timeline.leave_out(stamp_of(message), number, "stamp cannot be true")
+            return
+        if self._newest_odometry is not None:
+            self._intervals_s.append((t_ns - self._newest_odometry[0]) / 1e9)
+        self.timeline.add_odometry(t_ns, number, pose, arrival.at_ns)
+        if self._newest_odometry is None or t_ns > self._newest_odometry[0]:
+            self._newest_odometry = t_ns, pose
+
+    def _take_groundtruth(self, arrival: Arrival, message: Any) -> None:
+        t_ns = stamp_of(message) + self.clock.offset_ns
+        if not self._truth or t_ns > self._truth[-1][0]:
+            self._truth.append((t_ns, np.array(floor_pose(message))))
+            self._record(arrival)
+
+    def _take_initialpose(self, arrival: Arrival, message: Any) -> None:
+        if arrival.content == self._stated:
+            return  # the same message again, as networks and careful senders have it
+        mean, cov = np.array(floor_pose(message)), floor_cov(message)
+        self._stated = arrival.content
+        self._record(arrival)
+        if self.filter is None:
+            self.start = Start(0, mean, cov)
+        else:
+            newest_ns = max(self.timeline.newest_ns, self.timeline.weighed_ns)
+            t_ns = stamp_of(message) + self.clock.offset_ns
+            # Whoever states a pose may have another clock; then it is meant for now.
+            self._restart(Start(t_ns if newest_ns - LATE_NS <= t_ns <= newest_ns else newest_ns, mean, cov))
+
+    def _time(self, arrival: Arrival, message: Any) -> int | None:
+        """Return the time of a message by its stamp, None when that cannot be true."""
+        jumps = self.clock.jumps
+        stamp_ns = stamp_of(message)
+        t_ns = self.clock.time_of(stamp_ns, arrival.at_ns)
+        if t_ns is None:
+            self.monitor.warn(
+                "wrong stamps",
+                f"{arrival.topic}: left out a message with the stamp {stamp_ns} ns, which cannot be true now; do "
+                "camera and wheels share a clock?",
+            )
+        if self.clock.jumps > jumps:
+            self.monitor.warn("clock jumps", "the robot's clock has jumped; going on from where it was")
+            self._decide(clock_decision(self.clock.offset_ns))
+        return t_ns
+
+    def _record(self, arrival: Arrival) -> int:
+        """Record a message that can be read; return how many of its role were recorded before."""
+        number = self._counts[arrival.role]
+        self._counts[arrival.role] += 1
+        if self.recording is not None:
+            msgtype = type_of(arrival.role, arrival.topic)
+            self.recording.write(arrival.topic, msgtype, arrival.wall_ns, arrival.content)
+        return number
+
+    def _decide(self, decision: str) -> None:
+        self._tell(DECISIONS_TOPIC, decision)
+
+    def _tell(self, topic: str, text: str) -> None:
+        """Record what no message says."""
+        if self.recording is not None:
+            self.recording.write(topic, TEXT, time.time_ns(), self._messages.encode(self._messages.text(text)))
+
+    # -- the filter ---------------------------------------------------------------------------------------------------
+
+    def _begin(self, t_ns: int) -> None:
+        """Make the filter with the first image since the camera is known, and start it if it is known where."""
+        if self.filter is None and self.finder.camera is not None:
+            self.filter = self.filter_of(self.finder.camera)
+            self.timeline.needs_wheels = self.filter.needs_wheels
+            self.monitor.inform("the camera is known")
+            if self.resumed is not None:
+                self._decide(start_decision(self.resumed.begin(self.filter, self.timeline, t_ns)))
+                self._tell(STATE_TOPIC, b64encode(self.resumed.content).decode())
+                self.monitor.inform(self.resumed.text)
+            elif self.start is not None:
+                self._restart(replace(self.start, t_ns=t_ns))
+            else:
+                self._decide(anywhere_decision())
+                self.monitor.inform("no start is known: the robot is looked for on the whole map")
+
+    def _restart(self, start: Start) -> None:
+        assert self.filter is not None
+        begun = Start(self.timeline.restart(start.t_ns), start.mean, start.cov)
+        self.filter.start(begun)
+        self._decide(start_decision(begun))
+        x, z, heading = begun.mean
+        self.monitor.inform(f"started at x = {x:.2f} m, z = {z:.2f} m, heading = {np.rad2deg(heading):.1f}°")
+
+    def _weigh_next(self) -> None:
+        if self.filter is None:
+            return
+        frame = self.timeline.next(self._affordable(), self.now_ns())
+        if frame is not None:
+            self._weigh(frame)
+            return
+        waiting = self.timeline.waiting
+        if waiting is not None and waiting.edges is None:
+            self._find_edges(waiting)
+
+    def _affordable(self) -> int:
+        """Return how many images there is time for until the wheels report again."""
+        if len(self._costs_s) < 5 or len(self._intervals_s) < 5:
+            return 1
+        return int(median(self._intervals_s) / median(self._costs_s))
+
+    def _find_edges(self, frame: Frame) -> bool:
+        """Find the edges of an image; an image that is damaged is left out."""
+        assert self.filter is not None
+        try:
+            self.filter.find_edges(frame)
+        except (InputError, ValueError) as error:
+            self.monitor.warn("bad image", f"left out an image: {error}")
+            self.timeline.discard(frame, "damaged")
+            return False
+        return True
+
+    def _weigh(self, frame: Frame) -> None:
+        assert self.filter is not None
+        begin = time.perf_counter()
+        if frame.edges is None and not self._find_edges(frame):
+            return
+        located = self.filter.weigh(frame, self.timeline.release(frame))
+        self._hand_out(frame, located)
+        self.filter.show(frame, located, self._true_pose(frame.t_ns))
+        self._costs_s.append(time.perf_counter() - begin)
+        if self.checkpoints is not None:
+            self.checkpoints.save_if_due(self.filter, self.clock.offset_ns)
+
+    def _hand_out(self, frame: Frame, located: Located) -> None:
+        offset_ns = self.clock.offset_ns
+        now_ns, odometry_now = self._newest_odometry or (frame.t_ns, located.odometry)
+        if now_ns < frame.t_ns:
+            now_ns, odometry_now = frame.t_ns, located.odometry
+        truth = self._true_pose(frame.t_ns)
+        error_m = None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2]))
+        published = Published(
+            located,
+            frame.stamp_ns,
+            now_ns - offset_ns,
+            pose_now(located, odometry_now),
+            self._newest_odometry is not None,
+            (time.time_ns() - frame.stamp_ns) / 1e6,
+            error_m,
+        )
+        for publish in self.publish:
+            content = publish(published)
+            if content is not None and self.recording is not None:
+                self.recording.write(POSE_TOPIC, POSE, time.time_ns(), content)
+        work_ms = frame.stage_ms["edges"] + frame.stage_ms["filter"]
+        self.monitor.located(published.latency_ms, work_ms, error_m)
+
+    def _true_pose(self, t_ns: int) -> Array | None:
+        if len(self._truth) < 2 or not self._truth[0][0] <= t_ns <= self._truth[-1][0]:
+            return None
+        times, poses = zip(*self._truth, strict=True)
+        return Trajectory(np.array(times), np.array(poses)).at(t_ns)

@@ -1,0 +1,140 @@
+"""A stand-in for a robot: a log sent over the network in real time, to and fro without end, as if it happened now."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Event
+
+import numpy as np
+
+from localiser.errors import InputError
+from localiser.geometry import Trajectory
+from localiser.live.sources import Network
+from localiser.replay import simulated as simulate
+from localiser.storage import ImageEvent, Log, open_log
+from localiser.storage.bags import MAP, ODOM, Messages
+
+IMAGE, INFO = "/camera/image_raw/compressed", "/camera/camera_info"
+ODOMETRY, TRUTH, FIXED = "/odom", "/ground_truth/odom", "/tf_static"
+FIXED_EVERY_NS = 1_000_000_000
+_FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """One way through a log. begin_ns, length_ns: of its odometry. wheels: that, as it is sent."""
+
+    log: Log
+    begin_ns: int
+    length_ns: int
+    wheels: Trajectory
+
+    @classmethod
+    def of(cls, log: Log, odometry_hz: float | None = None) -> Passage:
+        """Return the whole log; odometry_hz: rate to which its odometry is interpolated. Raises InputError."""
+        if not log.has_images:
+            raise InputError("expected a log with images, found edges", path=log.path)
+        first, last = int(log.odometry.t_ns[0]), int(log.odometry.t_ns[-1])
+        if odometry_hz is None:
+            return cls(log, first, last - first, log.odometry)
+        steps = int((last - first) * odometry_hz / _NS)
+        times = first + np.round(np.arange(steps + 1) * (_NS / odometry_hz)).astype(np.int64)
+        return cls(log, first, last - first, log.odometry.sampled(times))
+
+    def messages(self, there: bool) -> Iterator[tuple[int, str, int]]:
+        """Yield (time since the begin of this way, topic, index) in the order of time; back, everything is mirrored."""
+        end_ns = self.begin_ns + self.length_ns
+        images = [(frame.t_ns, IMAGE, k) for k, frame in enumerate(self.log.frames)]
+        images = [image for image in images if self.begin_ns <= image[0] <= end_ns]
+        wheels = [(int(t_ns), ODOMETRY, k) for k, t_ns in enumerate(self.wheels.t_ns)]
+        if there:
+            yield from ((t_ns - self.begin_ns, topic, k) for t_ns, topic, k in heapq.merge(wheels, images))
+        else:  # where it turns, the robot has just been
+            back = heapq.merge(wheels[-2::-1], images[::-1], key=lambda message: -message[0])
+            yield from ((end_ns - t_ns, topic, k) for t_ns, topic, k in back if self.begin_ns < t_ns < end_ns)
+
+
+def drive(world_or_log: Path, seed: int, progress: Callable[[], None] = lambda: None) -> Log:
+    """Return the log of a path: a log that was recorded, or the drive through a world file, rendered now.
+
+    The rendered images stay in memory. Raises InputError.
+    """
+    if world_or_log.suffix not in (".yaml", ".yml") or world_or_log.name == "log.yaml":
+        return open_log(world_or_log)
+    with TemporaryDirectory() as folder:
+        simulate.write(simulate.simulated(world_or_log, seed), Path(folder) / "log", progress)
+        log = open_log(Path(folder) / "log")
+        kept = [_kept(frame) for frame in log.frames if isinstance(frame, ImageEvent)]
+    return Log(log.name, world_or_log, log.camera, log.odometry, kept, log.landmark_map, log.start, log.groundtruth)
+
+
+def start_text(log: Log) -> str:
+    """Return where a log starts, as --start takes it. Raises InputError."""
+    start = log.start.mean if log.start is not None else None
+    if start is None and log.groundtruth is not None:
+        start = log.groundtruth.at(log.frames[0].t_ns)
+    if start is None:
+        raise InputError("expected a log that states where it starts", path=log.path, field="start")
+    return f"{start[0]},{start[1]},{np.rad2deg(start[2])}"
+
+
+def _kept(event: ImageEvent) -> ImageEvent:
+    """Return the image with its file in memory."""
+    data = event.encoded()
+    return ImageEvent(event.t_ns, event.name, event.load, lambda: data)
+
+
+class StandIn:
+    """Publishes a passage there and back, for ever."""
+
+    def __init__(self, network: Network, passage: Passage) -> None:
+        """Be ready; the fixed transforms are also answered to those who ask later."""
+        self._network, self._passage, self._make = network, passage, Messages()
+        network.keep(FIXED, self._make.encode(self._make.mount(time.time_ns(), passage.log.camera)))
+
+    def wait_for_listener(self, stop: Event) -> None:
+        """Stand still until someone wants images."""
+        while not self._network.is_heard(IMAGE):
+            if stop.wait(0.1):
+                return
+
+    def run(self, stop: Event, ways: int | None = None) -> None:
+        """Publish until `stop` is set, or for a number of ways."""
+        begin_ns, begin_s = time.time_ns(), time.monotonic()
+        next_fixed_ns = 0
+        for way in count() if ways is None else range(ways):
+            offset_ns = way * self._passage.length_ns
+            for t_ns, topic, index in self._passage.messages(there=way % 2 == 0):
+                due_ns = offset_ns + t_ns
+                late_s = time.monotonic() - begin_s - due_ns / 1e9
+                if late_s > _FORGIVEN_S:
+                    continue
+                if stop.wait(-late_s) if late_s < 0 else stop.is_set():
+                    return
+                if due_ns >= next_fixed_ns:
+                    next_fixed_ns = due_ns + FIXED_EVERY_NS
+                    self._send(FIXED, begin_ns + due_ns, 0)
+                self._send(topic, begin_ns + due_ns, index)
+
+    def _send(self, topic: str, stamp_ns: int, index: int) -> None:
+        make, log = self._make, self._passage.log
+        if topic == IMAGE:
+            frame = log.frames[index]
+            assert isinstance(frame, ImageEvent)
+            self._network.publish(IMAGE, make.encode(make.compressed(stamp_ns, frame.encoded())))
+            self._network.publish(INFO, make.encode(make.camera_info(stamp_ns, log.camera)))
+        elif topic == FIXED:
+            self._network.publish(FIXED, make.encode(make.mount(stamp_ns, log.camera)))
+        else:
+            wheels, truth = self._passage.wheels, log.groundtruth
+            self._network.publish(ODOMETRY, make.encode(make.odometry(stamp_ns, ODOM, wheels.poses[index])))
+            if truth is not None:
+                true_pose = truth.at(int(wheels.t_ns[index]))
+                self._network.publish(TRUTH, make.encode(make.odometry(stamp_ns, MAP, true_pose)))

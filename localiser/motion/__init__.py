@@ -1,0 +1,51 @@
+"""Predict particles from odometry, with its noise and its constant errors."""
+
+from localiser.motion.constant_errors import (
+    BIASES,
+    EXACT,
+    BiasParameters,
+    StepSpread,
+    at_start,
+    forgotten,
+    learnt,
+    projected,
+    sensitivity,
+    with_biases,
+)
+from localiser.motion.odometry_model import (
+    SLIP,
+    MotionParameters,
+    Step,
+    direction_of_travel,
+    expected_step,
+    linearised,
+    noise_variances,
+    predict,
+    step_noise,
+    stepped,
+    wheel_cov,
+)
+
+__all__ = [
+    "BIASES",
+    "EXACT",
+    "SLIP",
+    "BiasParameters",
+    "MotionParameters",
+    "Step",
+    "StepSpread",
+    "at_start",
+    "direction_of_travel",
+    "expected_step",
+    "forgotten",
+    "learnt",
+    "linearised",
+    "noise_variances",
+    "predict",
+    "projected",
+    "sensitivity",
+    "step_noise",
+    "stepped",
+    "wheel_cov",
+    "with_biases",
+]

@@ -1,0 +1,186 @@
+"""Predict particles from an increment of odometry: Thrun's rotation-translation-rotation model.
+
+The noise grows with the path, as a random walk does, so that it does not depend on how finely the path is cut:
+variances add up over a chain of increments. The parameters carry AMCL's names; AMCL's own are per step of a filter
+that runs at one fixed rate, these are per metre and per radian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from localiser import geometry
+from localiser.geometry import Array, Increment, cos_sin, wrap_angle
+from localiser.motion.constant_errors import (
+    BIASES,
+    BiasParameters,
+    StepSpread,
+    forgotten,
+    learnt,
+    projected,
+    sensitivity,
+)
+from localiser.particles import CAMERA_YAW, Particles
+
+SLIP = 0.1  # sigma of slipping sideways, as a share of that along the way: no wheel is quite true
+
+
+@dataclass(frozen=True, slots=True)
+class MotionParameters:
+    """How good the odometry is. Each is a variance per unit of path: double the path, double the variance."""
+
+    alpha1: Annotated[float, Field(ge=0, description="heading variance from turning (rad² per rad)")] = 1.2e-3
+    alpha2: Annotated[float, Field(ge=0, description="heading variance from driving (rad² per m)")] = 7e-4
+    alpha3: Annotated[float, Field(ge=0, description="distance variance from driving (m² per m)")] = 9e-4
+    alpha4: Annotated[float, Field(ge=0, description="distance variance from turning (m² per rad)")] = 1e-4
+    bias: BiasParameters = field(default_factory=BiasParameters)
+
+
+def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
+    """Return the variances (m², rad²) of the distance driven and of the turn made during `increment`.
+
+    Both are 0 for an increment that knows its own covariance.
+    """
+    if increment.cov.any():
+        return 0.0, 0.0
+    path, turned = increment.path_m, increment.turned_rad
+    distance = parameters.alpha3 * path + parameters.alpha4 * turned
+    turn = parameters.alpha1 * turned + parameters.alpha2 * path
+    return distance, turn
+
+
+@lru_cache(maxsize=64)  # asked for many times in a step, each time by arrays of a single number
+def direction_of_travel(increment: Increment) -> float:
+    """Return the angle (rad) from the robot's forward axis, anticlockwise, along which distance noise acts.
+
+    The chord of the motion, as a line: forward and backward count alike; straight ahead when the robot stood.
+    """
+    right, backward = increment.mean[:2]
+    if np.hypot(right, backward) < 1e-9:
+        return float(increment.mean[2] / 2)
+    angle = np.arctan2(-right, -backward)
+    return float((angle + np.pi / 2) % np.pi - np.pi / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """How N particles are about to move.
+
+    poses: (3, N) where the step that is expected leads, with the camera's heading. axes: (3, 3, N), their derivatives
+    by the standardised step, which is three standard normal draws. by_bias: (3, B) of (along, left, turn).
+    """
+
+    poses: Array
+    axes: Array
+    by_bias: Array
+    spread: StepSpread
+
+
+def expected_step(particles: Particles, increment: Increment, parameters: MotionParameters) -> Step:
+    """Return how particles move by `increment`, each by what it knows of the biases.
+
+    Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
+    correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own covariance
+    (vision) errs by a draw from that instead, and tells nothing of the biases.
+    """
+    by_bias = _by_bias(particles.names[3:], increment)
+    spread = StepSpread.of(particles, by_bias, step_noise(increment, parameters))
+    way = particles["heading"]  # of the camera, by which the biases are seen
+    if CAMERA_YAW in particles.names:
+        way = way + particles[CAMERA_YAW]
+    cos, sin = cos_sin(way + direction_of_travel(increment))
+    expected = by_bias @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+    poses = np.stack([particles["x"], particles["z"], way]) + _in_map(expected, cos, sin)
+    return Step(poses, _in_map(spread.root[..., None], cos, sin), by_bias, spread)
+
+
+def stepped(
+    particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
+) -> Particles:
+    """Return the particles after steps drawn as `normal` (3, N), and what these told them of the biases."""
+    moved = learnt(particles, step.by_bias, step.spread, normal)
+    columns = moved.columns.copy()
+    columns[:3] = step.poses + np.einsum("pkn,kn->pn", step.axes, normal)
+    if CAMERA_YAW in particles.names:
+        columns[2] -= moved[CAMERA_YAW]
+    columns[2] = wrap_angle(columns[2])
+    moved = replace(moved, columns=columns)
+    return forgotten(projected(moved) if step.by_bias.any() else moved, increment.path_m, parameters.bias)
+
+
+def predict(
+    particles: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
+) -> Particles:
+    """Return the particles moved by `increment`, each with its own draw of the noise."""
+    step = expected_step(particles, increment, parameters)
+    return stepped(particles, step, rng.standard_normal(step.poses.shape), increment, parameters)
+
+
+def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
+    """Return the covariance (3, 3) of a step's noise: along the way (m), to its left (m), of the turn (rad)."""
+    distance_var, turn_var = noise_variances(increment, parameters)
+    ahead = _ahead_m(increment)
+    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead**2 * turn_var / 2, turn_var])
+    noise[1, 2] = noise[2, 1] = ahead * turn_var / 2
+    from_robot = _step_from_robot(increment)
+    return np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
+
+
+def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
+    """Return F = ∂(next pose)/∂(pose) and Q, the covariance of the noise, both (3, 3) in the map, at `pose` (3,).
+
+    The first-order form of `predict` where no bias is in doubt, for the posterior Cramér-Rao bound.
+    """
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    right, backward = increment.mean[:2]
+    jac_pose = np.eye(3)
+    jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
+    to_map = _map_from_step(pose, increment)
+    return jac_pose, np.asarray(to_map @ step_noise(increment, parameters) @ to_map.T)
+
+
+def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
+    """Return the covariance (3, 3) of wheels' motion in the robot frame, biases included as far as the prior goes."""
+    to_robot = _map_from_step(np.zeros(3), increment)
+    by_bias = _by_bias(BIASES[:-1], increment)
+    doubt = by_bias @ parameters.bias.cov[:-1, :-1] @ by_bias.T
+    return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
+
+
+@lru_cache(maxsize=64)
+def _ahead_m(increment: Increment) -> float:
+    """Return the length of the chord along `direction_of_travel`, negative when backward."""
+    direction = direction_of_travel(increment)
+    return float(increment.mean[:2] @ geometry.forward(direction))
+
+
+def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
+    """Return ∂(along, left, turn)/∂(biases) (3, B): none of an increment that wheels alone did not measure."""
+    if increment.cov.any():
+        return np.zeros((3, len(names)))
+    late = _step_from_robot(increment) @ increment.by_delay
+    return sensitivity(names, _ahead_m(increment), float(increment.mean[2]), late)
+
+
+def _step_from_robot(increment: Increment) -> Array:
+    """Return the rotation (3, 3) from (right, backward, turn) in the robot frame to (along, left, turn) of a step."""
+    return _map_from_step(np.zeros(3), increment).T
+
+
+def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
+    """Return (x, z, heading) (3, ..., N) of (along, left, turn) (3, ..., N or 1) by directions of travel (N,)."""
+    along, left, turn = steps
+    x = -sin * along - cos * left
+    return np.stack([x, sin * left - cos * along, np.broadcast_to(turn, x.shape)])
+
+
+def _map_from_step(pose: Array, increment: Increment) -> Array:
+    """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map."""
+    way = float(pose[2]) + direction_of_travel(increment)
+    cos, sin = np.cos(way), np.sin(way)
+    return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,445 @@
+"""The loops of `likelihood`, compiled by numba when this module is imported and its functions are first called.
+
+Particles come in cells: those of a cell share the list of landmarks that can be in view. A block of them is looked at
+one landmark at a time, all its particles at once; edges near where the landmark is expected make pairs, and pairs are
+weighed many at once. The inner loops run along rows of one small array of constant shape: only so does the compiler
+know that rows do not overlap, and turns the loop into vector instructions. Rows are always taken up to a whole number
+of `LANES`, so that every particle goes through the same instructions whatever stands beside it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+from localiser.geometry.angle_kernel import cos_sin_near
+from localiser.geometry.compiled import entry, inlined
+
+Indices = NDArray[np.int64]
+Counts = NDArray[np.uint64]  # indices that are never negative, so that no loop has to look whether they are
+
+LANES = 8  # float64 in a vector register
+FEWEST = 2  # vectors, for which a vector loop is entered
+BLOCK = 64  # particles looked at together, a power of two
+ROOM = 512  # pairs weighed together; the buffers stay in the fastest cache
+UNKNOWN_M = 1e8  # heights beyond this are not known
+_BLOCK, _NEXT = np.uint64(BLOCK), np.uint64(1)
+SAFE = 1e150  # a product is put aside when it grows beyond
+
+# exp(y) = exp(y/16)^16, the inner one as a polynomial between the gate, y = -18 or 6 sigmas, and 0: 2e-6 of its value.
+_LEAST = -18.0 / 16
+_SERIES = np.polynomial.Chebyshev.interpolate(np.exp, 6, domain=[_LEAST, 0.0])
+_X0, _X1, _X2, _X3, _X4, _X5, _X6 = (float(power) for power in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
+_GATE = -2.0 * 16 * _LEAST  # sigmas squared
+_HALF_PI, _LOG_TWO, _ROOT_TWO = np.pi / 2, float(np.log(2.0)), float(np.sqrt(2.0))
+_FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 1.0
+
+# Rows of a block: camera poses; one landmark as it is seen from them; how many landmarks are. In one array, so that the
+# compiler knows that they do not overlap.
+_X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
+_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN = range(6, 14)
+# Columns of edges.
+_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY, _RARE = range(11)
+# Rows of pairs.
+_RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _ALIKE, _DENSITY = (
+    range(11)
+)
+
+
+# -- which landmarks can be in view from where ------------------------------------------------------------------------
+
+
+@entry
+def cells_of(poses: Array, low: Array, per_unit: Array, shape: Indices) -> Indices:
+    """Return the cell (N,) of each of the poses (N, 3+): cells start at `low` (3,), per_unit (3,) in a unit."""
+    cell = np.empty(len(poses), np.int64)
+    for n in range(len(cell)):
+        i = min(int((poses[n, 0] - low[0]) * per_unit[0]), shape[0] - 1)
+        j = min(int((poses[n, 1] - low[1]) * per_unit[1]), shape[1] - 1)
+        k = min(int((poses[n, 2] - low[2]) * per_unit[2]), shape[2] - 1)
+        cell[n] = (i * shape[1] + j) * shape[2] + k
+    return cell
+
+
+@entry
+def ordered(cell: Indices, cells: int) -> tuple[Indices, Indices]:
+    """Return run (cells + 1,) and order (N,): particles of cell c are order[run[c] : run[c + 1]], ascending."""
+    run = np.zeros(cells + 1, np.int64)
+    for c in cell:
+        run[c + 1] += 1
+    for c in range(cells):
+        run[c + 1] += run[c]
+    place, order = run[:-1].copy(), np.empty(len(cell), np.int64)
+    for n in range(len(cell)):
+        order[place[cell[n]]] = n
+        place[cell[n]] += 1
+    return run, order
+
+
+@entry
+def candidates(
+    run: Indices,
+    low: Array,
+    per_unit: Array,
+    shape: Indices,
+    offset: tuple[float, float, float],
+    landmarks: Array,
+    half_view_rad: float,
+    farthest_m: float,
+) -> tuple[Indices, Indices]:
+    """Return start (cells + 1,) and item: landmarks item[start[c] : start[c + 1]] can be in view from cell c.
+
+    Never one too few: what a camera sees lies between two planes through it and within range; for a whole cell the
+    planes are moved apart by its half diagonal and turned by half its width in heading.
+    """
+    right, back, yaw = offset
+    start, item = np.zeros(len(run), np.int64), np.empty(1024, np.int64)
+    half_turn = 0.5 / per_unit[2]
+    slack = 0.5 * np.hypot(1.0 / per_unit[0], 1.0 / per_unit[1]) + np.hypot(right, back) * half_turn
+    sin_view, cos_view = np.sin(half_view_rad + half_turn), np.cos(half_view_rad + half_turn)
+    is_wedge = half_view_rad + half_turn < _HALF_PI
+    used = 0
+    for c in range(len(run) - 1):
+        if run[c + 1] > run[c]:
+            if used + len(landmarks) > len(item):
+                item = np.concatenate((item, np.empty(len(item) + len(landmarks), np.int64)))
+            heading = low[2] + (c % shape[2] + 0.5) / per_unit[2]
+            x = low[0] + (c // shape[2] // shape[1] + 0.5) / per_unit[0]
+            z = low[1] + (c // shape[2] % shape[1] + 0.5) / per_unit[1]
+            x += np.cos(heading) * right + np.sin(heading) * back
+            z += np.cos(heading) * back - np.sin(heading) * right
+            cos, sin = np.cos(heading + yaw), np.sin(heading + yaw)
+            for k in range(len(landmarks)):
+                dx, dz = landmarks[k, 0] - x, landmarks[k, 1] - z
+                aside, ahead = abs(dx * cos - dz * sin), -(dx * sin + dz * cos)
+                inside = dx * dx + dz * dz <= (farthest_m + slack) ** 2
+                if is_wedge:
+                    inside = inside & (ahead * sin_view - aside * cos_view >= -slack)
+                item[used] = k
+                used += inside
+        start[c + 1] = used
+    return start, item[:used]
+
+
+# -- what particles see -----------------------------------------------------------------------------------------------
+
+
+@inlined
+def _turn(block: Array, lanes: int) -> None:
+    """Write cosine and sine of the headings: their series within an eighth of a turn, to the last digits."""
+    for m in range(lanes):
+        quarter = np.floor(block[_HEADING, m] * (2 / np.pi) + 0.5)
+        d = block[_HEADING, m] - quarter * _HALF_PI
+        block[_COS, m], block[_SIN, m] = cos_sin_near(quarter, d)
+
+
+@inlined
+def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offset: Any, block: Array) -> None:
+    """Write the camera poses of particles order[first : first + size]; the lanes beyond repeat the last one."""
+    right, back, yaw = offset
+    for m in range(lanes):
+        n = order[first + min(m, size - 1)]
+        block[_X, m], block[_Z, m], block[_HEADING, m], block[_YAW, m] = (
+            poses[n, 0],
+            poses[n, 1],
+            poses[n, 2],
+            poses[n, 3],
+        )
+    _turn(block, lanes)
+    for m in range(lanes):
+        block[_X, m] += block[_COS, m] * right + block[_SIN, m] * back
+        block[_Z, m] += block[_COS, m] * back - block[_SIN, m] * right
+        block[_HEADING, m] += block[_YAW, m] + yaw
+    _turn(block, lanes)
+
+
+@inlined
+def _arctan(u: float) -> float:
+    """Return the arctangent of u, 0 … 1, to 2e-8 [Abramowitz, Stegun 1964, 4.4.49].
+
+    The series is added up by halves, which do not wait for each other.
+    """
+    v = u * u
+    v2 = v * v
+    low_half = (1 - 0.3333314528 * v) + v2 * (0.1999355085 - 0.1420889944 * v)
+    high_half = (0.1065626393 - 0.0752896400 * v) + v2 * (0.0429096138 - 0.0161657367 * v + 0.0028662257 * v2)
+    return u * (low_half + v2 * v2 * high_half)
+
+
+@inlined
+def _look(
+    block: Array,
+    lanes: int,
+    landmark: Any,
+    limits: Any,
+    view: Any,
+    gate: Any,
+    bins: Any,
+    is_slope: bool,
+) -> None:
+    """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
+
+    The same as `landmarks.sight`, with every division by the image's border multiplied out.
+    """
+    x, z, bottom, top, position_var = landmark
+    nearest, farthest, widest = limits
+    s, c, a_left, a_right, e_low, e_high, length_min = view
+    sigmas, largest_var = gate
+    bin_low, per_bin, last_bin = bins
+    for m in range(lanes):
+        dx, dz = x - block[_X, m], z - block[_Z, m]
+        right, ahead = dx * block[_COS, m] - dz * block[_SIN, m], -(dx * block[_SIN, m] + dz * block[_COS, m])
+        aside = abs(right)
+        ahead_sq, square = ahead * ahead, dx * dx + dz * dz
+        inclined_sq = s * s * right * right
+        stretched = ahead_sq + inclined_sq  # ahead² (1 + (s tan b)²)
+
+        # Heights of both ends in the upright image, by one division.
+        foot_depth, top_depth = ahead * c - bottom * s, ahead * c - top * s
+        foot_positive, top_positive = (foot_depth if foot_depth > 0 else 1.0), (top_depth if top_depth > 0 else 1.0)
+        per = 1.0 / (foot_positive * top_positive)
+        foot_e = (bottom * c + ahead * s) * top_positive * per
+        top_e = (top * c + ahead * s) * foot_positive * per
+        foot_e = foot_e if foot_depth > 0 else (np.inf if bottom > 0 else -np.inf)
+        top_e = top_e if top_depth > 0 else (np.inf if top > 0 else -np.inf)
+        foot_e = foot_e if bottom > -UNKNOWN_M else -np.inf
+        top_e = top_e if top < UNKNOWN_M else np.inf
+
+        # Long enough between the image's lower and upper border, and from there to the left or right one.
+        low, high = (foot_e if foot_e > e_low else e_low), (top_e if top_e < e_high else e_high)
+        shortest = length_min * length_min
+        length = high - low
+        room = (a_right if right > 0 else -a_left) * ahead - aside * (c + s * (low if s >= 0 else high))
+        visible = (square <= farthest) & (square >= nearest) & (ahead > 0) & (aside <= ahead * widest)
+        visible = visible & (length > 0) & (length * length * stretched >= shortest * ahead_sq)
+        visible = visible & (room >= 0) & (room * room * stretched >= shortest * ahead_sq * inclined_sq)
+
+        across = abs(s) * aside if is_slope else aside
+        steep = across > ahead
+        numerator, denominator = (ahead if steep else across), (across if steep else ahead)
+        per = 1.0 / (denominator * square)
+        angle = _arctan(numerator * square * per)
+        angle = _HALF_PI - angle if steep else angle
+        negative = ((right < 0) != (s < 0)) if is_slope else right < 0
+        angle = -angle if negative else angle
+        # d(lean)/d(bearing) = s · square / stretched
+        per_range_sq = s * s * square / (stretched * stretched) if is_slope else denominator * per
+        variance = position_var * per_range_sq
+
+        reach = sigmas * np.sqrt(variance + largest_var)
+        first, last = (angle - reach - bin_low) * per_bin, (angle + reach - bin_low) * per_bin + 2.0
+        first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
+        first, last = (first if first < last_bin else last_bin), (last if last < last_bin else last_bin)
+        block[_FIRST, m], block[_END, m] = first, last
+        block[_SEEN, m] += 1.0 if visible else 0.0
+        block[_ANGLE, m], block[_VARIANCE, m] = angle, variance
+        block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
+        block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
+
+
+@inlined
+def _edges_near(block: Array, size: int, first: Counts, near: Counts, begin: Counts, end: Counts) -> int:
+    """Turn bins into edges begin … end; return how many particles have some, in `near`."""
+    some = 0
+    for m in range(size):
+        e, beyond = first[np.uint64(block[_FIRST, m])], first[np.uint64(block[_END, m])]
+        begin[m], end[m] = e, beyond
+        near[some] = m
+        some += beyond > e
+    return some
+
+
+@inlined
+def _meet(
+    edges: Array,
+    block: Array,
+    near: Counts,
+    some: int,
+    begin: Counts,
+    end: Counts,
+    tolerance: float,
+    pairs: Array,
+    slot: Counts,
+    number: int,
+) -> tuple[int, int]:
+    """Let each of `some` particles in `near` meet one edge; return how many pairs, and particles with more edges.
+
+    Those within the gate that overlap become pairs; the others have no density.
+    """
+    more = 0
+    for j in range(some):
+        m = near[j]
+        e = begin[m]
+        residual, spread = edges[e, _MEASURED] - block[_ANGLE, m], edges[e, _VAR] + block[_VARIANCE, m]
+        inside = min(block[_TOP, m], edges[e, _HIGH]) - max(block[_FOOT, m], edges[e, _LOW]) + 2 * tolerance
+        pairs[_RESIDUAL, number], pairs[_SPREAD, number] = residual, spread
+        pairs[_COVERED, number] = inside * edges[e, _PER_LENGTH]
+        slot[number] = e * _BLOCK + m
+        number += (residual * residual < _GATE * spread) & (inside > 0)
+        begin[m] = e + _NEXT
+        near[more] = m
+        more += e + _NEXT < end[m]
+    return number, more
+
+
+@inlined
+def _fill(
+    edges: Array,
+    block: Array,
+    ends: Any,
+    hidden: Any,
+    leaning: float,
+    pairs: Array,
+    slot: Counts,
+    start: int,
+    stop: int,
+) -> None:
+    """Write what else is to be known of pairs start … stop, all of one landmark."""
+    missed = ends[2]
+    unknown_foot, unknown_top = hidden
+    for i in range(start, stop):
+        m, e = slot[i] % _BLOCK, slot[i] // _BLOCK
+        foot, top, per = block[_FOOT, m], block[_TOP, m], block[_PER_VISIBLE, m]
+        pairs[_LOWER, i], pairs[_UPPER, i] = edges[e, _LOW] - foot, edges[e, _HIGH] - top
+        short_low, short_high = min(edges[e, _ROOM_LOW] * per, 1.0), min(edges[e, _ROOM_HIGH] * per, 1.0)
+        pairs[_SHORT_LOW, i] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
+        pairs[_SHORT_HIGH, i] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
+        pairs[_OF_PEAK_LOW, i], pairs[_OF_PEAK_HIGH, i] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
+        pairs[_ALIKE, i] = edges[e, _RARE] * (1.0 + edges[e, _POLARITY] * leaning)
+
+
+@inlined
+def _normal(y: float) -> float:
+    """Return exp(16 y) for y ≤ 0, at least e^-18."""
+    y = y if y > _LEAST else _LEAST
+    value = _X0 + y * (_X1 + y * (_X2 + y * (_X3 + y * (_X4 + y * (_X5 + y * _X6)))))
+    value *= value
+    value *= value
+    value *= value
+    return value * value
+
+
+@inlined
+def _add_up(pairs: Array, number: int, ends: Any, slot: Counts, density: Array, touched: Counts, count: int) -> int:
+    """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
+    per_sigma = ends[1]
+    for i in range((number + LANES - 1) // LANES * LANES):
+        per = 1.0 / pairs[_SPREAD, i]
+        covered = min(pairs[_COVERED, i], 1.0)
+        lower, upper = pairs[_LOWER, i] * per_sigma, pairs[_UPPER, i] * per_sigma
+        at_foot = pairs[_SHORT_LOW, i] + pairs[_OF_PEAK_LOW, i] * _normal(-0.5 / 16 * lower * lower)
+        at_top = pairs[_SHORT_HIGH, i] + pairs[_OF_PEAK_HIGH, i] * _normal(-0.5 / 16 * upper * upper)
+        agreement = _normal(-0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] * per) * covered * covered
+        pairs[_DENSITY, i] = agreement * at_foot * at_top * pairs[_ALIKE, i] * np.sqrt(per)
+    for i in range(number):
+        touched[count] = slot[i]
+        count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
+        density[slot[i]] += pairs[_DENSITY, i]
+    return count
+
+
+@inlined
+def _multiply(factor: Array, m: int, odds: Any, ratio: float) -> None:
+    """Multiply row m by 1 + odds · ratio; written out, so that it becomes one vector."""
+    f0, f1 = factor[m, 0] * (1.0 + odds[0] * ratio), factor[m, 1] * (1.0 + odds[1] * ratio)
+    f2, f3 = factor[m, 2] * (1.0 + odds[2] * ratio), factor[m, 3] * (1.0 + odds[3] * ratio)
+    f4, f5 = factor[m, 4] * (1.0 + odds[4] * ratio), factor[m, 5] * (1.0 + odds[5] * ratio)
+    f6, f7 = factor[m, 6] * (1.0 + odds[6] * ratio), factor[m, 7] * (1.0 + odds[7] * ratio)
+    factor[m, 0], factor[m, 1], factor[m, 2], factor[m, 3] = f0, f1, f2, f3
+    factor[m, 4], factor[m, 5], factor[m, 6], factor[m, 7] = f4, f5, f6, f7
+
+
+@inlined
+def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indices, result: Array) -> None:
+    """Add the logarithms of finite values ≥ 1 to `result`, to the last digits. bits, mantissa_bits: the same memory."""
+    for i in range(len(value)):
+        mantissa_bits[i] = (bits[i] & _FRACTION) | _ONE
+    for i in range(len(value)):
+        m = mantissa[i]
+        exponent = float((bits[i] >> 52) - 1023)
+        high = m > _ROOT_TWO
+        m, exponent = (0.5 * m if high else m), (exponent + 1.0 if high else exponent)
+        s = (m - 1.0) / (m + 1.0)  # log m = 2 artanh s, |s| ≤ 0.172
+        v = s * s
+        v2 = v * v
+        v4 = v2 * v2
+        low_half = (1 + v / 3) + v2 * (1 / 5 + v / 7)
+        high_half = (1 / 9 + v / 11) + v2 * (1 / 13 + v / 15) + v4 * (1 / 17 + v / 19)
+        result[i] += exponent * _LOG_TWO + 2 * s * (low_half + v4 * high_half)
+
+
+@entry
+def log_products(
+    poses: Array,
+    order: Indices,
+    run: Indices,
+    offset: tuple[float, float, float],
+    start: Indices,
+    item: Indices,
+    landmarks: Array,
+    odds: tuple[float, ...],
+    edges: Array,
+    first: Counts,
+    bins: tuple[float, float, float],
+    view: tuple[float, ...],
+    limits: tuple[float, float, float],
+    gate: tuple[float, float],
+    ends: tuple[float, float, float],
+    span: float,
+    is_slope: bool,
+    base: Array,
+) -> Array:
+    """Return base + log Π_e (1 + o_k d_e) (K, N) for every pose (N, 4) and odds o_k of K shares.
+
+    odds: LANES of them, 0 beyond K. base: (K,).
+    d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
+    comes near have one.
+    """
+    block, pairs = np.ones((14, BLOCK)), np.ones((11, ROOM))
+    near, slot = np.zeros(BLOCK + 1, np.uint64), np.zeros(ROOM, np.uint64)
+    near_begin, near_end = np.zeros(BLOCK, np.uint64), np.zeros(BLOCK, np.uint64)
+    density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.uint64)
+    factor, log_factor, mantissa = np.ones((BLOCK, LANES)), np.zeros((BLOCK, LANES)), np.ones(BLOCK * LANES)
+    result = np.empty((len(base), len(poses)))
+    for c in range(len(run) - 1):
+        for n in range(run[c], run[c + 1], BLOCK):
+            size = min(BLOCK, run[c + 1] - n)
+            lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
+            _place(poses, order, n, size, lanes, offset, block)
+            block[_SEEN] = 0.0
+            count = number = 0
+            for k in item[start[c] : start[c + 1]]:
+                landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
+                hidden, leaning = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M), landmarks[k, 5]
+                _look(block, lanes, landmark, limits, view, gate, bins, is_slope)
+                some = _edges_near(block, size, first, near, near_begin, near_end)
+                filled = number
+                while some > 0:  # one edge of each particle, and again with those that have another near
+                    if number > ROOM - BLOCK:
+                        _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
+                        count = _add_up(pairs, number, ends, slot, density, touched, count)
+                        filled = number = 0
+                    number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
+                _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
+            count = _add_up(pairs, number, ends, slot, density, touched, count)
+
+            for m in range(BLOCK):
+                block[_SEEN, m] = span / np.sqrt(2 * np.pi) / max(block[_SEEN, m], 1.0)
+            factor[:], log_factor[:] = 1.0, 0.0
+            for t in range(count):
+                m = touched[t] % _BLOCK
+                ratio = density[touched[t]] * block[_SEEN, m]
+                density[touched[t]] = 0.0
+                _multiply(factor, m, odds, ratio)
+                if factor[m, len(base) - 1] > SAFE:
+                    log_factor[m] += np.log(factor[m])
+                    factor[m] = 1.0
+            values = factor.ravel()
+            _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
+            for k in range(len(base)):
+                for m in range(size):
+                    result[k, order[n + m]] = log_factor[m, k] + base[k]
+    return result

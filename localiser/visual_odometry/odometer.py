@@ -1,0 +1,95 @@
+"""What says how the robot moved between two images: wheels, the camera, or both, when wheels may slip unnoticed.
+
+Either the wheels are right to within their sigma, and the edges are followed from there; or they slipped, and the edges
+are followed from nothing but the robot's pace until then. Each explains the edges more or less well, and Bayes' rule
+weighs them by that: wheels that agree with the edges make the first certain; a slip makes pairs under it impossible,
+and the second takes over, of itself.
+
+Where wheels hold, edges tell the turn alone. What is wrong with their ranges (skirting boards, the tilt, what is
+typical of a room) is wrong alike for metres on end: a hundred frames tell the way no better than one, though each would
+count as news. The ranges still say by how much edges move across the image on the way that the wheels drove.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, Increment
+from localiser.visual_odometry.estimate import Belief, Frames, follow
+from localiser.visual_odometry.parameters import IncrementParameters
+from localiser.visual_odometry.twist import Gaussian, twist_gaussian
+
+_LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometer:
+    """Turns what wheels and two frames say into one increment, by one camera."""
+
+    camera: Camera
+    parameters: IncrementParameters
+
+    @property
+    def needs_wheels(self) -> bool:
+        """Whether an image must wait until wheels have reached its time."""
+        return self.parameters.source != "vision"
+
+    @property
+    def follows_edges(self) -> bool:
+        """Whether anything but wheels counts."""
+        return self.parameters.source != "wheel"
+
+    def increment(
+        self,
+        wheel: Increment,
+        wheel_cov: Array,
+        before: Edges | None,
+        after: Edges,
+        seconds: float,
+        pace: Gaussian | None = None,
+    ) -> tuple[Increment, Gaussian | None]:
+        """Return the motion over `seconds`, as wheels, edges or both say, and the pace that the robot goes on with.
+
+        wheel_cov: (3, 3), of the wheels' motion. before: the edges of the last image, None when there was none.
+        pace: twist per second at the last image, None when not known.
+        """
+        if not self.follows_edges or seconds <= 0:
+            return wheel, pace
+        frames = Frames.of(Edges.none() if before is None else before, after, self.camera)
+        beliefs = self._from_nothing(frames, self.parameters.twist(None if before is None else pace, seconds), seconds)
+        if self.parameters.source == "both":
+            beliefs = self._with_wheels(wheel, wheel_cov, beliefs)
+        found = follow(frames, beliefs)
+        pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
+        if self.parameters.source == "vision":
+            return _by_vision(found.motion), pace
+        return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad, "both"), pace
+
+    def _from_nothing(self, frames: Frames, prior: Gaussian, seconds: float) -> list[Belief]:
+        """Return the beliefs that the robot steers, and that it moves sideways as well as any way."""
+        starts = frames.likely_motions(prior)
+        steers = prior.with_right(0.0, self.parameters.sideways_m_s * seconds)
+        share = self.parameters.sidle_share
+        return [Belief(steers, starts, float(np.log1p(-share))), Belief(prior, starts, float(np.log(share)))]
+
+    def _with_wheels(self, wheel: Increment, wheel_cov: Array, slipped: list[Belief]) -> list[Belief]:
+        """Return the belief that wheels are right to within their noise, and those for when they slipped."""
+        share = self.parameters.slip_share
+        # Wheels that stand still know it exactly, edges never do.
+        held = twist_gaussian(Gaussian(wheel.mean, wheel_cov + np.diag(_LEAST_SIGMA**2)))
+        as_seen = [np.array([*held.mean[:2], start[2]]) for start in slipped[0].starts[:1]]
+        return [
+            Belief(held, [held.mean, *as_seen], float(np.log1p(-share)), way=False),
+            *(replace(belief, log_share=belief.log_share + float(np.log(share))) for belief in slipped),
+        ]
+
+
+def _by_vision(seen: Gaussian) -> Increment:
+    # How far it may well have come: a robot of which nothing is known has not stood still.
+    path_m = np.sqrt(np.square(seen.mean[:2]).sum() + np.trace(seen.cov[:2, :2]))
+    turned_rad = np.sqrt(seen.mean[2] ** 2 + seen.cov[2, 2])
+    return Increment(seen.mean, seen.cov, float(path_m), float(turned_rad), "vision")

@@ -1,0 +1,89 @@
+"""What one frame says about where its edges stand: bearings and inverse ranges, and what is wrong with all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges import FOOT_SIGMA_PX, Edges
+from localiser.geometry import Array
+
+FOOT_HEIGHT_SIGMA_M = 0.03
+"""How far above the floor the lower ends of a building's edges may be, all alike: skirting boards."""
+FOOT_UNEVEN_SIGMA_M = 0.04
+"""And each of its own: thresholds, plinths."""
+_RUNS_OUT_PX = 4.0 * FOOT_SIGMA_PX
+"""An edge that is found to end this close to the border may be cut off by it: no foot, though it looks like one in each
+frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sights:
+    """What one frame says about where its edges (E) stand.
+
+    measured, sigma: (E, 2) bearing (rad) and inverse range (1/m); the latter nan where no foot is seen.
+    common: (E, 2, K) derivatives of these by what is wrong with all edges at once, each in units of its prior sigma:
+        the mount's errors, and how far above the floor feet end.
+    """
+
+    measured: Array
+    sigma: Array
+    common: Array
+
+    @property
+    def bearing(self) -> Array:
+        """Bearings (E,), rad."""
+        return np.asarray(self.measured[:, 0])
+
+    @property
+    def inverse_range(self) -> Array:
+        """Inverse ranges (E,), 1/m."""
+        return np.asarray(self.measured[:, 1])
+
+    @classmethod
+    def of(cls, edges: Edges, camera: Camera) -> Sights:
+        """Return what these edges say, seen by this camera."""
+        height_m = camera.mount.height_m
+        inverse = 1.0 / np.where(_runs_out(edges.ends_px[:, 0], camera), np.nan, edges.foot_range_m)
+        inverse_sigma = inverse**2 * edges.foot_range_sigma_m
+        # What turns the line of sight down by dδ adds (1/h + h ρ²) dδ to ρ, since tan δ = h ρ.
+        per_depression = 1.0 / height_m + height_m * inverse**2
+        mount = edges.common
+        by_mount = np.zeros((len(edges), 2, len(mount.names)))
+        by_mount[:, 0] = mount.bearing_from_line
+        depression = {"tilt": np.cos(edges.bearing), "roll": np.sin(edges.bearing)}
+        for column, name in enumerate(mount.names):
+            by_mount[:, 1, column] = per_depression * depression.get(name, 0.0)
+        by_foot_height = np.zeros((len(edges), 2, 1))
+        by_foot_height[:, 1, 0] = inverse * FOOT_HEIGHT_SIGMA_M / height_m
+        return cls(
+            np.stack([edges.bearing, inverse], axis=-1),
+            np.stack([edges.bearing_sigma, inverse_sigma], axis=-1),
+            np.nan_to_num(np.concatenate([by_mount @ _root(mount.cov), by_foot_height], axis=-1)),
+        )
+
+    def take(self, index: NDArray[np.int64]) -> Sights:
+        """Return what is said of the edges at `index`."""
+        return Sights(self.measured[index], self.sigma[index], self.common[index])
+
+
+def _runs_out(end_px: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Whether edges that end at pixels (E, 2), nan where unknown, may as well go on outside the image."""
+    last = np.array([camera.width, camera.height]) - 1
+    return np.asarray((np.minimum(end_px, last - end_px) < _RUNS_OUT_PX).any(axis=-1))
+
+
+def _root(cov: Array) -> Array:
+    """Return R with R Rᵀ = cov (K, K), which may be singular."""
+    variance, axes = np.linalg.eigh(cov)
+    return np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
+
+
+def horizontal_field(camera: Camera) -> float:
+    """Return the horizontal field of view (rad) along the horizon."""
+    a_left, a_right, _, _ = camera.upright_bounds
+    left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
+    return float(right - left)

@@ -1,0 +1,377 @@
+"""The command line: what it prints, and how it says that something is wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from folders import ROOT
+from short_log import CORRIDOR, FRAMES, Localiser, cut_log
+
+from localiser import __version__
+from localiser.config import Config, load_config
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return cut_log(CORRIDOR, tmp_path / "log", FRAMES)
+
+
+# -- help and configuration -------------------------------------------------------------------------------------------
+
+
+def test_version_is_printed_by_the_module_itself() -> None:
+    done = subprocess.run([sys.executable, "-m", "localiser", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"localiser {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "command", [[], ["replay"], ["simulate"], ["evaluate"], ["config", "show"], ["config", "schema"]], ids=" ".join
+)
+def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
+    result = localiser(*command, "--help")
+    assert result.exit_code == 0
+    assert "Example" in result.out
+    assert f"localiser {' '.join(command) or 'replay'}" in result.out.split("Example")[1]
+
+
+def test_shown_configuration_is_the_one_in_force_and_reads_back(localiser: Localiser, tmp_path: Path) -> None:
+    shown = localiser("config", "show", "--set", "mcl.particles=123", "--set", "observation.kind=slope")
+    assert shown.exit_code == 0
+    file = tmp_path / "config.yaml"
+    file.write_text(shown.out)
+    read = load_config(file)
+    assert (read.mcl.particles, read.observation.kind) == (123, "slope")
+    assert localiser("config", "show", "--config", file).out == shown.out
+
+
+def test_schema_is_json_that_knows_every_section(localiser: Localiser) -> None:
+    schema = json.loads(localiser("config", "schema").out)
+    assert set(schema["properties"]) == set(Config.model_fields)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["repaly"],
+        ["replay"],
+        ["replay", CORRIDOR, "--seed", "-1"],
+        ["replay", CORRIDOR, "--seed", str(2**32)],
+        ["evaluate"],
+    ],
+)
+def test_wrong_usage_is_told_on_stderr(localiser: Localiser, arguments: list[str]) -> None:
+    result = localiser(*arguments)
+    assert (result.exit_code, result.out) == (2, "")
+    assert "Usage: localiser" in result.err
+
+
+# -- evaluate and simulate --------------------------------------------------------------------------------------------
+
+
+def test_evaluate_reads_what_replay_wrote(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    runs = [localiser.replay(log, tmp_path / "out", "--seed", seed) for seed in (0, 1)]
+    result = localiser("evaluate", *runs)
+    assert (result.exit_code, result.err) == (0, "")
+    rmse = [json.loads((run / "metrics.json").read_text())["position_rmse_m"] for run in runs]
+    lines = [line.split() for line in result.out.splitlines()]
+    table = {line[0]: line[1:] for line in lines if line}
+    assert table["corridor/1"][:2] == ["0", f"{rmse[0]:.3f}"]
+    assert table["corridor/2"][:2] == ["1", f"{rmse[1]:.3f}"]
+    assert table["worst"][0] == f"{max(rmse):.3f}"
+
+    latest = localiser("evaluate", tmp_path / "out" / "corridor")
+    assert f"{rmse[1]:.3f}" in latest.out
+
+
+def test_runs_of_the_same_name_keep_a_row_each(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    runs = [localiser.replay(log, tmp_path / name, "--set", "mcl.particles=100") for name in ("a", "b")]
+    assert [run.name for run in runs] == ["1", "1"]
+    out = "".join(localiser("evaluate", *runs).out.split())  # long paths are folded
+    assert out.count("corridor/1") == 2
+
+
+def test_evaluate_says_that_a_run_ended_early(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    with_cut_image(log)
+    assert localiser("replay", log, "--out", tmp_path, "--no-rrd", "--quiet").exit_code == 2
+    result = localiser("evaluate", tmp_path / "corridor" / "latest")
+    assert result.exit_code == 0
+    assert result.err == "corridor/latest ended early: its figures are those of 3 frames.\n"
+
+
+def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    run = localiser.replay(log, tmp_path / "out")
+    rmse = json.loads((run / "metrics.json").read_text())["position_rmse_m"]
+    files = [run / "trajectory.tum", run / "trajectory.csv", run]
+    for truth in (run / "groundtruth.tum", log / "groundtruth.csv"):
+        for file in files:
+            result = localiser("evaluate", file, "--truth", truth)
+            assert (result.exit_code, result.err) == (0, "")
+            assert f" {rmse:.3f} " in result.out
+    itself = localiser("evaluate", run / "groundtruth.tum", "--truth", run / "groundtruth.tum")
+    assert " 0.000 " in itself.out
+
+    later = tmp_path / "later.tum"
+    later.write_text("".join(f"9{line}\n" for line in (run / "groundtruth.tum").read_text().splitlines()))
+    apart = localiser("evaluate", run, "--truth", later)
+    assert apart.exit_code == 2
+    assert apart.err.startswith(f"Error: {later}: expected truth during the run")
+
+    without = localiser("evaluate", run / "trajectory.tum")
+    assert without.exit_code == 2
+    assert "--truth" in without.err
+
+
+def test_a_simulated_log_can_be_replayed(localiser: Localiser, tmp_path: Path) -> None:
+    world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
+    world["camera"] |= {"width": 320, "height": 240, "focal_px": 277.0}
+    world["drive"]["path"] = [{"to": [0.1, 0.7]}, {"to": [0.1, 0.0]}]
+    short = tmp_path / "short.yaml"
+    short.write_text(yaml.safe_dump(world))
+    result = localiser("simulate", short, "-o", tmp_path / "log", "--seed", 3, "--quiet")
+    assert (result.exit_code, result.err) == (0, "")
+    run = localiser.replay(tmp_path / "log", tmp_path / "out")
+    assert json.loads((run / "metrics.json").read_text())["position_max_m"] < 0.3
+
+    again = localiser("simulate", short, "-o", tmp_path / "log")
+    assert again.exit_code == 2
+    assert f"{tmp_path / 'log'}: expected a new or empty folder" in again.err
+
+
+def test_a_drive_that_sees_no_landmark_makes_no_log(localiser: Localiser, tmp_path: Path) -> None:
+    world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
+    world["drive"]["path"] = [{"to": [0.1, 0.7]}, {"to": [0.1, 0.69]}]
+    short = tmp_path / "short.yaml"
+    short.write_text(yaml.safe_dump(world))
+    result = localiser("simulate", short, "-o", tmp_path / "log")
+    assert result.exit_code == 2
+    assert f"{short}: drive.path" in result.err
+    assert not (tmp_path / "log").exists()
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+
+class Bad(NamedTuple):
+    """A way to spoil a replay.
+
+    spoil: changes the log in a folder and returns further arguments, in which {log} is that folder. told: what the
+    message must say.
+    """
+
+    spoil: Callable[[Path], list[str]]
+    told: list[str]
+
+
+def edited(name: str, edit: Callable[[list[str]], list[str]]) -> Callable[[Path], list[str]]:
+    """Return what edits the lines of one file of a log."""
+
+    def spoil(log: Path) -> list[str]:
+        lines = edit((log / name).read_text().splitlines())
+        (log / name).write_text("\n".join(lines) + "\n")
+        return []
+
+    return spoil
+
+
+def with_cell(row: int, column: str, value: str) -> Callable[[list[str]], list[str]]:
+    """Return what sets one cell of a table; row 1 is the first after the header."""
+
+    def edit(lines: list[str]) -> list[str]:
+        rows = list(csv.reader(lines))
+        rows[row][rows[0].index(column)] = value
+        return [",".join(cells) for cells in rows]
+
+    return edit
+
+
+def replaced(old: str, new: str) -> Callable[[list[str]], list[str]]:
+    """Return what replaces a text that must be there."""
+
+    def edit(lines: list[str]) -> list[str]:
+        assert any(old in line for line in lines)
+        return [line.replace(old, new) for line in lines]
+
+    return edit
+
+
+def without_folder(log: Path) -> list[str]:
+    shutil.rmtree(log)
+    return []
+
+
+def without_image(log: Path) -> list[str]:
+    (log / "images" / "000003.jpg").unlink()
+    return []
+
+
+def with_cut_image(log: Path) -> list[str]:
+    image = log / "images" / "000003.jpg"
+    image.write_bytes(image.read_bytes()[:-3000])
+    return []
+
+
+def with_small_image(log: Path) -> list[str]:
+    cv2.imwrite(str(log / "images" / "000003.jpg"), np.zeros((240, 320), np.uint8))
+    return []
+
+
+def with_text_for_image(log: Path) -> list[str]:
+    (log / "images" / "000003.jpg").write_text("not an image")
+    return []
+
+
+def with_config(text: str) -> Callable[[Path], list[str]]:
+    def spoil(log: Path) -> list[str]:
+        (log / "mine.yaml").write_text(text)
+        return ["--config", "{log}/mine.yaml"]
+
+    return spoil
+
+
+def with_arguments(*arguments: str) -> Callable[[Path], list[str]]:
+    return lambda _: list(arguments)
+
+
+def with_file_as_results(log: Path) -> list[str]:
+    (log / "taken").write_text("a file")
+    return ["--out", "{log}/taken"]
+
+
+def untilted(log: Path) -> list[str]:
+    edited("camera.yaml", replaced("tilt_deg: 20.0", "tilt_deg: 0.0"))(log)
+    return ["--observation", "slope"]
+
+
+BAD = {
+    "no log": Bad(without_folder, ["{log}: no such log"]),
+    "empty images.csv": Bad(edited("images.csv", lambda lines: []), ["images.csv", "t_ns,file"]),
+    "no images": Bad(edited("images.csv", lambda lines: lines[:1]), ["images.csv", "at least 1 row"]),
+    "time going backwards": Bad(
+        edited("images.csv", with_cell(5, "t_ns", "12")), ["images.csv:6: t_ns", "after 613000000", "found 12"]
+    ),
+    "odometry going backwards": Bad(edited("odometry.csv", with_cell(9, "t_ns", "12")), ["odometry.csv:10: t_ns"]),
+    "missing image": Bad(
+        without_image, ["{log}/images.csv:5: file: {log}/images/000003.jpg: no such image"]
+    ),
+    "truncated image": Bad(
+        with_cut_image, ["images.csv:5: file: {log}/images/000003.jpg", "cut off", "after 3 of 12 frames"]
+    ),
+    "image of another size": Bad(
+        with_small_image, ["images.csv:5: file: {log}/images/000003.jpg", "640×480", "found 320×240"]
+    ),
+    "image that is none": Bad(with_text_for_image, ["{log}/images/000003.jpg", "JPEG or PNG"]),
+    "image outside the folder": Bad(
+        edited("images.csv", with_cell(4, "file", "../000003.jpg")), ["images.csv:5: file", "inside the log's folder"]
+    ),
+    "file outside the folder": Bad(
+        edited("log.yaml", replaced("odometry.csv", "/etc/hosts")), ["log.yaml:4:", "odometry", "inside the log's"]
+    ),
+    "nan in odometry": Bad(
+        edited("odometry.csv", with_cell(3, "heading", "nan")), ["odometry.csv:4: heading", "finite number", "'nan'"]
+    ),
+    "text in odometry": Bad(edited("odometry.csv", with_cell(3, "x", "far")), ["odometry.csv:4: x", "number", "'far'"]),
+    "no odometry while there are images": Bad(
+        edited("odometry.csv", lambda lines: [lines[0], "900000000000,0,0,0"]), ["{log}", "odometry during the images"]
+    ),
+    "map with an id twice": Bad(
+        edited("map.yaml", replaced("id: 3,", "id: 2,")), ["map.yaml:6:", "landmarks[1].id", "found 2 as in line 5"]
+    ),
+    "map without landmarks": Bad(
+        edited("map.yaml", lambda lines: [*lines[:3], "landmarks: []"]), ["map.yaml:4:", "expected at least 1, found 0"]
+    ),
+    "missing map": Bad(with_arguments("--map", "{log}/nowhere.yaml"), ["{log}/nowhere.yaml: no such file"]),
+    "unknown key of the configuration": Bad(
+        with_config("seed: 1\nmcl:\n  particels: 10\n"), ["{log}/mine.yaml:3:3: mcl.particels", "'particles'"]
+    ),
+    "value out of range": Bad(
+        with_config("mcl: {particles: 0}\n"), ["{log}/mine.yaml:1:7: mcl.particles", "found 0", "equal to 1"]
+    ),
+    "configuration that is not YAML": Bad(with_config("mcl: [1\n"), ["{log}/mine.yaml", "not valid YAML"]),
+    "missing configuration": Bad(with_arguments("--config", "{log}/no.yaml"), ["{log}/no.yaml: no such file"]),
+    "unknown key of --set": Bad(with_arguments("--set", "mcl.partikles=5"), ["--set mcl.partikles=5", "'particles'"]),
+    "value of --set out of range": Bad(
+        with_arguments("--set", "mcl.resample_below=2"), ["--set mcl.resample_below=2", "less than or equal to 1"]
+    ),
+    "--set without a value": Bad(with_arguments("--set", "seed"), ["--set seed", "section.name=value"]),
+    "--set of a text for a number": Bad(with_arguments("--set", "mcl.particles=many"), ["--set mcl", "'many'"]),
+    "--start of two numbers": Bad(with_arguments("--start", "1,2"), ["--start", "x,z,heading_deg", "'1,2'"]),
+    "--start of words": Bad(with_arguments("--start", "the,front,door"), ["--start", "'the,front,door'"]),
+    "--start of nan": Bad(with_arguments("--start", "nan,0,0"), ["--start", "'nan,0,0'"]),
+    "unknown format": Bad(with_arguments("--format", "rosbug"), ["--format", "folder, bag or mrclam", "'rosbug'"]),
+    "slope without tilt": Bad(
+        untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "--observation line"]
+    ),
+    "results in a file": Bad(with_file_as_results, ["{log}/taken", "cannot be written"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
+def test_bad_input_is_told_in_one_paragraph(localiser: Localiser, log: Path, tmp_path: Path, bad: Bad) -> None:
+    further = [argument.format(log=log) for argument in bad.spoil(log)]
+    arguments = ["replay", log, "--no-rrd", "--quiet", *([] if "--out" in further else ["--out", tmp_path / "out"])]
+    result = localiser(*arguments, *further)
+    assert (result.exit_code, result.out) == (2, "")
+    assert result.err.startswith("Error: ")
+    assert result.err.count("\n") == 1
+    assert len(result.err) < 600
+    for text in bad.told:
+        assert text.format(log=log) in result.err
+
+    debugged = localiser(*arguments, *further, "--debug")
+    assert debugged.exit_code == 2
+    assert debugged.err.startswith("Traceback")
+    assert 'replay.py"' in debugged.err or 'main.py"' in debugged.err
+
+
+def test_debug_may_stand_before_the_command(localiser: Localiser, tmp_path: Path) -> None:
+    result = localiser("--debug", "replay", tmp_path / "nowhere")
+    assert result.exit_code == 2
+    assert "Traceback" in result.err
+    assert result.err.splitlines()[-1] == f"Error: {tmp_path / 'nowhere'}: no such log"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("furniture:", "furnitur:", ["world.yaml:", "furnitur", "'furniture'"]),
+        ("speed_m_s: 0.5", "speed_m_s: -1", ["world.yaml:", "drive.speed_m_s", "-1"]),
+        ("width: 640", "width: 640 480", ["world.yaml:", "camera.width", "'640 480'"]),
+    ],
+)
+def test_bad_world_is_told_with_its_place(
+    localiser: Localiser, tmp_path: Path, old: str, new: str, told: list[str]
+) -> None:
+    world = (ROOT / "configs" / "worlds" / "corridor.yaml").read_text()
+    assert old in world
+    (tmp_path / "world.yaml").write_text(world.replace(old, new, 1))
+    result = localiser("simulate", tmp_path / "world.yaml", "-o", tmp_path / "log")
+    assert result.exit_code == 2
+    assert result.err.count("\n") == 1
+    for text in told:
+        assert text in result.err
+    assert not (tmp_path / "log").exists()
+
+
+def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Path) -> None:
+    nowhere = tmp_path / "nowhere"
+    for arguments in (
+        ["simulate", nowhere, "-o", tmp_path / "log"],
+        ["evaluate", nowhere],
+        ["evaluate", tmp_path, "--truth", nowhere],
+        ["config", "show", "--config", nowhere],
+    ):
+        result = localiser(*arguments)
+        assert (result.exit_code, result.err.count("\n")) == (2, 1)
+        assert result.err.startswith("Error: ")
+        assert str(tmp_path) in result.err

@@ -1,0 +1,103 @@
+"""`localiser map check`: doubles, doubtful landmarks, how a log fits, and coverage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from map_commands import edge_log, refused, run
+from mapping_worlds import world
+from rerun.chunk import RrdReader
+
+from localiser.commands.map.check import coverage
+from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping import Sightings, doubtful, duplicates, in_view, log_fit
+from localiser.storage import save_camera, save_map
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LOCALISER_CACHE", str(tmp_path / "cache"))
+
+
+def test_doubles_are_near_and_alike() -> None:
+    points = np.array([[0.0, 0.0], [0.015, 0.0], [3.0, 0.0], [3.05, 0.0], [6.0, 0.0], [6.01, 0.0], [9.0, 0.0]])
+    cov = np.zeros((7, 2, 2))
+    cov[2:4] = 0.03**2 * np.eye(2)
+    polarity = np.array([0, 1, 1, 1, 1, -1, 0], dtype=np.int8)
+    landmarks = replace(LandmarkMap.from_points(points), cov=cov, polarity=polarity)
+    assert sorted(map(tuple, duplicates(landmarks).tolist())) == [(0, 1), (2, 3)]
+    assert len(duplicates(LandmarkMap.from_points(points[[0, 2, 6]]))) == 0
+
+
+def test_doubtful_landmarks_are_unlikely_or_vague() -> None:
+    cov = np.tile(1e-4 * np.eye(2), (4, 1, 1))
+    cov[2] *= 1e4
+    cov[3] = np.nan
+    nothing = np.full(4, np.nan)
+    quality = Quality(nothing, nothing, np.array([0.9, 0.2, 0.9, np.nan]), np.zeros((4, 0)))
+    assert doubtful(replace(LandmarkMap.from_points(np.zeros((4, 2))), cov=cov, quality=quality)).tolist() == [1, 2]
+
+
+def test_what_is_in_view_depends_on_the_heading() -> None:
+    """Three posts ahead, none behind: some headings show all of them, as many show none."""
+    camera = world("corridor").camera
+    posts = LandmarkMap.from_points(np.array([[-0.5, -4.0], [0.0, -4.0], [0.5, -4.0]]))
+    count = in_view(posts, camera, np.array([[0.0, 0.0]]), headings=36)[0]
+    assert count[0] == 3
+    assert count[18] == 0
+    assert 4 <= (count == 3).sum() <= 6  # 60° of view, less the 14° that the posts take up
+    shares = coverage(posts, camera).share
+    assert ((shares > 0.5) & (shares <= 1.0)).all()
+
+
+def test_a_log_tells_landmarks_that_moved_or_are_gone() -> None:
+    drive = world("corridor")
+    edges = drive.edges(seed=0)
+    sightings = Sightings.from_edges(edges, drive.camera)
+    points = drive.landmark_map.points.copy()
+    seen = np.bincount(np.concatenate([frame.landmark_id for frame in edges]) + 1)[1:]
+    most = int(seen.argmax())
+    good = log_fit(drive.landmark_map, sightings, drive.camera, drive.truth.poses)
+    assert good.explained > 0.6
+    assert np.rad2deg(np.nanmedian(good.rms_rad)) < 0.3
+    assert good.found[most] > 0.6 * seen[most]
+    assert (good.found <= good.expected).all()
+    points[most] += 0.05
+    moved = log_fit(replace(drive.landmark_map, points=points), sightings, drive.camera, drive.truth.poses)
+    assert moved.rms_rad[most] > 2 * good.rms_rad[most]
+
+
+def test_the_command_tells_and_draws(tmp_path: Path) -> None:
+    drive = world("corridor")
+    log = edge_log(tmp_path / "log", drive.edges(seed=0)[:40])
+    twice = LandmarkMap.from_points(np.concatenate([drive.landmark_map.points, drive.landmark_map.points[:1] + 0.005]))
+    path, picture = tmp_path / "hall.yaml", tmp_path / "hall_coverage.png"
+    save_map(twice, path)
+    plain = run("map", "check", path)
+    assert plain.exit_code == 0
+    assert f"0={len(twice) - 1}" in plain.output
+    assert not picture.exists()
+    recording = tmp_path / "hall.rrd"
+    checked = run("map", "check", path, "--log", log, "--rrd", recording, "-q")
+    assert checked.exit_code == 0
+    assert "of the log's edges are theirs" in checked.output
+    assert "Fewer than 3 landmarks" in checked.output
+    assert "Looks like another place" in checked.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    shown = {chunk.entity_path.removeprefix("/") for chunk in RrdReader(recording).stream()}
+    assert {f"world/building/alike{part}" for part in ("", "/like", "/spots")} <= shown
+    assert "exists already" in refused("map", "check", path, "--log", log)
+    save_camera(drive.camera, tmp_path / "camera.yaml")
+    alone = run("map", "check", path, "--camera", tmp_path / "camera.yaml", "--force")
+    assert "Picture in" in alone.output
+
+
+def test_a_log_without_poses_is_refused(tmp_path: Path) -> None:
+    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:5], truth=False)
+    path = tmp_path / "hall.yaml"
+    save_map(world("corridor").landmark_map, path)
+    assert "poses" in refused("map", "check", path, "--log", log)
+    assert not (tmp_path / "hall_coverage.png").exists()

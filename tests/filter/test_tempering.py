@@ -1,0 +1,121 @@
+"""Weighing in stages: how much is taken at once, and what the kernel does to a cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localiser import particles
+from localiser.edges import Edges
+from localiser.filter.tempering import Weighing
+from localiser.geometry import Array, wrap_angle
+from localiser.landmarks import LandmarkMap
+from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
+from localiser.particles import Particles
+
+SIGMA = np.array([0.1, 0.1, 0.05])
+
+
+class Peak:
+    """A normal likelihood of the pose. Angles stand for what they do to it: one radian is as wide as the cloud."""
+
+    def __init__(self, mean: Array, sharpness: float) -> None:
+        self.mean, self.sharpness = mean, sharpness
+
+    def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
+        return np.asarray(self.by_share(particles, edges, landmark_map)[0])
+
+    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
+        residual = particles.poses - self.mean
+        residual[:, 2] = wrap_angle(residual[:, 2])
+        sigma = SIGMA * np.hypot(self.sharpness, blur_rad)
+        one = -0.5 * np.square(residual / sigma).sum(axis=1) - np.log(sigma).sum()
+        return np.tile(one, (len(INLIER_SHARES), 1))
+
+    def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
+        return 1.0, self.sharpness
+
+
+def cloud(seed: int, count: int = 2000, heading: float = 0.0) -> Particles:
+    rng = np.random.default_rng(seed)
+    return particles.from_gaussian(np.array([0.0, 0.0, heading]), np.diag(SIGMA**2), count, rng)
+
+
+def test_all_is_taken_where_enough_samples_stay_effective() -> None:
+    assert particles.largest_step(np.zeros(100), np.linspace(0, 0.1, 100), 1.0, 50.0) == 1.0
+
+
+def test_a_step_leaves_just_as_many_effective_samples_as_asked() -> None:
+    moved = cloud(0)
+    peak = Peak(np.zeros(3), 1 / 20)
+    log_likelihood = peak.log_likelihood(moved, Edges.none(), LandmarkMap.from_points(np.zeros((1, 2))))
+    step = particles.largest_step(np.zeros(len(moved)), log_likelihood, 1.0, 200.0)
+    assert 0 < step < 1
+    ess = particles.effective_sample_size(particles.normalised(step * log_likelihood))
+    assert ess == pytest.approx(200.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("heading", [0.0, np.pi - 0.01])
+def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
+    before = cloud(1, 20_000, heading)
+    after = particles.spread(before, np.random.default_rng(2))
+    old, new = particles.estimate(before), particles.estimate(after)
+    # Draws of a kernel of width h move the mean by h σ/√N and the variance by about 2 h √(2/N): 4 standard errors.
+    width = 20_000 ** (-1 / 7)
+    assert np.abs(wrap_angle(new.mean - old.mean) / SIGMA).max() < 4 * width / np.sqrt(20_000)
+    assert np.diag(new.cov) / np.diag(old.cov) == pytest.approx(np.ones(3), abs=4 * 2 * width * np.sqrt(2 / 20_000))
+    assert len(np.unique(after["x"])) == 20_000
+
+
+def weighed(peak: Peak, cloud: Particles, *, first: bool = False, stage_below: float = 0.3, seed: int = 0) -> Particles:
+    weighing = Weighing(peak, LandmarkMap.from_points(np.zeros((1, 2))), stage_below)
+    rng = np.random.default_rng(seed)
+    return weighing.weigh(cloud, Edges.none(), InlierShare.unknown(), 1.0, first, rng)[0]
+
+
+@pytest.mark.parametrize("sharpness", [1 / 4, 1 / 40])
+def test_stages_find_the_posterior_that_one_step_has_no_particles_for(sharpness: float) -> None:
+    # Prior N(0, Σ), likelihood N(μ, Σ sharpness²) two sigmas off: the posterior is known in closed form.
+    shrink = 1 / (1 + sharpness**2)
+    errors, ratios = [], []
+    for seed in range(30):
+        found = weighed(Peak(2 * SIGMA, sharpness), cloud(seed), first=True, seed=seed)
+        estimate = particles.estimate(found)
+        errors.append((estimate.mean - shrink * 2 * SIGMA) / (sharpness * SIGMA))
+        ratios.append(np.diag(estimate.cov) / (shrink * (sharpness * SIGMA) ** 2))
+    # In the prior's tail, 3.5 sigmas out, particles are few: within one of the posterior's sigmas, not twenty.
+    assert np.sqrt(np.mean(np.square(errors))) < 0.8
+    assert np.median(ratios, axis=0) == pytest.approx(np.ones(3), abs=0.15)
+
+
+def test_stages_alone_also_find_a_posterior_that_is_not_in_the_tail() -> None:
+    errors = []
+    for seed in range(30):
+        estimate = particles.estimate(weighed(Peak(SIGMA, 1 / 20), cloud(seed), seed=seed))
+        errors.append((estimate.mean - SIGMA) / (SIGMA / 20))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5
+
+
+def test_one_step_alone_collapses_on_the_same_posterior() -> None:
+    found = weighed(Peak(2 * SIGMA, 1 / 40), cloud(0), stage_below=0.0)
+    assert particles.effective_sample_size(found.weight) < 5
+    error = (particles.estimate(found).mean - 2 * SIGMA) / (SIGMA / 40)
+    assert np.abs(error).max() > 10
+
+
+def test_the_first_image_is_weighed_in_stages_even_where_all_particles_fit_alike() -> None:
+    # Far off, a likelihood with a floor (clutter) is flat over all particles: their effective number says nothing.
+    class Floored(Peak):
+        def by_share(self, *arguments: object, **keywords: object) -> Array:
+            return np.logaddexp(super().by_share(*arguments, **keywords), -20.0)  # type: ignore[arg-type]
+
+    peak = Floored(2 * SIGMA, 1 / 40)
+    later, first = (weighed(peak, cloud(4), first=first) for first in (False, True))
+    off = [np.abs((particles.estimate(found).mean - 2 * SIGMA) / SIGMA).max() for found in (later, first)]
+    assert off[0] > 1.0
+    assert off[1] < 0.2
+
+
+def test_stages_come_to_an_end_however_sharp_the_edges() -> None:
+    found = weighed(Peak(np.array([50.0, 0.0, 0.0]), 1e-7), cloud(0, 50), stage_below=0.9)
+    assert np.isfinite(found.columns).all()

@@ -1,0 +1,102 @@
+"""What goes wrong between a robot and the program, with real processes: a run goes on, at its rate, and is not lost.
+
+Rates are by the stamps of the images, and a machine that is busy for a while is waited for.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_processes import LEAST_HZ, SETTINGS, Program, free_endpoint, program
+from short_log import CORRIDOR
+
+from localiser.live.stand_in import start_text
+from localiser.storage import open_log
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them")
+
+ROBOT = Path(__file__).with_name("live_faulty_robot.py")
+IMAGES = 24
+STOPPED_S = 10.0
+WORST_M = 0.15
+NOTICED = {
+    "duplicated": "came twice",
+    "reordered": "late",
+    "in the future": "cannot be true",
+    "corrupt": "damaged",
+    "no odometry": "odometry: nothing",
+}
+"""What is said of each fault, or counted at the end."""
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> str:
+    return free_endpoint()
+
+
+@pytest.fixture(scope="module")
+def robot(endpoint: str) -> Iterator[Program]:
+    with program(CORRIDOR, endpoint, script=ROBOT) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def happened() -> list[str]:
+    """The faults that there were so far."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def live(robot: Program, endpoint: str, happened: list[str]) -> Iterator[Program]:
+    start = start_text(open_log(CORRIDOR))
+    arguments = ("--map", CORRIDOR / "map.yaml", "--json", "--connect", endpoint, "--start", start)
+    with program("live", *arguments, *SETTINGS) as running:
+        while running.poses(1)[0].get("error_m", 1.0) > WORST_M:  # the robot drove on while the program started
+            pass
+        yield running
+        assert running.end() == 0
+        said = running.all_said()
+        assert "Traceback" not in said
+        assert all(NOTICED[fault] in said for fault in happened), said
+
+
+@pytest.mark.parametrize("fault", NOTICED)
+def test_messages_that_go_wrong(robot: Program, live: Program, fault: str, happened: list[str]) -> None:
+    """For five seconds: one of eight images and of three poses of the wheels, or all of the latter not there."""
+    robot.tell("")
+    live.poses(3)
+    robot.tell(fault)
+    happened.append(fault)
+    live.poses(1)
+    lines = live.poses_at(LEAST_HZ, IMAGES)
+    robot.tell("")
+    assert (np.diff([line["t_ns"] for line in lines]) > 0).all(), "none twice, and in their order"
+    assert_right(lines)
+    assert max(line["stamp_ns"] for line in lines) < time.time_ns() + 10**9
+
+
+def test_a_source_that_stops_for_ten_seconds_and_comes_back(robot: Program, live: Program) -> None:
+    robot.tell("")
+    live.poses(1)
+    robot.process.send_signal(signal.SIGSTOP)
+    live.wait_to_say("odometry: nothing")
+    time.sleep(STOPPED_S)
+    live.rest()
+    robot.process.send_signal(signal.SIGCONT)
+    live.poses(3)  # what it sends late is left out by it
+    lines = live.poses_at(LEAST_HZ, IMAGES)
+    assert_right(lines)
+
+
+def assert_right(lines: list[dict[str, Any]]) -> None:
+    """The robot sends the truth too, which may come a moment after the pose."""
+    assert np.median([line["p_correct"] for line in lines]) > 0.9
+    assert np.median([line["error_m"] for line in lines if "error_m" in line]) < WORST_M

@@ -1,0 +1,146 @@
+"""Faults of a running robot, each with real processes. Bounds are wide: they tell a program that goes on from one that
+does not, on any machine; how fast it is, is measured elsewhere.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from os import kill
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from live_processes import LEAST_HZ, SETTINGS, Program, free_endpoint, program
+from short_log import CORRIDOR, Localiser
+
+from localiser.live.stand_in import start_text
+from localiser.storage import load_track, open_log
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and limits as Linux has them")
+
+DISK_BYTES = 1_000_000
+IMAGES = 15
+LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--json", *SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> str:
+    return free_endpoint()
+
+
+@pytest.fixture(scope="module")
+def robot(endpoint: str) -> Iterator[Program]:
+    with program("simulate", CORRIDOR, "--serve", "--listen", endpoint, "--odometry-hz", 50) as running:
+        running.wait_to_say("until Ctrl-C")
+        yield running
+
+
+def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
+    robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path
+) -> None:
+    """The robot falls silent for a while as well."""
+    bag, state = tmp_path / "drive.db3", tmp_path / "state"
+    saving = ("--connect", endpoint, "--checkpoint", state)
+    with program(*LIVE, *saving, "--record", bag) as live:
+        lines = live.poses(5)
+        robot.process.send_signal(signal.SIGSTOP)
+        live.wait_to_say("image: nothing")
+        robot.process.send_signal(signal.SIGCONT)
+        live.wait_to_say("image: back")
+        lines += live.poses(12)
+        live.end(signal.SIGKILL)
+        lines += live.rest()
+
+    run = localiser.replay(bag, tmp_path / "results")
+    track = load_track(run / "trajectory.csv")
+    done = len(track.t_ns)
+    expected = np.array([[line["x"], line["z"], line["heading"]] for line in lines[:done]])
+    np.testing.assert_allclose(track.poses[: len(expected)], expected, rtol=0, atol=1e-9)
+    lost_s = (lines[-1]["t_ns"] - int(track.t_ns[-1])) / 1e9
+    assert lost_s < 3.0, "a second, and what a busy machine adds to it"
+
+    with program(*LIVE, *saving, "--resume") as live:
+        lines = live.poses(5)
+        live.wait_to_say("resumed; the wheels tell")
+        assert max(line["p_correct"] for line in lines) > 0.7 and min(line["cov"][0] for line in lines) < 0.2
+        assert live.end() == 0
+
+
+def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program, endpoint: str) -> None:
+    """Its page is opened by nobody either."""
+    with program(*LIVE, "--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--view", "web") as live:
+        live.wait_to_say("Watch at")
+        live.poses_at(LEAST_HZ, IMAGES)
+        viewers = live.children()
+        assert viewers
+        for viewer in viewers:
+            kill(viewer, signal.SIGSTOP)
+        live.poses_at(LEAST_HZ, IMAGES)
+        for viewer in viewers:
+            kill(viewer, signal.SIGKILL)
+        live.poses_at(LEAST_HZ, IMAGES)
+        assert live.end() == 0
+    assert "Traceback" not in live.all_said()
+
+
+def test_a_viewer_that_is_not_there_changes_nothing(robot: Program, endpoint: str) -> None:
+    """There is no display for it."""
+    arguments = ("--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--view", "native")
+    with program(*LIVE, *arguments) as live:
+        live.poses(5)
+        assert live.end() == 0
+    assert "Traceback" not in live.all_said()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 1 MB, or a folder where that cannot be had."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
+    mounted = shutil.which("mount") is not None and subprocess.run(mount, check=False, capture_output=True)
+    yield folder
+    if mounted and mounted.returncode == 0:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint: str, small_disk: Path) -> None:
+    bag = small_disk / "drive.db3"
+    limit = None if small_disk.is_mount() else DISK_BYTES  # of files, which fails as a full disk does
+    arguments = ("--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--record", bag)
+    with program(*LIVE, *arguments, largest_file=limit) as live:
+        live.wait_to_say("The recording ended, the run goes on")
+        live.rest()
+        live.poses_at(LEAST_HZ, IMAGES)
+        assert live.end() == 0
+    assert "Traceback" not in live.all_said()
+    assert len(open_log(bag).frames) > 1
+
+
+def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser: Localiser) -> None:
+    with program(*LIVE, "--connect", free_endpoint(), "--connect", endpoint) as live:  # one is not there
+        live.poses(1)
+        result = localiser("pose", "set", "2,-3,45", "--connect", endpoint)
+        assert result.exit_code == 0, result.err
+        live.wait_to_say("started at x = 2.00 m, z = -3.00 m, heading = 45.0°")
+        assert live.end(signal.SIGINT) == 0
+
+
+def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path) -> None:
+    options = ("--seconds", 2, "--map", CORRIDOR / "map.yaml", "--at", "0,0", "--picture", tmp_path / "seen.png")
+    result = localiser("doctor", "--connect", endpoint, *options)
+    assert result.exit_code == 0, result.out
+    picture = cv2.imread(str(tmp_path / "seen.png"))
+    assert picture is not None and picture.shape[1] > open_log(CORRIDOR).camera.width
+    assert "stated" in result.out and "landmarks in view" in result.out and "/odom" in result.out
+
+
+def test_who_does_not_listen_is_told(localiser: Localiser) -> None:
+    result = localiser("pose", "set", "1,2,3", "--connect", free_endpoint())
+    assert result.exit_code == 2 and "can be reached" in result.err

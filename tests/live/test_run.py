@@ -1,0 +1,347 @@
+"""The live loop, fed by hand: time is what the messages say, so that nothing depends on how fast the machine is."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
+from short_log import Localiser
+
+from localiser.config import load_config
+from localiser.filter import mcl
+from localiser.geometry import compose
+from localiser.live.inbound import TOPICS, message_of
+from localiser.live.outputs import PosePublisher
+from localiser.live.prepare import read_camera
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.state import Checkpoints, Resumed
+from localiser.storage import load_track, open_log
+from localiser.storage.bags.bag import stamp_of
+from localiser.storage.bags.images import stated_size
+
+N = 6
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> Feed:
+    return Feed()([*camera(), *drive(N)])
+
+
+def test_every_image_is_located_once_the_wheels_have_passed_it(undisturbed: Feed) -> None:
+    assert undisturbed.times == [frame.t_ns for frame in LOG.frames[:N]]
+    assert undisturbed.worst_error_m() < 0.15
+
+
+def test_the_pose_now_is_the_estimate_moved_on_by_the_wheels(undisturbed: Feed) -> None:
+    published = undisturbed.published[-1]
+    located = published.located
+    since = LOG.odometry.at(published.now_ns - BEGIN_NS)
+    from_map = compose(located.estimate.pose, compose(np.zeros(3), _between(located.odometry, since)))
+    np.testing.assert_allclose(published.now, from_map, atol=1e-8)
+    assert published.now_ns >= located.t_ns
+
+
+def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    from localiser.geometry import between
+
+    return between(start, end)
+
+
+def test_duplicates_and_reordered_messages_change_nothing(undisturbed: Feed) -> None:
+    messages = [*camera(), *drive(N)]
+    twice = [message for message in messages for _ in range(2)]
+    np.testing.assert_array_equal(Feed()(twice).poses, undisturbed.poses)
+    swapped = messages[:]
+    wheels = [k for k, message in enumerate(swapped) if message.role == "odometry"]
+    for k in wheels[1:-1:3]:  # a pose that comes after the next one, where no image was weighed in between
+        if swapped[k + 1].role == "odometry" and swapped[k - 1].role == "odometry":
+            swapped[k], swapped[k + 1] = swapped[k + 1], swapped[k]
+    assert [message.at_ns for message in swapped] != [message.at_ns for message in messages]
+    assert Feed()(swapped).times == undisturbed.times
+
+
+def test_an_image_that_comes_late_is_left_out(undisturbed: Feed) -> None:
+    messages = [*camera(), *drive(N)]
+    late = messages.pop(next(k for k, message in enumerate(messages) if message.role == "image" and k > 10))
+    feed = Feed()([*messages, late])
+    assert len(feed.times) == N - 1
+    assert feed.run.timeline.skipped == {"late": 1}
+
+
+def test_messages_from_the_future_are_left_out(undisturbed: Feed) -> None:
+    messages = [*camera(), *drive(N)]
+    strange = image(3_600_000_000_000, 2)
+    strange = type(strange)(strange.role, strange.topic, strange.content, messages[9].at_ns, messages[9].wall_ns)
+    ahead = odometry(20_000_000_000)
+    ahead = type(ahead)(ahead.role, ahead.topic, ahead.content, messages[9].at_ns, messages[9].wall_ns)
+    feed = Feed()([*messages[:10], strange, ahead, *messages[10:]])
+    np.testing.assert_array_equal(feed.poses, undisturbed.poses)
+    assert any("cannot be true" in text for text in feed.said)
+
+
+@pytest.mark.parametrize("jump_s", [-3600, 7200])
+def test_a_jump_of_the_clock_is_survived(undisturbed: Feed, jump_s: int) -> None:
+    """The messages that tell of the jump are lost, then all goes on; stamps go out by the robot's clock."""
+    half, rest = drive(N), drive(14, first=N)
+    moved = [
+        image(message.at_ns + jump_s * 10**9, N + sum(m.role == "image" for m in rest[:k]))
+        if message.role == "image"
+        else odometry_at(message.at_ns, jump_s)
+        for k, message in enumerate(rest)
+    ]
+    jumped = [
+        type(new)(new.role, new.topic, new.content, old.at_ns, old.wall_ns)
+        for new, old in zip(moved, rest, strict=True)
+    ]
+    feed = Feed()([*camera(), *half, *jumped])
+    assert any("clock has jumped" in text for text in feed.said)
+    assert len(feed.times) >= N + 12
+    assert np.diff([published.stamp_ns for published in feed.published]).tolist().count(jump_s) == 0
+    assert feed.published[-1].stamp_ns == BEGIN_NS + LOG.frames[N + 13].t_ns + jump_s * 10**9
+    assert feed.published[-1].located.t_ns == pytest.approx(BEGIN_NS + LOG.frames[N + 13].t_ns, abs=3e8)
+
+
+def odometry_at(t_ns: int, jump_s: int):
+    return arrival(
+        "odometry",
+        t_ns,
+        MAKE.encode(MAKE.odometry(BEGIN_NS + t_ns + jump_s * 10**9, "odom", LOG.odometry.at(t_ns))),
+    )
+
+
+def test_a_damaged_image_costs_no_more_than_itself(undisturbed: Feed) -> None:
+    messages = [*camera(), *drive(N)]
+    place = [k for k, message in enumerate(messages) if message.role == "image"][3]
+    data = LOG.frames[3].encoded()
+    messages[place] = image(messages[place].at_ns, 3, data[: len(data) // 2])
+    feed = Feed()(messages)
+    assert len(feed.times) == N - 1
+    assert feed.run.timeline.skipped == {"damaged": 1}
+    np.testing.assert_array_equal(feed.poses[:3], undisturbed.poses[:3])
+
+
+def test_when_the_wheels_are_silent_edges_tell_the_way() -> None:
+    """Every image is located, and the robot is not lost."""
+    frames = 16
+    messages = [*camera(), *drive(frames)]
+    gap = range(LOG.frames[4].t_ns, LOG.frames[12].t_ns)
+    feed = Feed()([message for message in messages if message.role != "odometry" or message.at_ns not in gap])
+    assert len(feed.times) >= frames - 3
+    assert feed.worst_error_m() < 0.3
+
+
+@pytest.mark.parametrize("after_ns", [0, 60_000_000])
+def test_odometry_that_begins_anew_does_not_move_the_robot(localiser: Localiser, tmp_path: Path, after_ns: int) -> None:
+    """Whether an image is taken between the last pose of old and the first of new, or not."""
+    feed = Feed(record=tmp_path / "drive.db3")
+    anew = [
+        odometry(m.at_ns, compose(np.array([40.0, 3.0, 2.0]), LOG.odometry.at(m.at_ns)))
+        if m.role == "odometry" and m.at_ns > LOG.frames[4].t_ns + after_ns
+        else m
+        for m in drive(12)
+    ]
+    feed([*camera(), *anew]).close()
+    assert len(feed.times) == 12 and feed.worst_error_m() < 0.3
+    track = load_track(localiser.replay(tmp_path / "drive.db3", tmp_path / "results") / "trajectory.csv")
+    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
+def test_images_wait_for_the_first_word_of_the_wheels() -> None:
+    """Before that nobody knows where the odometry's frame is."""
+    feed = Feed()([*camera(), odometry(0)])
+    messages = drive(N)
+    silent = Feed()([*camera(), *[message for message in messages if message.role == "image"]])
+    assert not silent.published
+    assert feed(messages).published
+
+
+def test_frames_of_a_camera_arrive_as_a_robot_sends_them(tmp_path: Path) -> None:
+    path = tmp_path / "drive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (640, 480))
+    for index in range(3):
+        writer.write(cv2.imdecode(np.frombuffer(LOG.frames[index].encoded(), np.uint8), cv2.IMREAD_COLOR))
+    writer.release()
+    inbox = Inbox()
+    source = read_camera(str(path), TOPICS["image"], inbox)
+    arrivals: list[Arrival] = []
+    end = time.monotonic() + 30
+    while len(arrivals) < 3 and time.monotonic() < end:
+        arrivals += inbox.take(0.1)
+    source.close()
+    messages = [message_of(each) for each in arrivals]
+    assert [stated_size(message) for message in messages] == [(640, 480)] * 3
+    assert abs(time.time() - stamp_of(messages[-1]) / 1e9) < 60
+
+
+def test_newest_image_wins_when_there_is_no_time() -> None:
+    feed = Feed()(camera())
+    messages = drive(N)
+    feed.now_ns = messages[-1].at_ns
+    feed.run.turn(messages)  # all at once
+    feed.run.turn([])
+    assert feed.times == [LOG.frames[N - 1].t_ns]
+    assert feed.run.timeline.skipped == {"newer image": N - 1}
+
+
+def test_images_wait_for_the_camera() -> None:
+    feed = Feed()(drive(3))
+    assert not feed.published and any("camera" in text for text in feed.said)
+    feed([*camera(), *drive(2, first=3)])
+    assert feed.times == [frame.t_ns for frame in LOG.frames[3:5]]
+
+
+def test_a_pose_that_is_stated_while_driving_holds_from_then_on() -> None:
+    wrong = mcl.Start(0, LOG.start.mean + np.array([3.0, 0.0, 0.5]), LOG.start.cov)
+    feed = Feed(start=wrong)([*camera(), *drive(4)])
+    pose = LOG.groundtruth.at(LOG.frames[4].t_ns)
+    stated = MAKE.encode(MAKE.pose_in_map(BEGIN_NS, pose, np.diag([0.01, 0.01, 0.003])))
+    feed([arrival("initialpose", LOG.frames[4].t_ns - 1, stated)] * 3)
+    assert sum(text.startswith("started") for text in feed.said) == 2, "the same message counts once"
+    feed.published.clear()
+    feed(drive(4, first=5))
+    assert feed.times == [frame.t_ns for frame in LOG.frames[5:9]]
+    assert feed.worst_error_m() < 0.3
+
+
+def test_a_start_that_is_no_pose_is_refused() -> None:
+    feed = Feed()([*camera(), *drive(2)])
+    stated = MAKE.pose_in_map(BEGIN_NS, np.zeros(3), np.zeros((3, 3)))
+    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated))])
+    assert any("positive definite" in text for text in feed.said)
+
+
+def test_a_robot_without_a_start_is_looked_for(localiser: Localiser, tmp_path: Path) -> None:
+    feed = Feed(start=None, record=tmp_path / "drive.db3")([*camera(), *drive(5, first=100)])
+    stated = MAKE.pose_in_map(BEGIN_NS, LOG.groundtruth.at(feed.now_ns), np.diag([0.01, 0.01, 0.003]))
+    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated)), *drive(3, first=106)])
+    feed.close()
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    track = load_track(run / "trajectory.csv")
+    assert (track.t_ns - BEGIN_NS).tolist() == feed.times
+    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
+def test_a_recording_replays_to_the_same_poses(localiser: Localiser, tmp_path: Path) -> None:
+    """Also with silent wheels, a jump of the clock, damaged and repeated messages, and a start in between."""
+    feed = Feed(record=tmp_path / "drive.db3")
+    messages = drive(20)
+    gap = range(LOG.frames[8].t_ns, LOG.frames[12].t_ns)
+    messages = [message for message in messages if message.role != "odometry" or message.at_ns not in gap]
+    stated = MAKE.pose_in_map(
+        BEGIN_NS + LOG.frames[15].t_ns, LOG.groundtruth.at(LOG.frames[15].t_ns), np.diag([0.01, 0.02, 0.003])
+    )
+    messages.insert(messages.index(messages[-30]), arrival("initialpose", messages[-30].at_ns, MAKE.encode(stated)))
+    messages[20:20] = [image(messages[20].at_ns, 3, b"no image"), messages[10], messages[19]]
+    feed([*camera(), *messages])
+    feed.close()
+    assert sum(text.startswith("started") for text in feed.said) == 2
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    track = load_track(run / "trajectory.csv")
+    assert (track.t_ns - BEGIN_NS).tolist() == feed.times
+    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
+def test_a_recording_of_a_jump_of_the_clock_replays_to_the_same_poses(localiser: Localiser, tmp_path: Path) -> None:
+    feed = Feed(record=tmp_path / "drive.db3")
+    rest = drive(10, first=N)
+    jumped = []
+    for message in rest:
+        k = next((k for k, frame in enumerate(LOG.frames) if frame.t_ns == message.at_ns), None)
+        new = odometry_at(message.at_ns, -50) if k is None else image(message.at_ns - 50 * 10**9, k)
+        jumped.append(type(new)(new.role, new.topic, new.content, message.at_ns, message.wall_ns))
+    feed([*camera(), *drive(N), *jumped])
+    feed.close()
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    track = load_track(run / "trajectory.csv")
+    assert (track.t_ns - BEGIN_NS).tolist() == feed.times and len(feed.times) > N
+    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
+def test_a_recording_keeps_what_the_run_was_set_to(tmp_path: Path) -> None:
+    feed = Feed(record=tmp_path / "drive.db3")([*camera(), *drive(2)])
+    feed.close()
+    log = open_log(tmp_path / "drive.db3")
+    assert log.settings["mcl.particles"] == 300 and load_config(None, (), log.settings) == feed.config
+    assert log.start is not None and log.start.t_ns == BEGIN_NS + LOG.frames[0].t_ns
+
+
+def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
+    """Without a start, after half a second without anything; the poses are those of a run that never stopped."""
+    whole = Feed()([*camera(), *drive(N + 4)])
+    first = Feed()([*camera(), *drive(N)])
+    checkpoints = Checkpoints(tmp_path / "state", first.said.append)
+    checkpoints.close(first.run.filter, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
+    rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    again([*camera(), *rest])
+    assert again.times == [frame.t_ns for frame in LOG.frames[N : N + 4]]
+    np.testing.assert_allclose(again.poses, whole.poses[N:], atol=0.05)
+    assert any("in between" in text for text in again.said)
+
+
+def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Path) -> None:
+    first = Feed()([*camera(), *drive(N)])
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.filter, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
+    rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    anew = [
+        odometry(m.at_ns, compose(np.array([50.0, 0.0, 1.0]), LOG.odometry.at(m.at_ns))) if m.role == "odometry" else m
+        for m in rest
+    ]
+    again([*camera(), *anew])
+    assert len(again.times) == 4 and again.worst_error_m() < 0.3
+    assert any("anew" in text for text in again.said)
+
+
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
+    localiser: Localiser, tmp_path: Path, anew: bool
+) -> None:
+    """From the very particles; with other settings from about there."""
+    first = Feed()([*camera(), *drive(N)])
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.filter, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"), record=tmp_path / "drive.db3")
+    rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    elsewhere = np.array([50.0, 0.0, 1.0]) if anew else np.zeros(3)
+    wheels = [
+        odometry(m.at_ns, compose(elsewhere, LOG.odometry.at(m.at_ns))) if m.role == "odometry" else m for m in rest
+    ]
+    again([*camera(), *wheels]).close()
+    assert any("anew" in text for text in again.said) == anew
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    track = load_track(run / "trajectory.csv")
+    assert (track.t_ns - BEGIN_NS).tolist() == again.times and len(again.times) == 6
+    np.testing.assert_allclose(track.poses, again.poses, rtol=0, atol=1e-9)
+    other = localiser.replay(tmp_path / "drive.db3", tmp_path / "other", "--set", "mcl.particles=400")
+    np.testing.assert_allclose(load_track(other / "trajectory.csv").poses, again.poses, rtol=0, atol=0.2)
+
+
+def test_what_is_published_is_what_ros_expects(undisturbed: Feed) -> None:
+    """map→odom, applied to the odometry's pose, is the pose in the map."""
+    sent: dict[str, bytes] = {}
+    network = type("Network", (), {"publish": lambda self, topic, content: sent.__setitem__(topic, content)})()
+    published = undisturbed.published[-1]
+    PosePublisher(network).publish(published)
+    store = MAKE.store
+    pose = store.deserialize_cdr(sent["/localiser/pose"], "geometry_msgs/msg/PoseWithCovarianceStamped")
+    (stamped,) = store.deserialize_cdr(sent["/tf"], "tf2_msgs/msg/TFMessage").transforms
+    wheels = MAKE.odometry(0, "odom", published.located.odometry).pose.pose
+    turn = 2 * np.arctan2(stamped.transform.rotation.z, stamped.transform.rotation.w)
+    moved = stamped.transform.translation
+    x = moved.x + np.cos(turn) * wheels.position.x - np.sin(turn) * wheels.position.y
+    y = moved.y + np.sin(turn) * wheels.position.x + np.cos(turn) * wheels.position.y
+    np.testing.assert_allclose([x, y], [pose.pose.pose.position.x, pose.pose.pose.position.y], atol=1e-9)
+    assert (stamped.header.frame_id, stamped.child_frame_id, pose.header.frame_id) == ("map", "odom", "map")
+    cov = np.array(pose.pose.covariance).reshape(6, 6)
+    assert cov[5, 5] == pytest.approx(published.located.estimate.pose_cov[2, 2]) and cov[2, 2] == 0
+
+
+def test_lines_of_json(undisturbed: Feed) -> None:
+    line = json.loads(undisturbed.published[-1].line())
+    assert line["t_ns"] == undisturbed.published[-1].located.t_ns
+    assert [line["x"], line["z"], line["heading"]] == undisturbed.poses[-1].tolist()

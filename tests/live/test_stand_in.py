@@ -1,0 +1,82 @@
+"""The stand-in for a robot: a log sent to and fro."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+from live_feed import LOG, MAKE
+from short_log import CORRIDOR, Localiser
+from small_log import write_edge_log, write_small_log
+
+from localiser.errors import InputError
+from localiser.geometry import between
+from localiser.live.stand_in import FIXED, IMAGE, INFO, ODOMETRY, Passage, StandIn, drive, start_text
+
+
+class Wire:
+    """A network that keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, bytes]] = []
+        self.kept: dict[str, bytes] = {}
+
+    def publish(self, topic: str, content: bytes) -> None:
+        self.sent.append((topic, content))
+
+    def keep(self, topic: str, content: bytes) -> None:
+        self.kept[topic] = content
+
+    def is_heard(self, topic: str) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("rate", [None, 100.0])
+def test_the_way_back_is_the_way_there_mirrored(rate: float | None) -> None:
+    passage = Passage.of(LOG, rate)
+    there, back = list(passage.messages(there=True)), list(passage.messages(there=False))
+    for way in (there, back):
+        for topic in (IMAGE, ODOMETRY):
+            assert (np.diff([t_ns for t_ns, name, _ in way if name == topic]) > 0).all()
+    turned = {(passage.length_ns - t_ns, name, k) for t_ns, name, k in back}
+    ends = {message for message in there if message[0] in (0, passage.length_ns)}
+    assert turned == set(there) - ends
+
+
+def test_odometry_that_is_sent_more_often_goes_the_same_way() -> None:
+    dense = Passage.of(LOG, 200.0).wheels
+    moved = between(dense.poses[:-1], dense.poses[1:])
+    assert np.hypot(moved[:, 0], moved[:, 1]).max() < 0.01
+    np.testing.assert_allclose(dense.sampled(LOG.odometry.t_ns[:50]).poses, LOG.odometry.poses[:50], atol=1e-9)
+
+
+def test_a_log_is_sent_as_a_robot_sends_it(tmp_path: Path) -> None:
+    """Two ways of a short log: stamps go on, images are the files, and the mount is kept for latecomers."""
+    log = drive(write_small_log(tmp_path / "log"), 0)
+    wire = Wire()
+    StandIn(wire, Passage.of(log)).run(Event(), ways=2)
+    topics = [topic for topic, _ in wire.sent]
+    assert topics.count(IMAGE) == topics.count(INFO) >= 4 and FIXED in wire.kept and FIXED in topics
+    images = [content for topic, content in wire.sent if topic == IMAGE]
+    message = MAKE.store.deserialize_cdr(images[0], "sensor_msgs/msg/CompressedImage")
+    assert message.data.tobytes() == log.frames[0].encoded()
+    odometry = [
+        MAKE.store.deserialize_cdr(content, "nav_msgs/msg/Odometry").header.stamp
+        for topic, content in wire.sent
+        if topic == ODOMETRY
+    ]
+    assert (np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in odometry]) > 0).all()
+
+
+def test_what_cannot_be_driven_is_refused(tmp_path: Path, localiser: Localiser) -> None:
+    with pytest.raises(InputError, match="log with images"):
+        Passage.of(drive(write_edge_log(tmp_path / "log"), 0))
+    result = localiser("simulate", CORRIDOR)
+    assert result.exit_code == 2 and "--serve" in result.err
+
+
+def test_where_a_log_starts_is_said_as_the_command_line_takes_it() -> None:
+    x, z, heading_deg = (float(part) for part in start_text(LOG).split(","))
+    np.testing.assert_allclose([x, z, np.deg2rad(heading_deg)], LOG.start.mean, atol=1e-12)

@@ -1,0 +1,248 @@
+"""Poses and landmarks from a log alone: the smoother, the scale, loops, and whole drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mapping_worlds import World, world
+from ring_world import CAMERA, CONSTANTS, circle
+
+from localiser import mapping
+from localiser.commands.map.build import wheels_of
+from localiser.config import Config
+from localiser.edges import Edges
+from localiser.geometry import Array, robot_from_map
+from localiser.mapping import Built, MappingParameters, Sightings
+from localiser.mapping.constellations import seen_before
+from localiser.mapping.factors import State, linearise
+from localiser.mapping.feet import Scale, scale_by_feet
+from localiser.mapping.landmarks import fitted
+from localiser.mapping.loops import same_landmarks
+from localiser.mapping.sightings import Index
+from localiser.mapping.smooth import dead_reckoned, smooth
+from localiser.mapping.sparse import Rows
+from localiser.mapping.triangulate import triangulate
+
+
+def jacobian(rows: Rows, size: int) -> Array:
+    """Return the derivatives (R, V) of the predictions."""
+    dense = np.zeros((len(rows.residual), size + 1))
+    dense[np.repeat(np.arange(len(dense)), np.diff(rows.start)), rows.column] = rows.value
+    return dense[:, :size]
+
+
+def test_derivatives_agree_with_differences() -> None:
+    problem, poses, points = circle(0.0, frames=12)
+    rng = np.random.default_rng(1)
+    state = State(
+        poses + 0.02 * rng.standard_normal(poses.shape),
+        points + 0.1 * rng.standard_normal(points.shape),
+        CONSTANTS,
+        points,
+    )
+    dense, step = jacobian(linearise(problem, state), 3 * 11 + 4 + points.size), 1e-6
+    for column in range(dense.shape[1]):
+        change = np.zeros(dense.shape[1])
+        change[column] = step
+        ahead, behind = (linearise(problem, state.moved(sign * change)).residual for sign in (1, -1))
+        assert (behind - ahead) / (2 * step) == pytest.approx(dense[:, column], abs=1e-3, rel=1e-4)
+
+
+def test_exact_measurements_give_the_exact_state() -> None:
+    problem, poses, points = circle(0.0)
+    start = dead_reckoned(problem.wheels)
+    found = smooth(problem, start, points + 0.05, np.zeros(4), iterations=60)
+    assert found.poses[:, :2] == pytest.approx(poses[:, :2], abs=2e-3)
+    # On a circle, turns that are too large and a veer are one and the same.
+    assert found.constants[[0, 3]] == pytest.approx(CONSTANTS[[0, 3]], abs=1e-3)
+    assert np.linalg.norm(start[-1, :2] - poses[-1, :2]) > 0.1
+
+
+def test_errors_of_landmarks_are_what_their_covariances_say() -> None:
+    nees, between_two = [], []
+    for seed in range(6):
+        problem, poses, points = circle(1.0, seed)
+        found = smooth(problem, poses, points, CONSTANTS)
+        seen = np.unique(problem.bearings.landmark)
+        error = (found.points - points)[seen]
+        nees.append(np.einsum("li,lij,lj->l", error, np.linalg.inv(found.landmark_cov()[seen]), error) / 2)
+        apart, cov = np.diff(error, axis=0), found.difference_cov(seen[1:], seen[:-1])
+        between_two.append(np.einsum("li,lij,lj->l", apart, np.linalg.inv(cov), apart) / 2)
+    assert 0.7 < np.mean(nees) < 1.4
+    assert 0.7 < np.mean(between_two) < 1.4
+
+
+def test_covariances_are_those_of_the_dense_inverse() -> None:
+    problem, poses, points = circle(1.0, frames=20)
+    found = smooth(problem, poses, points, CONSTANTS)
+    rows = linearise(problem, State(found.poses, found.points, found.constants, points))
+    dense = jacobian(rows, 3 * 19 + 4 + points.size)
+    whole = np.linalg.inv(dense.T @ (rows.weight[:, None] * dense))[-points.size :, -points.size :]
+    blocks = whole.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
+    one, other = np.array([0, 5, 29]), np.array([7, 6, 3])
+    np.testing.assert_allclose(found.landmark_cov(), blocks.diagonal().transpose(2, 0, 1), rtol=1e-5, atol=1e-10)
+    cross = blocks[one, other]
+    apart = blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1)
+    np.testing.assert_allclose(found.difference_cov(one, other), apart, rtol=1e-5, atol=1e-10)
+
+
+def test_wrong_bearings_do_not_bend_the_path() -> None:
+    problem, poses, points = circle(1.0)
+    bearing = problem.bearings.bearing.copy()
+    bearing[::15] += 0.1
+    wrong = replace(problem, bearings=replace(problem.bearings, bearing=bearing))
+    found = smooth(wrong, poses, points, CONSTANTS)
+    assert np.hypot(*(found.poses - poses)[:, :2].T).max() < 0.05
+
+
+# -- scale ------------------------------------------------------------------------------------------------------------
+
+
+def edges_with_feet(true_scale: float, lifted_m: Array, seed: int = 0) -> tuple[Sightings, Array, Array]:
+    """Return landmarks, some of which end above the floor, and cameras, both believed nearer by `true_scale`."""
+    rng = np.random.default_rng(seed)
+    count, height = len(lifted_m), CAMERA.mount.height_m
+    points = np.stack([rng.uniform(-1.5, 1.5, count), rng.uniform(-5, -2, count)], axis=-1)
+    frames = []
+    poses = np.stack([np.zeros(6), np.linspace(0, -0.5, 6), np.zeros(6)], axis=-1)
+    for pose in CAMERA.pose_in_map(poses):
+        level = robot_from_map(pose, points)
+        range_m = np.hypot(level[:, 0], level[:, 1])
+        apparent = range_m * height / (height - lifted_m) * np.exp(0.005 * rng.standard_normal(count))
+        bearing = np.arctan2(level[:, 0], -level[:, 1])
+        foot = np.stack([apparent * np.sin(bearing), np.full(count, -height), -apparent * np.cos(bearing)], axis=-1)
+        top = foot + np.array([0.0, 0.5, 0.0])
+        ends = np.stack([CAMERA.project_level(foot), CAMERA.project_level(top)], axis=1)
+        unknown = np.full(count, 0.01)
+        frames.append(Edges.from_columns(bearing, unknown, bearing, unknown, ends_px=ends))
+    return (
+        Sightings.from_edges(frames, CAMERA),
+        points / true_scale,
+        CAMERA.pose_in_map(poses)
+        / [
+            true_scale,
+            true_scale,
+            1,
+        ],
+    )
+
+
+@pytest.mark.parametrize("true_scale", [0.96, 1.0, 1.05])
+def test_feet_on_the_floor_tell_the_scale_though_many_are_not(true_scale: float) -> None:
+    lifted = np.concatenate([np.zeros(18), np.linspace(0.05, 0.25, 12)])
+    sightings, points, cameras = edges_with_feet(true_scale, lifted)
+    of = np.tile(np.arange(30), 6)
+    scale = scale_by_feet(sightings, of, points, cameras, Scale(0.0, 0.05))
+    assert scale.log == pytest.approx(np.log(true_scale), abs=0.01)
+    assert scale.sigma < 0.01
+
+
+def test_feet_that_agree_on_nothing_tell_no_scale() -> None:
+    sightings, points, cameras = edges_with_feet(1.0, np.linspace(0.05, 0.35, 30))
+    scale = scale_by_feet(sightings, np.tile(np.arange(30), 6), points, cameras, Scale(0.0, 0.05))
+    assert scale.sigma == np.inf
+
+
+# -- loops ------------------------------------------------------------------------------------------------------------
+
+
+def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> None:
+    places = np.array([[0.0, -3.0], [1.0, -3.5], [-1.2, -4.0], [2.0, -4.2]])
+    frames, drift = 10, np.array([0.12, -0.08])
+    cameras = np.stack([np.linspace(-0.5, 0.5, frames), np.zeros(frames), np.zeros(frames)], axis=-1)
+    seen = []
+    for _ in (np.zeros(2), drift):
+        for camera in cameras:
+            level = robot_from_map(camera, places)
+            bearing = np.arctan2(level[:, 0], -level[:, 1])
+            seen.append(Edges.from_columns(bearing, np.full(4, 1e-3), bearing, np.full(4, 1e-3)))
+    sightings = Sightings.from_edges(seen, CAMERA)
+    of = np.concatenate([np.tile(np.arange(4), frames), np.tile(np.arange(4, 8), frames)])
+    believed = np.concatenate([cameras, cameras + np.array([*drift, 0.0])])
+    built = fitted(sightings, of, believed, np.full(len(of), 1e-3))
+    # The second visit is off as a whole by about 0.15 m; each place within a visit is good to 5 mm.
+    joint = 0.005**2 * np.eye(16)
+    common = np.kron(np.ones((4, 4)), 0.15**2 * np.eye(2))
+    joint[8:, 8:] += common
+    blocks = joint.reshape(8, 2, 8, 2).transpose(0, 2, 1, 3)
+
+    def difference_cov(one: Index, other: Index) -> Array:
+        cross = blocks[one, other]
+        return np.asarray(blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1))
+
+    joined = same_landmarks(built.fit.points, difference_cov, built, sightings.frame)
+    assert joined.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+    certain = same_landmarks(
+        built.fit.points, lambda one, _: np.tile(5e-5 * np.eye(2), (len(one), 1, 1)), built, sightings.frame
+    )
+    assert certain.tolist() == list(range(8))
+
+
+# -- whole drives -----------------------------------------------------------------------------------------------------
+
+
+def aligned_error(found: Array, truth: Array) -> Array:
+    """Return the distances (T,) of poses after the best rotation and translation."""
+    one, other = found[:, :2] - found[:, :2].mean(axis=0), truth[:, :2] - truth[:, :2].mean(axis=0)
+    left, _, right = np.linalg.svd(one.T @ other)
+    turn = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
+    return np.linalg.norm(one @ turn - other, axis=1)
+
+
+def drive_alone(drive: World, edges: list[Edges]) -> mapping.Slam:
+    """Build from edges and odometry."""
+    sightings = Sightings.from_edges(edges, drive.camera)
+    wheels = wheels_of(drive.odometry, drive.odometry.t_ns, Config())
+    return mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, MappingParameters())
+
+
+def test_a_drive_with_wrong_wheels_is_put_right() -> None:
+    drive = world("corridor")
+    found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))
+    error = aligned_error(found.poses, drive.truth.poses)
+    wheels = aligned_error(drive.odometry.poses, drive.truth.poses)
+    assert np.sqrt((error**2).mean()) < 0.05
+    assert np.sqrt((wheels**2).mean()) > 0.2
+
+
+# -- large loops ------------------------------------------------------------------------------------------------------
+
+
+def visits(drift: Array, repeats: bool) -> tuple[Array, Built, Index]:
+    """Return landmarks of two visits to one place, the second moved by `drift` (3,), and the frames of sightings."""
+    rng = np.random.default_rng(4)
+    first = rng.uniform(-3, 3, (12, 2))
+    if repeats:  # doors at equal steps: the place looks like itself one step on
+        first = np.stack([np.repeat(np.arange(6) * 1.0, 2), np.tile([0.0, 2.0], 6)], axis=-1)
+    cos, sin = np.cos(drift[2]), np.sin(drift[2])
+    second = first @ np.array([[cos, sin], [-sin, cos]]) + drift[:2] + 0.01 * rng.standard_normal(first.shape)
+    if repeats:
+        second = second[4:8]
+    count = len(first) + len(second)
+    seen = np.zeros((120, count), dtype=bool)
+    seen[:20, : len(first)] = True
+    seen[100:, len(first) :] = True
+    fit = triangulate(np.zeros(0, dtype=np.int64), count, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    frame, landmark = np.nonzero(seen)
+    built = Built(
+        of=landmark,
+        used=np.arange(len(landmark)),
+        fit=fit,
+        parallax=np.full(count, 0.5),
+        count=seen.sum(axis=0),
+        side=np.full((count, 2), np.nan),
+        polarity=np.zeros(count, dtype=np.int8),
+    )
+    return np.concatenate([first, second]), built, frame
+
+
+def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
+    points, built, frame = visits(np.array([1.5, -0.8, 0.2]), repeats=False)
+    assert seen_before(points, built, frame).tolist() == [*range(12), *range(12)]
+
+
+def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
+    points, built, frame = visits(np.array([0.4, 0.0, 0.0]), repeats=True)
+    assert seen_before(points, built, frame).tolist() == list(range(len(points)))

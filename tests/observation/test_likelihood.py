@@ -1,0 +1,173 @@
+"""The compiled likelihood against the same model with arrays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
+from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation.likelihood import bins_of
+from localiser.observation.polarity import SAME
+from localiser.particles import POSE, Particles
+
+FOCAL = 554.0
+# Pairs beyond six sigmas add less than 1e-8 of a peak each; log-weights may differ by that over many edges.
+HARMLESS = 1e-3
+
+
+def camera(tilt_deg: float, roll_deg: float = 0.0) -> Camera:
+    mount = Mount(np.radians(tilt_deg), 0.9, np.radians(roll_deg), yaw_rad=0.03, back_m=-0.1)
+    return Camera(640, 480, FOCAL, FOCAL, 319.5, 239.5, mount)
+
+
+def some_map(rng: np.random.Generator, count: int) -> LandmarkMap:
+    """Landmarks of which some have heights, some only one, some none."""
+    bottom, top = rng.uniform(0, 1, count), rng.uniform(1, 3, count)
+    bottom[rng.random(count) < 0.3] = np.nan
+    top[rng.random(count) < 0.3] = np.nan
+    landmark_map = LandmarkMap.from_points(rng.uniform(-6, 6, (count, 2)), bottom_m=bottom, top_m=top)
+    return replace(landmark_map, polarity=rng.integers(-1, 2, count).astype(np.int8))
+
+
+def some_edges(rng: np.random.Generator, count: int, ends: bool) -> Edges:
+    bearing = rng.uniform(-0.5, 0.5, count)
+    sigma = 10.0 ** rng.uniform(-4, -1.5, count)
+    lean = np.arctan(0.34 * np.tan(bearing)) + rng.normal(0, 0.01, count)
+    ends_px = np.stack([rng.uniform(0, 639, (count, 2)), rng.uniform([240, 20], [470, 220], (count, 2))], axis=-1)
+    polarity = rng.integers(-1, 2, count).astype(np.int8)
+    return Edges.from_columns(
+        bearing,
+        sigma,
+        lean,
+        sigma * 3,
+        ends_px=ends_px if ends else None,
+        polarity=polarity if ends else None,
+        clutter=rng.uniform(1, 30, count) if ends else None,
+    )
+
+
+def cloud(rng: np.random.Generator, count: int) -> Particles:
+    poses = np.column_stack([rng.uniform(-4, 4, (count, 2)), rng.uniform(-np.pi, np.pi, count)])
+    return Particles(POSE, poses.T.copy(), np.zeros(count))
+
+
+def difference(observation: EdgeObservation, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
+    found = observation.by_share(particles, edges, landmark_map, 0.004)
+    return np.abs(found - observation.by_share_plain(particles, edges, landmark_map, 0.004))
+
+
+@settings(derandomize=True, max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    tilt_deg=st.sampled_from([-15.0, 0.0, 5.0, 20.0, 45.0]),
+    kind=st.sampled_from(["line", "slope"]),
+    ends=st.booleans(),
+    count=st.integers(1, 40),
+)
+def test_compiled_and_plain_agree(seed: int, tilt_deg: float, kind: str, ends: bool, count: int) -> None:
+    if kind == "slope" and tilt_deg == 0.0:
+        tilt_deg = 1.0
+    rng = np.random.default_rng(seed)
+    observation = EdgeObservation(camera(tilt_deg, 2.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map = some_map(rng, int(rng.integers(1, 60)))
+    particles = cloud(rng, 60)
+    assert difference(observation, particles, some_edges(rng, count, ends), landmark_map).max() < HARMLESS
+
+
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_edges_of_which_nothing_is_known_are_clutter(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    observation = EdgeObservation(camera(20.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    edges = some_edges(rng, 12, True)
+    unknown = np.where(np.arange(12) % 3 == 0, np.nan, 1.0)
+    partly = replace(edges, bearing=edges.bearing * unknown, lean=edges.lean * unknown)
+    none = replace(edges, bearing=edges.bearing * np.nan, lean=edges.lean * np.nan)
+    landmark_map, particles = some_map(rng, 40), cloud(rng, 200)
+    for one in (partly, none):
+        assert difference(observation, particles, one, landmark_map).max() < HARMLESS
+
+
+def test_a_particle_does_not_depend_on_the_others() -> None:
+    rng = np.random.default_rng(2)
+    observation = EdgeObservation(camera(20.0), ObservationParameters())
+    edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 100)
+    together = observation.by_share(particles, edges, landmark_map)
+    alone = [
+        observation.by_share(Particles(POSE, particles.columns[:, [n]], np.zeros(1)), edges, landmark_map)[:, 0]
+        for n in range(100)
+    ]
+    np.testing.assert_array_equal(together.T, alone)
+
+
+def test_hundreds_of_edges_neither_overflow_nor_vanish() -> None:
+    observation = EdgeObservation(camera(20.0), ObservationParameters(landmark_sigma_m=1e-4))
+    landmark_map = LandmarkMap.from_points(np.array([[0.0, -3.0]]))
+    bearing = np.full(600, float(np.arctan2(0.0, 3.0)))
+    edges = Edges.from_columns(bearing, np.full(600, 1e-5), bearing, np.full(600, 1e-5))
+    poses = Particles(POSE, np.array([[0.0, 0.0], [0.0, 0.0], [-0.03, 3.0]]), np.zeros(2))
+    found = observation.by_share(poses, edges, landmark_map)
+    np.testing.assert_allclose(found, observation.by_share_plain(poses, edges, landmark_map), rtol=1e-9)
+    assert np.isfinite(found).all()
+    assert np.abs(found).max() > 700, "so large that one product would overflow"
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)
+@given(angles=st.lists(st.floats(-1.5, 1.5), min_size=1, max_size=40), wanted=st.floats(-2, 2))
+def test_a_bin_begins_at_or_before_the_first_edge_above(angles: list[float], wanted: float) -> None:
+    angle = np.sort(np.array(angles))
+    first, (low, per_rad, last) = bins_of(angle)
+    of_bin = int(np.clip((wanted - low) * per_rad, 0.0, last))
+    assert first[of_bin] <= np.searchsorted(angle, wanted)
+    after = int(np.clip((wanted - low) * per_rad + 2.0, 0.0, last))
+    assert first[after] >= np.searchsorted(angle, wanted, side="right")
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    rng = np.random.default_rng(3)
+    edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 20_000)
+    one, three = (
+        EdgeObservation(camera(20.0), ObservationParameters(threads=threads)).by_share(particles, edges, landmark_map)
+        for threads in (1, 3)
+    )
+    np.testing.assert_array_equal(one, three)
+
+
+def test_polarity_multiplies_a_pair_by_its_probability_over_a_half() -> None:
+    observation = EdgeObservation(camera(20.0), ObservationParameters())
+    point, angle, sigma = np.array([[0.0, -3.0]]), np.zeros(1), np.full(1, 0.01)
+    here = Particles(POSE, np.array([[0.0], [0.0], [-0.03]]), np.zeros(1))
+
+    def density(landmark: int, edge: int) -> float:
+        """Return the edge's density over that of clutter, by the compiled loop."""
+        landmark_map = replace(LandmarkMap.from_points(point), polarity=np.array([landmark], dtype=np.int8))
+        edges = Edges.from_columns(angle, sigma, angle, sigma, polarity=np.array([edge], dtype=np.int8))
+        share = INLIER_SHARES[2]
+        return float((np.exp(observation.by_share(here, edges, landmark_map)[2, 0]) - (1 - share)) / share)
+
+    for sign in (1, -1):
+        assert density(sign, sign) == pytest.approx(2 * SAME * density(0, 0))
+        assert density(sign, -sign) == pytest.approx(2 * (1 - SAME) * density(0, 0))
+        assert density(sign, 0) == density(0, sign) == density(0, 0)
+
+
+@pytest.mark.parametrize("of", ["map", "edges"])
+def test_a_polarity_that_only_one_side_knows_changes_no_bit(of: str) -> None:
+    rng = np.random.default_rng(4)
+    observation = EdgeObservation(camera(20.0), ObservationParameters())
+    edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 500)
+    unknown_edges = replace(edges, polarity=np.zeros(20, dtype=np.int8))
+    unknown_map = replace(landmark_map, polarity=np.zeros(40, dtype=np.int8))
+    one = observation.by_share(
+        particles, unknown_edges if of == "map" else edges, landmark_map if of == "map" else unknown_map
+    )
+    np.testing.assert_array_equal(one, observation.by_share(particles, unknown_edges, unknown_map))
+    assert (one != observation.by_share(particles, edges, landmark_map)).any()

@@ -1,0 +1,154 @@
+"""Clutter that lasts: against simulated things on no map, and in a filter that follows another robot."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.filter import mcl
+from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map, wrap_angle
+from localiser.landmarks import LandmarkMap, SightParameters
+from localiser.observation import EdgeObservation, ObservationParameters, Targets
+from localiser.observation.persistent_clutter import NEAR_M, lasting
+from localiser.particles import POSE, Particles
+
+SPAN = 1.1
+
+
+def moved(right: float, back: float, turn: float) -> Array:
+    return np.array([right, back, turn])
+
+
+def test_nothing_is_known_without_a_last_image() -> None:
+    one, none = np.array([0.1]), np.zeros(0)
+    assert lasting(one, one, none, none, moved(0, 0, 0), 0.0, SPAN).tolist() == [1.0]
+    assert lasting(none, none, one, one, moved(0, 0, 0), 0.0, SPAN).tolist() == []
+
+
+def test_what_stands_where_it_was_is_as_dense_as_the_sigmas_say() -> None:
+    bearing, sigma = np.array([0.2, -0.3]), np.full(2, 0.01)
+    found = lasting(bearing + 0.05, sigma, bearing, sigma, moved(0, 0, 0.05), 0.0, SPAN)
+    np.testing.assert_allclose(found, SPAN / np.sqrt(2 * np.pi * 2e-4))
+
+
+def test_of_two_that_may_continue_one_nothing_is_known() -> None:
+    sigma = np.full(2, 0.01)
+    found = lasting(np.array([0.2, 0.205]), sigma, np.array([0.2]), sigma[:1], moved(0, 0, 0), 0.0, SPAN)
+    assert found.tolist() == [1.0, 1.0]
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)
+@given(
+    st.lists(st.floats(-0.5, 0.5), max_size=8),
+    st.lists(st.floats(-0.5, 0.5), max_size=8),
+    st.floats(-0.3, 0.3),
+    st.floats(-0.3, 0.3),
+    st.floats(-0.5, 0.5),
+)
+def test_clutter_is_never_rarer_than_anywhere(
+    now: list[float], before: list[float], right: float, back: float, turn: float
+) -> None:
+    first, second = np.array(now, dtype=float), np.array(before, dtype=float)
+    sigma = np.full(8, 0.02)
+    found = lasting(first, sigma[: len(first)], second, sigma[: len(second)], moved(right, back, turn), 1e-4, SPAN)
+    assert found.shape == first.shape
+    assert (found >= 1.0).all()
+    assert (found <= SPAN / np.sqrt(2 * np.pi * 8e-4) + 1e-9).all()
+
+
+@pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
+def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
+    """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
+    rng = np.random.default_rng(0)
+    sigma, turn_sigma, count = 0.02, 0.01, 20_000
+    bearing = rng.uniform(-0.5, 0.5, count)
+    range_m = 1.0 / rng.uniform(1e-3, 1.0 / NEAR_M, count)
+    right, back, turn = step
+    ahead = range_m * np.cos(bearing) + back
+    aside = range_m * np.sin(bearing) - right
+    after = np.arctan2(aside, ahead) + turn + turn_sigma * rng.standard_normal(count)
+    first, second = (true + sigma * rng.standard_normal(count) for true in (bearing, after))
+    each = np.full(1, sigma)
+    log_density = np.log(
+        [
+            lasting(second[i : i + 1], each, first[i : i + 1], each, moved(*step), turn_sigma**2, SPAN)[0]
+            for i in range(2000)
+        ]
+    )
+    # The best that a histogram of what really happens can do.
+    error = wrap_angle(second - first - turn)
+    share, border = np.histogram(error, 60, density=True)
+    entropy = float(np.log(SPAN * share[np.clip(np.searchsorted(border, error) - 1, 0, 59)]).mean())
+    assert log_density.mean() > entropy - 0.1
+
+
+CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
+SIGMA = np.radians(1.0)
+
+
+def one_edge(bearing: float) -> Edges:
+    angle, sigma = np.array([bearing]), np.full(1, SIGMA)
+    tilted = np.sin(np.radians(15.0))
+    return Edges.from_columns(angle, sigma, np.arctan(tilted * np.tan(angle)), tilted * sigma)
+
+
+def arena() -> tuple[LandmarkMap, Particles]:
+    """A landmark 30 m away at 8°, and two poses: one that sees it there, and one, turned by 2°, that sees it at 10°."""
+    away = np.radians(8.0)
+    landmark_map = LandmarkMap.from_points(30.0 * np.array([[np.sin(away), -np.cos(away)]]))
+    return landmark_map, Particles(POSE, np.array([[0.0, 0.0], [0.0, 0.0], [0.0, np.radians(2.0)]]), np.zeros(2))
+
+
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slope"]) -> None:
+    landmark_map, poses = arena()
+    sight = SightParameters(range_max_m=40.0)
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind, sight=sight))
+    edges = one_edge(np.radians(10.0))
+    again = observation.with_lasting(edges, edges, Increment.from_mean([0.0, -0.1, 0.0]), 1e-6)
+    new, known = (np.diff(observation.log_likelihood(poses, each, landmark_map)) for each in (edges, again))
+    assert 0.0 < known < 0.5 * new
+
+
+@pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.0, -0.1, 0.3)])
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, -0.4, 0.0), (0.0, 0.0, np.pi / 2), (0.1, -0.2, -0.7)])
+def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tuple[float, float, float]) -> None:
+    """Wherever it is on the robot: what stands ahead of it, twice as far as things may be near, is expected there."""
+    camera = CAMERA.with_mount(right_m=mount[0], back_m=mount[1], yaw_rad=mount[2])
+    observation = EdgeObservation(camera, ObservationParameters())
+    thing = map_from_robot(camera.robot_from_level, np.array([0.2, -2 * NEAR_M]))
+    poses = [np.zeros(3), np.asarray(step)]
+    seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
+    before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)
+    clutter = observation.with_lasting(after, before, Increment.from_mean(step), 0.0).clutter[0]
+    right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
+    across = float(right + back * 0.1)  # at a bearing of 0.1
+    sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
+    assert clutter == pytest.approx(observation.angle.field_rad / np.sqrt(2 * np.pi) / sigma, rel=0.2)
+
+
+def test_the_filter_knows_what_the_last_image_showed() -> None:
+    clutter = []
+
+    class Listening(EdgeObservation):
+        def targets(
+            self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float
+        ) -> Targets:
+            clutter.append(float(edges.clutter[0]))
+            return EdgeObservation.targets(self, particles, edges, landmark_map, inlier_share)
+
+    filter_ = mcl.Mcl(arena()[0], Listening(CAMERA, ObservationParameters()), mcl.MclParameters(particles=50))
+    state, rng = mcl.FilterState(), np.random.default_rng(0)
+    events: list[mcl.Event] = [mcl.Start(0, np.zeros(3), np.eye(3) * 1e-4)]
+    for t, bearing in enumerate([0.1, 0.1, -0.3]):  # the same thing twice, then another
+        events += [mcl.Odometry(t, np.array([0.0, -0.1 * t, 0.0])), mcl.Sighting(t, one_edge(bearing))]
+    for event in events:
+        list(mcl.step(filter_, state, event, rng))
+    assert clutter[0] > 5.0
+    assert clutter[1] == 1.0

@@ -1,0 +1,387 @@
+"""Replay, end to end: a log in, files and figures out."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+from short_log import CORRIDOR, FRAMES, Localiser, cut_log
+from small_log import CAMERA, MAP, ODOMETRY, TRUTH, sightings, write_edge_log
+
+from localiser import storage
+from localiser.commands.judge import figures_of
+from localiser.evaluate import report
+from localiser.evaluate.metrics import ABOUT
+from localiser.landmarks import LandmarkMap
+from localiser.view import live, paths
+
+COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh", "ess"]
+TIMES = {"frame_ms_median", "frame_ms_p95", "stage_ms"}
+METRICS = {
+    "log", "observation", "seed", "particles", "frames", "position_rmse_m", "position_median_m", "position_max_m",
+    "position_end_m", "heading_rmse_deg", "odometry_position_rmse_m", "nees_mean", "pcrb_position_m", "efficiency",
+    "edges_per_frame", *TIMES,
+}  # fmt: skip
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return cut_log(CORRIDOR, tmp_path / "log", FRAMES)
+
+
+def metrics_of(run: Path) -> dict[str, Any]:
+    return dict(json.loads((run / "metrics.json").read_text()))
+
+
+def comparable(run: Path) -> dict[str, Any]:
+    return {key: value for key, value in metrics_of(run).items() if key not in TIMES}
+
+
+def rows_of(run: Path) -> list[dict[str, str]]:
+    with (run / "trajectory.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def logged_frames(run: Path) -> int:
+    """Return how many frames the recording holds."""
+    chunks = RrdReader(run / "run.rrd").stream()
+    return sum(chunk.num_rows for chunk in chunks if chunk.entity_path == f"/{paths.ESTIMATE}")
+
+
+# -- what a run leaves ------------------------------------------------------------------------------------------------
+
+
+def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    run = localiser.replay(log, tmp_path / "out", rrd=True)
+    assert {file.name for file in run.iterdir()} == {
+        "config.yaml", "groundtruth.tum", "metrics.json", "report.png", "run.rrd", "run.yaml", "timing.json",
+        "trajectory.csv", "trajectory.tum",
+    }  # fmt: skip
+
+    rows = rows_of(run)
+    assert list(rows[0])[: len(COLUMNS)] == COLUMNS
+    assert [row["t_ns"] for row in rows] == [line.split(",")[0] for line in image_rows(log)]
+
+    located = storage.load_tum(run / "trajectory.tum")
+    np.testing.assert_allclose(located.poses[:, 0], [float(row["x"]) for row in rows], atol=1e-8)
+    np.testing.assert_allclose(located.poses[:, 1], [float(row["z"]) for row in rows], atol=1e-8)
+    np.testing.assert_allclose(located.poses[:, 2], [float(row["heading"]) for row in rows], atol=1e-8)
+    truth = storage.load_tum(run / "groundtruth.tum")
+    np.testing.assert_array_equal(truth.t_ns, located.t_ns)
+    recorded = storage.load_poses(log / "groundtruth.csv").sampled(located.t_ns)
+    np.testing.assert_allclose(truth.poses, recorded.poses, atol=1e-8)
+
+    report = cv2.imread(str(run / "report.png"))
+    assert min(report.shape[:2]) > 500
+    assert report.std() > 10  # not an empty page
+    assert logged_frames(run) == FRAMES
+
+    figures, timing = metrics_of(run), json.loads((run / "timing.json").read_text())
+    assert set(figures) >= METRICS
+    assert (figures["log"], figures["observation"], figures["seed"], figures["particles"]) == (
+        "corridor", "line", 0, 2000,
+    )  # fmt: skip
+    assert figures["frames"] == FRAMES
+    assert figures["complete"] is True
+    assert {key: figures[key] for key in TIMES} == timing
+    assert set(timing["stage_ms"]) == {"load", "edges", "filter", "sinks"}
+
+
+def image_rows(log: Path) -> list[str]:
+    return (log / "images.csv").read_text().splitlines()[1:]
+
+
+def test_metrics_are_those_of_the_files_beside_them(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    run = localiser.replay(log, tmp_path / "out")
+    located, truth = storage.load_tum(run / "trajectory.tum"), storage.load_tum(run / "groundtruth.tum")
+    error_m = np.hypot(*(located.poses - truth.poses)[:, :2].T)
+    figures = metrics_of(run)
+    assert figures["position_rmse_m"] == pytest.approx(np.sqrt(np.mean(error_m**2)), abs=1e-6)
+    assert figures["position_max_m"] == pytest.approx(error_m.max(), abs=1e-6)
+    assert figures["position_end_m"] == pytest.approx(error_m[-1], abs=1e-6)
+    last = (run / "trajectory.csv").read_text().splitlines()
+    final = dict(zip(last[0].split(","), last[-1].split(","), strict=True))
+    for name in ("distance_scale", "turn_scale", "veer", "camera_yaw"):
+        learnt = figures["biases"][name]
+        assert (learnt["value"], learnt["sigma"]) == pytest.approx(
+            (float(final[name]), float(final[f"{name}_sigma"])), abs=1e-6
+        )
+    assert "delay" not in figures["biases"], "a robot that cannot be late"
+    for name, stated_sigma_deg in (("tilt", 0.5), ("roll", 0.3)):  # the mount of this log is exact
+        learnt = figures["biases"][name]
+        assert abs(learnt["value"]) < 4 * learnt["sigma"]
+        assert learnt["sigma"] < np.deg2rad(stated_sigma_deg)
+
+
+def test_same_seed_same_bytes_another_seed_differs(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    one, two, other = (
+        localiser.replay(log, tmp_path / name, "--seed", seed) for name, seed in (("a", 5), ("b", 5), ("c", 6))
+    )
+    for name in ("trajectory.csv", "trajectory.tum", "groundtruth.tum", "config.yaml"):
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    assert comparable(one) == comparable(two)
+    for name in ("trajectory.csv", "trajectory.tum"):
+        assert (one / name).read_bytes() != (other / name).read_bytes()
+
+
+def test_saved_configuration_repeats_the_run(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    settings = ("--seed", 3, "--observation", "slope", "--set", "mcl.particles=300", "--set", "motion.alpha1=2e-3")
+    first = localiser.replay(log, tmp_path / "a", *settings)
+    again = localiser.replay(log, tmp_path / "b", "--config", first / "config.yaml")
+    assert (first / "trajectory.csv").read_bytes() == (again / "trajectory.csv").read_bytes()
+    assert (first / "config.yaml").read_bytes() == (again / "config.yaml").read_bytes()
+    figures = metrics_of(again)
+    assert (figures["seed"], figures["observation"], figures["particles"]) == (3, "slope", 300)
+
+
+def test_runs_are_numbered_and_latest_is_the_last(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    runs = [localiser.replay(log, tmp_path / "out") for _ in range(2)]
+    assert [run.name for run in runs] == ["1", "2"]
+
+
+# -- where it starts --------------------------------------------------------------------------------------------------
+
+
+def first_position(run: Path) -> np.ndarray:
+    row = rows_of(run)[0]
+    return np.array([float(row["x"]), float(row["z"])])
+
+
+def test_start_can_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    truth = storage.load_poses(log / "groundtruth.csv").poses[0]
+    given = f"{truth[0]:.3f},{truth[1]:.3f},{np.rad2deg(truth[2]):.3f}"
+    run = localiser.replay(log, tmp_path / "out", "--start", given)
+    assert np.linalg.norm(first_position(run) - truth[:2]) < 0.15
+
+    # A single image contradicts a start so far off; only a filter that never looks around stays there.
+    far = localiser.replay(log, tmp_path / "out", "--start", "-0.5,-5,-90", "--set", "search.doubt=0.9999")
+    assert "heading_deg: -90" in (far / "run.yaml").read_text()
+
+
+def test_log_without_a_start_is_looked_for_on_the_whole_map(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    asked = localiser.replay(log, tmp_path / "asked", "--start", "global")
+    drop_from(log / "log.yaml", "start")
+    result = localiser("replay", log, "--out", tmp_path / "back", "--no-rrd")
+    assert "looked for on the whole map" in result.err
+    (fallen_back,) = (tmp_path / "back").glob("*/1")
+    assert (asked / "trajectory.csv").read_bytes() == (fallen_back / "trajectory.csv").read_bytes()
+    found = metrics_of(asked)["confidence"]
+    assert found["position_rmse_found_m"] < 0.1 and found["sure_and_wrong"] == 0
+    last = rows_of(asked)[-1]
+    assert float(last["p_correct"]) > 0.9 and last["places"] == "1"
+
+
+def drop_from(log_file: Path, key: str) -> None:
+    lines = log_file.read_text().splitlines(keepends=True)
+    log_file.write_text("".join(line for line in lines if not line.startswith(f"{key}:")))
+
+
+def test_a_start_near_the_truth_needs_the_truth(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    drop_from(log / "log.yaml", "start")
+    drop_from(log / "log.yaml", "groundtruth")
+    result = localiser("replay", log, "--out", tmp_path / "out", "--start", "truth")
+    assert result.exit_code == 2
+    assert "start" in result.err
+    assert "--start x,z,heading_deg" in result.err
+
+    run = localiser.replay(log, tmp_path / "out", "--start", "0.1,0.7,3.7")
+    assert not (run / "groundtruth.tum").exists()
+    figures = metrics_of(run)
+    assert figures["position_rmse_m"] is None
+    assert figures["frames"] == FRAMES
+
+
+# -- what can be chosen -----------------------------------------------------------------------------------------------
+
+
+def test_another_map_can_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    own = localiser.replay(log, tmp_path / "a")
+    drop_from(log / "log.yaml", "map")
+    missing = localiser("replay", log, "--out", tmp_path / "b")
+    assert missing.exit_code == 2
+    assert "--map" in missing.err
+    given = localiser.replay(log, tmp_path / "b", "--map", CORRIDOR.parent.parent / "maps" / "corridor.yaml")
+    assert (own / "trajectory.csv").read_bytes() == (given / "trajectory.csv").read_bytes()
+
+
+def test_the_bound_is_that_of_the_map_that_the_log_knows(localiser: Localiser, tmp_path: Path) -> None:
+    """Associations of a log are indices into its own map; on another map there is no bound."""
+    log, other = tmp_path / "log", tmp_path / "other.yaml"
+    storage.write_log(
+        log,
+        name="told",
+        camera=CAMERA,
+        odometry=ODOMETRY,
+        sightings=sightings(),
+        landmark_map=MAP,
+        groundtruth=TRUTH,
+    )
+    storage.save_map(LandmarkMap.from_points(np.array([[0.5, -1.25]])), other)
+    own = localiser.replay(log, tmp_path / "own", "--start", "truth")
+    on_another = localiser.replay(log, tmp_path / "other", "--start", "truth", "--map", other)
+    assert metrics_of(own)["pcrb_position_m"] > 0
+    assert metrics_of(on_another)["pcrb_position_m"] is None
+
+
+def test_settings_have_their_effect(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    run = localiser.replay(log, tmp_path / "out", "--set", "mcl.particles=150", "--set", "seed=2", "--seed", 4)
+    figures = metrics_of(run)
+    assert (figures["particles"], figures["seed"]) == (150, 4)  # an option of its own is stronger than --set
+    assert max(float(row["ess"]) for row in rows_of(run)[1:]) <= 150  # the first image is weighed by more
+
+
+def test_edges_measured_beforehand_take_the_place_of_images(localiser: Localiser, tmp_path: Path) -> None:
+    run = localiser.replay(write_edge_log(tmp_path / "log"), tmp_path / "out", "--start", "1,2,178", rrd=True)
+    assert len(rows_of(run)) == 3
+    assert not (run / "groundtruth.tum").exists()
+
+
+def test_a_run_says_how_it_was_made_and_is_judged_so_again(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=300", "--seed", 1)
+    by_wheels = metrics_of(localiser.replay(log, tmp_path / "wheel", *settings))
+    run = localiser.replay(log, tmp_path / "both", "--odometry", "both", *settings)
+    figures = metrics_of(run)
+    about = {"observation": "line", "association": "unknown", "odometry": "both", "start": "stated", "seed": 1}
+    assert about.items() <= figures.items()
+    assert {key for key in ABOUT if figures[key] != by_wheels[key]} == {"odometry"}
+    other = metrics_of(localiser.replay(log, tmp_path / "other", *settings, "--set", "motion.alpha1=0.5"))
+    assert {key for key in ABOUT if other[key] != by_wheels[key]} == {"inputs"}
+    assert "odometry: both" in (run / "run.yaml").read_text()
+    again = figures_of(run, run / "groundtruth.tum")
+    assert {key: again[key] for key in ABOUT} == {key: figures[key] for key in ABOUT}
+    assert again["odometry_position_rmse_m"] == pytest.approx(figures["odometry_position_rmse_m"], rel=1e-3)
+
+
+def test_odometry_alone_is_that_which_the_run_goes_by(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    """Cameras do not know the wheels: by vision alone the odometry in the results is what the edges tell."""
+    few = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=300")
+    before = storage.load_track(
+        localiser.replay(log, tmp_path / "as_is", "--odometry", "vision", *few) / "trajectory.csv"
+    )
+    rows = (log / "odometry.csv").read_text().splitlines()
+    still = [f"{row.split(',')[0]},0,0,0" for row in rows[1:]]
+    (log / "odometry.csv").write_text("\n".join([rows[0], *still]) + "\n")
+    run = localiser.replay(log, tmp_path / "still", "--odometry", "vision", *few)
+    np.testing.assert_array_equal(storage.load_track(run / "trajectory.csv").odometry, before.odometry)
+    assert np.hypot(*(before.odometry[-1] - before.odometry[0])[:2]) > 0.3
+
+
+# -- how good it is ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("observation", "rmse_m"), [("line", 0.04), ("slope", 0.12)])
+def test_corridor_is_located(localiser: Localiser, tmp_path: Path, observation: str, rmse_m: float) -> None:
+    figures = metrics_of(localiser.replay(CORRIDOR, tmp_path, "--observation", observation))
+    assert figures["position_rmse_m"] <= rmse_m
+    assert figures["odometry_position_rmse_m"] > 4 * figures["position_rmse_m"]
+
+
+@pytest.mark.data
+def test_beginning_of_house_is_located(localiser: Localiser, data_dir: Path, tmp_path: Path) -> None:
+    log = cut_log(data_dir / "house", tmp_path / "log", 60)
+    figures = metrics_of(localiser.replay(log, tmp_path / "out"))
+    assert figures["frames"] == 60
+    assert figures["position_rmse_m"] < 0.1
+
+
+# -- runs that break off ----------------------------------------------------------------------------------------------
+
+
+def assert_valid_until(run: Path, frames: int, log: Path) -> None:
+    """Check that every output holds exactly the first frames, and says that it is not complete."""
+    assert [row["t_ns"] for row in rows_of(run)] == [line.split(",")[0] for line in image_rows(log)[:frames]]
+    for name in ("trajectory.tum", "groundtruth.tum"):
+        assert len(storage.load_tum(run / name).t_ns) == frames
+    assert len(storage.load_track(run / "trajectory.csv")) == frames
+    figures = metrics_of(run)
+    assert figures["complete"] is False
+    assert figures["frames"] == frames
+    assert logged_frames(run) == frames
+    assert (run / "report.png").is_file()
+
+
+def test_bad_frame_half_way_leaves_what_was_done(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    bad = log / image_rows(log)[7].split(",")[1]
+    bad.write_bytes(bad.read_bytes()[:-3000])  # its head, which is checked beforehand, is sound
+    result = localiser("replay", log, "--out", tmp_path / "out", "--quiet")
+    run = tmp_path / "out" / "corridor" / "1"
+    assert result.exit_code == 2
+    assert str(bad) in result.err
+    assert f"after 7 of {FRAMES} frames" in result.err
+    assert str(run) in result.err
+    assert "Traceback" not in result.err
+    assert_valid_until(run, 7, log)
+
+
+def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    bad = log / image_rows(log)[0].split(",")[1]
+    bad.write_bytes(bad.read_bytes()[:-3000])
+    result = localiser("replay", log, "--out", tmp_path / "out", "--quiet")
+    assert result.exit_code == 2
+    assert f"after 0 of {FRAMES} frames" in result.err
+    assert rows_of(tmp_path / "out" / "corridor" / "1") == []
+
+
+@pytest.mark.parametrize("kind", ["native", "web"])
+def test_run_without_a_display_says_so_and_goes_on(
+    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(live, "_viewer", lambda kind: ([sys.executable, "-c", "pass"], None))
+    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--quiet", "--view", kind)
+    assert (result.exit_code, result.out) == (0, "")
+    assert "could not start" in result.err
+    assert len(rows_of(tmp_path / "out" / "corridor" / "1")) == FRAMES
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "localiser", "replay", CORRIDOR, "--out", tmp_path]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    run = tmp_path / "corridor" / "1"
+    try:
+        while process.poll() is None and lines_in(run / "trajectory.tum") < 5:
+            time.sleep(0.005)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    frames = lines_in(run / "trajectory.tum")
+    assert 5 <= frames < len(image_rows(CORRIDOR))
+    told = " ".join(err.split())  # lines are as long as the terminal wants
+    assert f"after {frames} of {len(image_rows(CORRIDOR))} frames" in told
+    assert str(run) in told
+    assert "Traceback" not in err
+    assert_valid_until(run, frames, CORRIDOR)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
+def test_ctrl_c_while_the_report_is_drawn_takes_nothing_away(
+    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = report.save_report
+
+    def interrupted(*arguments: Any, **further: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        draw(*arguments, **further)
+
+    monkeypatch.setattr(report, "save_report", interrupted)
+    run = localiser.replay(log, tmp_path / "out")
+    assert (run / "report.png").stat().st_size > 10_000
+    assert metrics_of(run)["complete"]
+
+
+def lines_in(path: Path) -> int:
+    return path.read_bytes().count(b"\n") if path.exists() else 0

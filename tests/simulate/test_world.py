@@ -1,0 +1,201 @@
+"""World files: what is accepted, where walls, doors and boxes stand, and which vertical edges they have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from localiser.simulate.drive import truth_of
+from localiser.simulate.solids import clearance_m, solids_of
+from localiser.simulate.structure import landmarks_of, vertical_edges
+from localiser.simulate.world import World, world_of
+
+WORLDS = sorted((Path(__file__).resolve().parents[2] / "configs" / "worlds").glob("*.yaml"))
+
+
+def data(**changes: Any) -> dict[str, Any]:
+    plain = {"texture": "plain", "colour": [200, 200, 200]}
+    return {
+        "format": "localiser-world/1",
+        "name": "test",
+        "materials": dict.fromkeys(("wall", "frame", "door", "floor", "art"), plain),
+        "floor": {"material": "floor"},
+        "ceiling": {"material": "floor"},
+        "camera": {"focal_px": 500.0, "mount": {"tilt_deg": 20.0, "height_m": 0.9}},
+        "drive": {"path": [{"to": [0.0, 0.0]}, {"to": [0.0, -1.0]}]},
+        **changes,
+    }
+
+
+def world(**changes: Any) -> World:
+    return world_of(data(**changes))
+
+
+def edges_of(**changes: Any) -> set[tuple[float, float, float, float]]:
+    edges = vertical_edges(solids_of(world(**changes)))
+    columns = np.column_stack([edges.points, edges.bottom_m, edges.top_m])
+    return {tuple(row) for row in (np.round(columns, 3) + 0.0).tolist()}
+
+
+# -- the file ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "loc"),
+    [
+        ({"colour": 3}, ("colour",)),
+        ({"format": "localiser-world/2"}, ("format",)),
+        ({"ceiling_m": "high"}, ("ceiling_m",)),
+        ({"ceiling_m": float("nan")}, ("ceiling_m",)),
+        ({"walls": [{"from": [0, 0], "to": [0, 0]}]}, ("walls", 0)),
+        ({"walls": [{"from": [0, 0], "to": [2, 0], "doors": [{"at_m": 1.8}]}]}, ("walls", 0)),
+        ({"walls": [{"from": [0, 0], "to": [4, 0], "doors": [{"at_m": 1.5}, {"at_m": 2.0}]}]}, ("walls", 0)),
+        ({"walls": [{"from": [0, 0], "to": [2, 0], "material": "gold"}]}, ("walls", 0, "material")),
+        ({"walls": [{"from": [0, 0], "to": [2, 0], "doors": [{"at_m": 1.0, "leaf": {"material": "gold"}}]}]}, (
+            "walls", 0, "doors", 0, "leaf", "material")),
+        ({"posts": [{"x": 0, "z": 0, "width_m": 0.2, "sides": 9, "material": "wall"}]}, ("posts", 0, "sides")),
+        ({"furniture": [
+            {"x": 0, "z": 0, "width_m": 1, "depth_m": 1, "bottom_m": 1, "top_m": 0.5, "material": "wall"}
+        ]}, ("furniture", 0)),
+        ({"drive": {"path": [{"to": [0, 0]}]}}, ("drive", "path")),
+        ({"camera": {"focal_px": 500, "distortion_model": "plumb_bob", "distortion": [0.1],
+                     "mount": {"tilt_deg": 20, "height_m": 1}}}, ("camera",)),
+    ],
+)  # fmt: skip
+def test_errors_lead_to_their_place_in_the_file(changes: dict[str, Any], loc: tuple[str | int, ...]) -> None:
+    with pytest.raises(ValidationError) as caught:
+        world(**changes)
+    assert caught.value.errors()[0]["loc"] == loc
+
+
+def test_an_unknown_material_is_named_with_those_that_exist() -> None:
+    with pytest.raises(ValidationError, match=r"expected one of .*art, door, floor, frame, wall.*found 'gold'"):
+        world(floor={"material": "gold"})
+
+
+# -- edges ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_box_has_its_four_corners_between_its_heights() -> None:
+    box = {"x": 1.0, "z": -2.0, "width_m": 0.4, "depth_m": 0.2, "bottom_m": 0.3, "top_m": 0.8, "material": "wall"}
+    assert edges_of(furniture=[box]) == {(x, z, 0.3, 0.8) for x in (0.8, 1.2) for z in (-2.1, -1.9)}
+
+
+def test_a_turned_box_turns_anticlockwise_seen_from_above() -> None:
+    box = {"x": 0.0, "z": 0.0, "width_m": 2.0, "depth_m": 0.2, "rotation_deg": 90.0, "top_m": 1.0, "material": "wall"}
+    points = {(x, z) for x, z, _, _ in edges_of(furniture=[box])}
+    assert points == {(x, z) for x in (-0.1, 0.1) for z in (-1.0, 1.0)}
+    tilted = solids_of(world(furniture=[{**box, "rotation_deg": 30.0}])).corners[0]
+    # The end at robot-right (+x) of an anticlockwise turn moves ahead, to -z.
+    assert tilted[np.argmax(tilted[:, 0]), 1] < -0.3
+
+
+def test_walls_that_meet_have_one_edge_inside_and_one_outside_and_none_between() -> None:
+    walls = [{"from": [0, 0], "to": [0, -4]}, {"from": [0, 0], "to": [4, 0]}]
+    points = {(x, z) for x, z, _, _ in edges_of(walls=walls)}
+    near = {(x, z) for x, z in points if abs(x) < 1 and abs(z) < 1}
+    assert near == {(0.06, -0.06), (-0.06, 0.06)}
+
+
+def test_a_box_against_a_wall_keeps_its_concave_edges_and_loses_those_inside() -> None:
+    wall = {"from": [-3, 0], "to": [3, 0]}
+    box = {"x": 0.0, "z": -0.25, "width_m": 1.0, "depth_m": 0.5, "top_m": 0.7, "material": "wall"}
+    edges = edges_of(walls=[wall], furniture=[box])
+    assert {e for e in edges if abs(e[0]) < 1} == {(x, z, 0.0, 0.7) for x in (-0.5, 0.5) for z in (-0.5, -0.06)}
+
+
+def test_a_box_on_a_box_makes_one_edge_where_they_are_flush() -> None:
+    box = {"x": 0.0, "z": 0.0, "width_m": 0.4, "depth_m": 0.4, "top_m": 0.5, "material": "wall"}
+    upper = {**box, "bottom_m": 0.5, "top_m": 1.2}
+    assert {(low, high) for _, _, low, high in edges_of(furniture=[box, upper])} == {(0.0, 1.2)}
+
+
+def test_a_door_has_edges_of_its_opening_and_frame_up_to_their_heights() -> None:
+    door = {"at_m": 2.0, "width_m": 1.0, "height_m": 2.0, "frame_m": 0.1, "frame_out_m": 0.03}
+    edges = edges_of(walls=[{"from": [0, 0], "to": [4, 0], "doors": [door]}])
+    inner = {e for e in edges if abs(e[0] - 2.0) < 0.55}
+    # The lining narrows the opening by 2 cm on either side and 2 cm above.
+    assert inner == {(x, z, 0.0, 1.98) for x in (1.52, 2.48) for z in (-0.09, 0.09)}
+    outer = {e for e in edges if 0.55 <= abs(e[0] - 2.0) < 0.65}
+    assert outer == {(x, z, 0.0, 2.1) for x in (1.4, 2.6) for z in (-0.09, -0.06, 0.06, 0.09)}
+
+
+@pytest.mark.parametrize(
+    ("hinge", "side", "x", "z_sign"), [("from", "left", 1.5, -1), ("to", "left", 2.5, -1), ("to", "right", 2.5, 1)]
+)
+def test_an_open_door_leaf_stands_at_its_hinge_on_its_side(hinge: str, side: str, x: float, z_sign: int) -> None:
+    leaf = {"angle_deg": 90.0, "hinge": hinge, "side": side}
+    door = {"at_m": 2.0, "width_m": 1.0, "leaf": leaf}
+    # From [0, 0] to [4, 0] left is -z.
+    solids = solids_of(world(walls=[{"from": [0, 0], "to": [4, 0], "doors": [door]}]))
+    corners = solids.corners[solids.material.index("door")]
+    assert np.abs(corners[:, 0] - x).max() < 0.08
+    assert z_sign * corners[:, 1].sum() > 0
+    assert 0.9 < np.abs(corners[:, 1]).max() < 1.0
+
+
+@pytest.mark.parametrize("hinge", ["from", "to"])
+def test_a_closed_door_leaf_fills_its_opening(hinge: str) -> None:
+    door = {"at_m": 2.0, "width_m": 1.0, "leaf": {"hinge": hinge, "thickness_m": 0.06}}
+    solids = solids_of(world(walls=[{"from": [0, 0], "to": [4, 0], "doors": [door]}]))
+    corners = solids.corners[solids.material.index("door")]
+    np.testing.assert_allclose(np.sort(corners[:, 0]), [1.52, 1.52, 2.48, 2.48], atol=1e-12)
+    np.testing.assert_allclose(np.sort(corners[:, 1]), [-0.03, -0.03, 0.03, 0.03], atol=1e-12)
+
+
+def test_pictures_are_no_landmarks_but_are_known_to_the_renderer() -> None:
+    poster = {"at_m": 2.0, "width_m": 0.6, "bottom_m": 1.0, "top_m": 1.5, "side": "left", "material": "art"}
+    bare, hung = ([{"from": [0, 0], "to": [4, 0], "posters": posters}] for posters in ([], [poster]))
+    assert len(landmarks_of(world(walls=hung))) == len(landmarks_of(world(walls=bare)))
+    edges = vertical_edges(solids_of(world(walls=hung)))
+    pictured = edges.points[edges.is_flat]
+    assert {round(float(x), 3) for x in pictured[:, 0]} == {1.7, 2.3}
+
+
+# -- landmarks --------------------------------------------------------------------------------------------------------
+
+
+def test_edges_within_two_centimetres_are_one_landmark_in_their_middle() -> None:
+    thin = {"x": 0.0, "z": 0.0, "width_m": 1.0, "depth_m": 0.015, "top_m": 1.0, "material": "wall"}
+    landmarks = landmarks_of(world(furniture=[thin]))
+    assert landmarks.source == ("simulated", "simulated")
+    np.testing.assert_allclose(sorted(landmarks.points.tolist()), [[-0.5, 0.0], [0.5, 0.0]], atol=1e-12)
+    thick = landmarks_of(world(furniture=[{**thin, "depth_m": 0.025}]))
+    assert len(thick) == 4
+
+
+def test_stacked_edges_are_one_landmark_over_the_whole_height() -> None:
+    box = {"x": 0.0, "z": 0.0, "width_m": 0.4, "depth_m": 0.4, "top_m": 0.5, "material": "wall"}
+    landmarks = landmarks_of(world(furniture=[box, {**box, "bottom_m": 1.0, "top_m": 1.2}]))
+    assert len(landmarks) == 4
+    np.testing.assert_allclose(landmarks.bottom_m, 0.0)
+    np.testing.assert_allclose(landmarks.top_m, 1.2)
+
+
+def test_a_world_without_anything_has_no_landmarks() -> None:
+    assert len(landmarks_of(world())) == 0
+
+
+# -- clearance --------------------------------------------------------------------------------------------------------
+
+
+def test_clearance_is_the_distance_from_the_nearest_solid_in_the_robots_way() -> None:
+    wall = {"from": [-3, 0], "to": [3, 0]}
+    shelf = {"x": 0.0, "z": -1.0, "width_m": 1.0, "depth_m": 0.4, "bottom_m": 1.5, "top_m": 1.7, "material": "wall"}
+    solids = solids_of(world(walls=[wall], furniture=[shelf]))
+    distance = clearance_m(solids, np.array([[0.0, -1.0], [0.0, 0.0], [4.06, 1.06]]), height_m=1.2)
+    np.testing.assert_allclose(distance, [0.94, -0.06, np.hypot(1.0, 1.0)], atol=1e-9)
+
+
+@pytest.mark.parametrize("path", WORLDS, ids=lambda path: path.stem)
+def test_worlds_that_ship_are_valid(path: Path) -> None:
+    shipped = world_of(yaml.safe_load(path.read_text(encoding="utf-8")))
+    assert shipped.name == path.stem
+    assert len(landmarks_of(shipped)) > 30
+    way = truth_of(shipped.drive).poses[:, :2]
+    assert clearance_m(solids_of(shipped), way, shipped.camera.mount.height_m).min() > 0.2

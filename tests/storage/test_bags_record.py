@@ -1,0 +1,131 @@
+"""Bags that are written while things happen: what is promised of them when the program, or the disk, ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from small_log import CAMERA, MAP, image
+
+from localiser.errors import InputError, OutputError
+from localiser.live.recording import Recording
+from localiser.storage import open_log
+from localiser.storage.bags.bag import Bag
+from localiser.storage.bags.decisions import image_decision, odometry_decision
+from localiser.storage.bags.messages import Messages
+from localiser.storage.bags.record import BagRecorder
+from localiser.storage.images import encode_image
+
+PATIENCE_S = 60.0
+TEXT = "std_msgs/msg/String"
+MAKE = Messages()
+
+
+def text(words: str) -> bytes:
+    return MAKE.encode(MAKE.text(words))
+
+
+def texts(path: Path) -> list[str]:
+    with Bag(path) as bag:
+        return [message.content.data for message in bag.messages(bag.topics)]
+
+
+def test_messages_come_back_in_the_order_of_calls(tmp_path: Path) -> None:
+    """Also when the calendar is set back in between."""
+    recorder = BagRecorder(tmp_path / "a.db3")
+    for k, t_ns in enumerate((100, 100, 50, 101, 3)):
+        recorder.write("/a" if k % 2 else "/b", TEXT, t_ns, text(str(k)))
+    recorder.close()
+    assert texts(tmp_path / "a.db3") == list("01234")
+
+
+def test_nothing_is_overwritten_and_other_kinds_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.db3").write_text("mine")
+    with pytest.raises(OutputError, match="found something there"):
+        BagRecorder(tmp_path / "a.db3")
+    with pytest.raises(InputError, match=r"ends in \.db3"):
+        BagRecorder(tmp_path / "a.mcap")
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from localiser.storage.bags.record import BagRecorder
+recorder = BagRecorder(Path(sys.argv[1]))
+for k in range(5):
+    recorder.write("/a", "std_msgs/msg/String", k, bytes.fromhex(sys.argv[2]))
+recorder.commit()
+for k in range(2000):  # more than SQLite keeps in memory: half of it is in the file already
+    recorder.write("/a", "std_msgs/msg/String", 10 + k, bytes.fromhex(sys.argv[2]) + bytes(4000))
+os._exit(9)
+"""
+
+
+def test_what_was_not_committed_is_taken_back_after_a_kill(tmp_path: Path) -> None:
+    path = tmp_path / "a.db3"
+    subprocess.run([sys.executable, "-c", KILLED, path, text("kept").hex()], check=False, timeout=PATIENCE_S)
+    assert path.with_name("a.db3-journal").exists(), "the case that is meant"
+    assert texts(path) == ["kept"] * 5
+    assert texts(path) == ["kept"] * 5
+
+
+def test_a_recording_is_committed_while_it_goes_on(tmp_path: Path) -> None:
+    failures: list[str] = []
+    recording = Recording(tmp_path / "a.db3", failures.append)
+    recording.write("/a", TEXT, 1, text("now"))
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end and not _readable(tmp_path / "a.db3"):
+        time.sleep(0.05)
+    assert texts(tmp_path / "a.db3") == ["now"]
+    recording.write("/a", TEXT, 2, text("later"))
+    recording.close()
+    assert texts(tmp_path / "a.db3") == ["now", "later"] and not failures
+
+
+def _readable(path: Path) -> bool:
+    try:
+        return bool(texts(path))
+    except InputError:
+        return False
+
+
+def test_a_full_disk_ends_the_recording_with_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failures: list[str] = []
+    recording = Recording(tmp_path / "a.db3", failures.append)
+    recording._recorder._database.execute("COMMIT")
+    recording._recorder._database.execute("PRAGMA max_page_count = 60")  # SQLite says that the disk is full
+    recording._recorder._database.execute("BEGIN")
+    for k in range(200):
+        recording.write("/a", TEXT, k, text("x" * 4000))
+    end = time.monotonic() + PATIENCE_S
+    while not failures and time.monotonic() < end:
+        time.sleep(0.05)
+    assert len(failures) == 1 and "full" in failures[0] and "the run goes on" in failures[0]
+    recording.write("/a", TEXT, 1000, text("too late"))  # no error
+    recording.close()
+
+
+def test_decisions_leave_out_what_a_live_run_left_out(tmp_path: Path) -> None:
+    recorder = BagRecorder(tmp_path / "a.db3")
+
+    def send(topic: str, message: object) -> None:
+        recorder.write(topic, message.__msgtype__, 1, MAKE.encode(message))
+
+    send("/tf_static", MAKE.mount(0, CAMERA))
+    send("/camera/camera_info", MAKE.camera_info(0, CAMERA))
+    file = encode_image(image(0), ".jpg", 90)
+    for k in range(6):
+        pose = MAP.points[0][0] * k * 0.001, -0.1 * k, 0.0
+        send("/odom", MAKE.odometry(k * 100, "odom", pose))
+        send("/odom", MAKE.odometry(k * 100, "odom", (9.0, 9.0, 0.0)))
+        send("/localiser/decisions", MAKE.text(odometry_decision(2 * k + 1, k * 100, "came twice")))
+        send("/camera/image_raw/compressed", MAKE.compressed(k * 100, file))
+        send("/localiser/decisions", MAKE.text(image_decision(k, k * 100, "" if k % 2 else "newer", by_wheels=k != 3)))
+    recorder.close()
+    log = open_log(tmp_path / "a.db3")
+    assert [frame.t_ns for frame in log.frames] == [100, 300, 500]
+    assert [frame.by_wheels for frame in log.frames] == [True, False, True]
+    assert log.odometry.t_ns.tolist() == [k * 100 for k in range(6)] and abs(log.odometry.poses[:, 1]).max() < 1

@@ -1,0 +1,247 @@
+"""Checkpoints: the filter goes on exactly; damage and other runs' checkpoints are refused."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from small_log import CAMERA, MAP, START, sightings
+
+from localiser.errors import InputError
+from localiser.filter.frames import LocatedFrame
+from localiser.filter.mcl import FilterState, Mcl, MclParameters, Odometry, Start, step
+from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.storage.checkpoint import FORMAT, identity_of, load_checkpoint, save_checkpoint
+from localiser.storage.packing import field_types, pack, unpack
+
+IDENTITY = {"map": "house", "mcl.particles": "50"}
+
+
+def filter_state() -> FilterState:
+    """Return a state in which nothing is as it is by default: one image located, one waiting."""
+    observation = EdgeObservation(CAMERA, ObservationParameters())
+    mcl, state = Mcl(MAP, observation, MclParameters(particles=50, start_particles=70)), FilterState()
+    frame, _, later = sightings()
+    rng = np.random.default_rng(1)
+    for event in (START, Odometry(0, np.zeros(3)), frame, Odometry(10**8, np.array([0.0, -0.1, 0.02])), later):
+        list(step(mcl, state, event, rng))
+    assert state.waiting and state.weighed
+    return state
+
+
+def equal(one: Any, two: Any) -> bool:
+    """Whether two values are the same to the last bit, the order of arrays in memory included."""
+    if type(one) is not type(two):
+        return False
+    if isinstance(one, np.ndarray):
+        same = one.dtype == two.dtype and one.shape == two.shape and one.tobytes() == two.tobytes()
+        return same and one.flags.c_contiguous == two.flags.c_contiguous and bool(two.flags.writeable)
+    if is_dataclass(one):
+        return all(equal(getattr(one, field.name), getattr(two, field.name)) for field in fields(one))
+    if isinstance(one, (list, tuple, deque)):
+        return len(one) == len(two) and all(map(equal, one, two))
+    return bool(one == two)
+
+
+def test_state_and_generator_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    state, rng = filter_state(), np.random.default_rng(7)
+    rng.standard_normal(3)
+    rng.integers(10, dtype=np.int32)  # leaves half of a draw for the next one
+    save_checkpoint(tmp_path / "run", state, rng, IDENTITY)
+    loaded = load_checkpoint(tmp_path / "run", IDENTITY)
+    assert equal(loaded.state, state)
+    assert loaded.kept is None
+    assert (
+        loaded.rng.integers(1000, size=5, dtype=np.int32).tolist()
+        == rng.integers(1000, size=5, dtype=np.int32).tolist()
+    )
+    assert loaded.rng.standard_normal(5).tolist() == rng.standard_normal(5).tolist()
+
+
+def test_state_before_anything_has_happened(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "run", FilterState(), np.random.default_rng(0), IDENTITY)
+    assert equal(load_checkpoint(tmp_path / "run", IDENTITY).state, FilterState())
+
+
+def types_in(hint: Any) -> Iterator[Any]:
+    """Yield every type that a type is made of, down to fields of fields."""
+    yield hint
+    inside = field_types(hint).values() if is_dataclass(hint) else get_args(hint)
+    if get_origin(hint) is not np.ndarray:
+        for part in inside:
+            yield from types_in(part)
+
+
+@pytest.mark.parametrize("cls", [FilterState, LocatedFrame])
+def test_every_field_has_a_type_that_can_be_saved(cls: type) -> None:
+    """Whoever adds a field to what changes during a run learns here whether checkpoints hold it."""
+    for hint in types_in(cls):
+        if isinstance(hint, str) or hint is Ellipsis:
+            continue  # one of the values of a Literal; any number of items
+        try:
+            unpack(hint, {}, [], "field")
+        except ValueError:
+            continue  # understood, and refused because nothing fits here
+
+
+def test_every_field_of_the_state_is_in_the_file(tmp_path: Path) -> None:
+    """Each field is set in turn, so that none is left out or filled by default."""
+    full = filter_state()
+    for name in field_types(FilterState):
+        changed = FilterState()
+        setattr(changed, name, getattr(full, name))
+        save_checkpoint(tmp_path / "run", changed, np.random.default_rng(0), IDENTITY)
+        assert equal(load_checkpoint(tmp_path / "run", IDENTITY).state, changed), name
+
+
+def test_memory_order_of_arrays_is_kept(tmp_path: Path) -> None:
+    """Sums are rounded in the order of memory, so the order belongs to the state."""
+    state = filter_state()
+    assert state.particles is not None
+    for order in ("C", "F"):
+        state.particles = replace(state.particles, columns=np.array(state.particles.columns, order=order))
+        save_checkpoint(tmp_path / "run", state, np.random.default_rng(0), IDENTITY)
+        loaded = load_checkpoint(tmp_path / "run", IDENTITY).state.particles
+        assert loaded is not None and loaded.columns.flags.c_contiguous == (order == "C")
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("checkpoint") / "run"
+    save_checkpoint(path, filter_state(), np.random.default_rng(0), IDENTITY)
+    return path
+
+
+def test_checkpoint_of_another_run_is_refused_and_the_difference_named(saved: Path) -> None:
+    with pytest.raises(InputError, match=r"run: mcl\.particles: expected 50, as the checkpoint .* found 60"):
+        load_checkpoint(saved, IDENTITY | {"mcl.particles": "60"})
+    with pytest.raises(InputError, match=r"map: expected house, .* found nothing"):
+        load_checkpoint(saved, {"mcl.particles": "50"})
+    with pytest.raises(InputError, match=r"camera: expected nothing, .* found front"):
+        load_checkpoint(saved, IDENTITY | {"camera": "front"})
+
+
+def test_identity_names_settings_and_parts() -> None:
+    identity = identity_of({"seed": 3, "mcl": {"particles": 50}}, map=MAP.points)
+    assert (identity["seed"], identity["mcl.particles"]) == ("3", "50")
+    moved = identity_of({"seed": 3, "mcl": {"particles": 50}}, map=MAP.points + 1e-9)
+    assert {name for name in identity if identity[name] != moved[name]} == {"map"}
+
+
+def test_what_is_no_checkpoint(tmp_path: Path) -> None:
+    for content in (b"", b"PK\x03\x04", b"localiser-checkpoint/2\n", b"\n" * 5):
+        (tmp_path / "file").write_bytes(content)
+        with pytest.raises(InputError, match=r"file: expected a checkpoint \(localiser-checkpoint/1\)"):
+            load_checkpoint(tmp_path / "file", IDENTITY)
+    with pytest.raises(InputError, match="no such file"):
+        load_checkpoint(tmp_path / "missing", IDENTITY)
+
+
+@settings(derandomize=True, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_damage_is_found(saved: Path, tmp_path: Path, data: st.DataObject) -> None:
+    content = bytearray(saved.read_bytes())
+    if data.draw(st.booleans()):
+        del content[data.draw(st.integers(0, len(content) - 1)) :]
+    else:
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] ^= data.draw(st.integers(1, 255))
+    (tmp_path / "file").write_bytes(content)
+    with pytest.raises(InputError):
+        load_checkpoint(tmp_path / "file", IDENTITY)
+
+
+def sealed(header: Any, data: bytes) -> bytes:
+    """Return a checkpoint whose sum is right whatever it holds."""
+    body = (header if isinstance(header, bytes) else json.dumps(header).encode()) + b"\n" + data
+    return f"{FORMAT}\n{sha256(body).hexdigest()}\n".encode() + body
+
+
+def parts_of(path: Path) -> tuple[Any, bytes]:
+    _, _, header, data = path.read_bytes().split(b"\n", 3)
+    return json.loads(header), data
+
+
+ODD = st.one_of(
+    st.none(), st.booleans(), st.integers(-3, 2**70), st.floats(), st.text(max_size=5), st.just([]), st.just({}),
+    st.lists(st.integers(-1, 2**40), max_size=4), st.just({"array": 0}), st.just(["<f8", [2**40, 2**40], "C"]),
+    st.just(["|O", [1], "C"]), st.just([["<f8", [-1, 3], "F"]]),
+)  # fmt: skip
+
+
+@settings(derandomize=True, max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_header_that_says_something_else_is_refused(saved: Path, tmp_path: Path, data: st.DataObject) -> None:
+    """Also where the sum is right: any one value of the header is replaced by another."""
+    header, content = parts_of(saved)
+    node: Any = header
+    while True:
+        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+        key = data.draw(st.sampled_from(keys))
+        if not isinstance(node[key], (dict, list)) or not node[key] or data.draw(st.integers(0, 3)) == 0:
+            break
+        node = node[key]
+    node[key] = data.draw(ODD)
+    (tmp_path / "file").write_bytes(sealed(header, content))
+    try:
+        load_checkpoint(tmp_path / "file", IDENTITY)
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert len(str(error)) < 1000
+
+
+def test_sizes_are_checked_before_memory_is_taken(saved: Path, tmp_path: Path) -> None:
+    header, content = parts_of(saved)
+    header["arrays"][0] = ["<f8", [2**34], "C"]
+    (tmp_path / "file").write_bytes(sealed(header, content))
+    tracemalloc.start()
+    with pytest.raises(InputError, match="expected 137438953472 bytes of arrays"):
+        load_checkpoint(tmp_path / "file", IDENTITY)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 20 * len(content) + 2**20
+
+
+def test_interrupted_writing_leaves_the_checkpoint_before(
+    saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run"
+    path.write_bytes(saved.read_bytes())
+
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("os.fsync", fail)
+    with pytest.raises(Exception, match="run: cannot be written"):
+        save_checkpoint(path, FilterState(), np.random.default_rng(0), IDENTITY)
+    assert path.read_bytes() == saved.read_bytes()
+    assert [file.name for file in tmp_path.iterdir()] == ["run"]
+
+
+def test_kept_things_come_back(tmp_path: Path) -> None:
+    kept = {"events": 3, "more": 4}
+    save_checkpoint(tmp_path / "run", FilterState(), np.random.default_rng(0), IDENTITY, kept)
+    assert load_checkpoint(tmp_path / "run", IDENTITY, dict[str, int]).kept == kept
+    with pytest.raises(InputError, match="kept"):
+        load_checkpoint(tmp_path / "run", IDENTITY)
+
+
+def test_start_of_a_state_can_be_told_apart() -> None:
+    """A start is a dataclass like any other: what it says is part of a fingerprint."""
+    other = Start(START.t_ns, START.mean + 1e-12, START.cov)
+    arrays: list[Any] = []
+    assert pack(START, arrays) == pack(START, [])
+    assert identity_of({}, start=START) != identity_of({}, start=other)

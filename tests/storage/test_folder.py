@@ -1,0 +1,239 @@
+"""The log folder: written whole or not at all, read back, and refused with the place of what is wrong."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_log import CAMERA, IMAGE_TIMES, MAP, ODOMETRY, START, TRUTH, image, write_edge_log, write_small_log
+
+from localiser.errors import InputError, OutputError
+from localiser.filter import mcl
+from localiser.storage import Image, ImageEvent, open_log, write_log
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_log(tmp_path_factory.mktemp("logs") / "small", suffix=".png")
+
+
+@pytest.fixture
+def log_folder(written: Path, tmp_path: Path) -> Path:
+    shutil.copytree(written, tmp_path / "small")
+    return tmp_path / "small"
+
+
+def test_log_is_read_back(written: Path) -> None:
+    log = open_log(written)
+    assert log.name == "small"
+    assert log.has_images
+    assert log.duration_s == 0.2
+    assert log.camera.width == CAMERA.width
+    assert log.landmark_map is not None and log.landmark_map.ids == MAP.ids
+    np.testing.assert_allclose(log.odometry.poses, ODOMETRY.poses, atol=1e-9)
+    assert log.groundtruth is not None and log.start is not None
+    np.testing.assert_allclose(log.groundtruth.poses, TRUTH.poses, atol=1e-9)
+    np.testing.assert_allclose(log.start.mean, START.mean)
+    np.testing.assert_allclose(log.start.cov, START.cov, atol=1e-15)
+    assert log.start.t_ns == 0
+
+
+def test_log_yaml_itself_names_the_log(written: Path) -> None:
+    assert open_log(written / "log.yaml").name == "small"
+
+
+def test_events_come_in_the_order_of_time_start_first_and_odometry_before_images(written: Path) -> None:
+    log = open_log(written)
+    events = list(log.events())
+    assert isinstance(events[0], mcl.Start)
+    kinds = [(event.t_ns // 10**6, type(event).__name__) for event in events[1:]]
+    assert kinds == [
+        (0, "Odometry"),
+        (0, "ImageEvent"),
+        (50, "Odometry"),
+        (100, "Odometry"),
+        (100, "ImageEvent"),
+        (150, "Odometry"),
+        (170, "ImageEvent"),
+        (200, "Odometry"),
+    ]
+    other = replace(START, mean=np.zeros(3))
+    assert next(iter(log.events(other))) is other
+
+
+def test_images_are_loaded_when_they_are_asked_for(log_folder: Path) -> None:
+    log = open_log(log_folder)
+    frames = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
+    np.testing.assert_array_equal(frames[2].load(), image(2))
+    (log_folder / "images/000002.png").write_bytes((log_folder / "images/000002.png").read_bytes()[:-9])
+    with pytest.raises(InputError, match=r"000002\.png: expected a whole image, found one that is cut off"):
+        frames[2].load()
+
+
+def test_log_of_edges_runs_without_images(tmp_path: Path) -> None:
+    log = open_log(write_edge_log(tmp_path / "edges"))
+    assert not log.has_images
+    sighted = [event for event in log.events() if isinstance(event, mcl.Sighting)]
+    assert [(event.t_ns, len(event.edges)) for event in sighted] == list(zip(IMAGE_TIMES, (2, 0, 2), strict=True))
+
+
+def edit(name: str, before: str, after: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        content = (folder / name).read_text()
+        assert before in content
+        (folder / name).write_text(content.replace(before, after))
+
+    return change
+
+
+def remove(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).unlink()
+
+
+def link_outside(folder: Path) -> None:
+    outside = folder.parent / "outside.png"
+    shutil.move(folder / "images/000001.png", outside)
+    (folder / "images/000001.png").symlink_to(outside)
+
+
+def keep_header(name: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        (folder / name).write_text((folder / name).read_text().splitlines()[0] + "\n")
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (remove("camera.yaml"), "camera.yaml: no such file"),
+        (keep_header("images.csv"), "images.csv: expected at least 1 rows after the header, found 0"),
+        (keep_header("odometry.csv"), "odometry.csv: expected at least 1 rows"),
+        (edit("images.csv", "100000000", "-1"), "images.csv:3: t_ns: expected a time after 0, found -1"),
+        (edit("odometry.csv", "100000000", "20"), "odometry.csv:4: t_ns: expected a time after 50000000, found 20"),
+        (edit("odometry.csv", "-0.1", "nan"), "odometry.csv:3: z: expected a"),
+        (remove("images/000001.png"), "images/000001.png: no such image"),
+        (edit("camera.yaml", "image_width: 64", "image_width: 65"), "expected an image of 65×48 pixels"),
+        (edit("images.csv", "images/000001", "../images/000001"), "images.csv:3: file: expected a path inside"),
+        (edit("images.csv", "images/000001", "/etc/000001"), "images.csv:3: file: expected a path inside the log's"),
+        (edit("images.csv", "images/000001", "C:/000001"), "images.csv:3: file: expected a path inside the log's"),
+        (edit("images.csv", "images/000001.png", " "), "images.csv:3: file: expected a name"),
+        (link_outside, "images.csv:3: file: expected a path inside the log's folder, found a link to"),
+        (edit("log.yaml", "camera.yaml", "../camera.yaml"), "log.yaml:3:1: camera: expected a path inside the log's"),
+        (edit("log.yaml", "odometry:", "odometri:"), "log.yaml:4:1: odometri: unknown key; the nearest known is"),
+        (edit("log.yaml", "log/1", "log/9"), "log.yaml:1:1: format: expected 'localiser-log/1'"),
+        (edit("log.yaml", "images: images.csv\n", ""), "log.yaml:1:1: images: expected images or edges, found neither"),
+        (edit("log.yaml", "images: ", "edges: edges.csv\nimages: "), "edges: expected images or edges, found both"),
+        (edit("log.yaml", "sigma_m: 0.1", "sigma_m: -1"), "start.sigma_m: expected greater than or equal to 0"),
+        (edit("log.yaml", "name: small", "name: ''"), "log.yaml:2:1: name: string should have at least 1 character"),
+        (edit("map.yaml", "id: 8", "id: 7"), "map.yaml:6:4: landmarks[1].id: expected an id of its own"),
+    ],
+)
+def test_what_is_wrong_is_named_when_the_log_is_opened(
+    log_folder: Path, change: Callable[[Path], None], expected: str
+) -> None:
+    change(log_folder)
+    with pytest.raises(InputError) as caught:
+        open_log(log_folder)
+    assert str(caught.value).startswith(str(log_folder))
+    assert expected in str(caught.value)
+
+
+def test_images_and_odometry_must_overlap(log_folder: Path) -> None:
+    (log_folder / "images.csv").write_text("t_ns,file\n900000000,images/000000.png\n")
+    with pytest.raises(InputError, match="expected odometry during the images, found odometry from 0 to 200000000 ns"):
+        open_log(log_folder)
+
+
+def test_links_inside_the_folder_are_followed(log_folder: Path) -> None:
+    (log_folder / "images/000001.png").unlink()
+    (log_folder / "images/000001.png").symlink_to("000000.png")
+    frame = open_log(log_folder).frames[1]
+    assert isinstance(frame, ImageEvent)
+    np.testing.assert_array_equal(frame.load(), image(0))
+
+
+def test_loop_of_links_is_an_error(log_folder: Path) -> None:
+    (log_folder / "images/000001.png").unlink()
+    (log_folder / "images/000001.png").symlink_to("000001.png")
+    with pytest.raises(InputError):
+        open_log(log_folder)
+
+
+@pytest.mark.parametrize(
+    ("path", "options", "expected"),
+    [
+        ("missing", {}, "missing: no such log"),
+        (".", {}, "expected a log: a folder with a log.yaml"),
+        (".", {"format": "folder"}, "log.yaml: no such file"),
+        (".", {"format": "tar"}, "--format: expected folder, bag or mrclam, found 'tar'"),
+    ],
+)
+def test_what_is_no_log(tmp_path: Path, path: str, options: dict[str, str], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        open_log(tmp_path / path, **options)  # type: ignore[arg-type]
+    assert expected in str(caught.value)
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def broken_off(after: int) -> Iterator[tuple[int, Image]]:
+    for index in range(after):
+        yield index, image(index)
+    raise KeyboardInterrupt
+
+
+def test_writing_that_is_broken_off_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        write_log(tmp_path / "log", name="a", camera=CAMERA, odometry=ODOMETRY, images=broken_off(2))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    (tmp_path / "log/thesis.tex").write_text("years of work")
+    with pytest.raises(OutputError, match="expected a new or empty folder"):
+        write_small_log(tmp_path / "log")
+    assert (tmp_path / "log/thesis.tex").read_text() == "years of work"
+
+
+def test_empty_folder_is_filled(tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    assert open_log(write_small_log(tmp_path / "log")).name == "small"
+
+
+def test_log_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_small_log(tmp_path / "file" / "log")
+
+
+def test_same_log_is_the_same_bytes(tmp_path: Path) -> None:
+    first, second = write_small_log(tmp_path / "a"), write_small_log(tmp_path / "b")
+    names = sorted(path.relative_to(first) for path in first.rglob("*") if path.is_file())
+    assert len(names) == 9
+    for name in names:
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+
+
+def test_log_needs_images_or_sightings(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="expected images or sightings"):
+        write_log(tmp_path / "log", name="a", camera=CAMERA, odometry=ODOMETRY)
+
+
+# -- the development data ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.data
+def test_house_is_read_whole(data_dir: Path) -> None:
+    log = open_log(data_dir / "house")
+    assert log.name == "A_house"
+    assert len(log.frames) == 418 and len(log.odometry) == 1671
+    assert log.landmark_map is not None and len(log.landmark_map) == 261
+    frame = log.frames[-1]
+    assert isinstance(frame, ImageEvent) and frame.load().shape == (480, 640)

@@ -1,0 +1,87 @@
+"""A robot that something is wrong with: the stand-in, whose messages go wrong as lines on standard input say.
+
+python live_faulty_robot.py LOG ENDPOINT
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from pathlib import Path
+from threading import Event, Thread
+
+from localiser.live.sources import Network
+from localiser.live.stand_in import IMAGE, ODOMETRY, Passage, StandIn, drive
+
+ODOMETRY_HZ = 50
+EVERY = {IMAGE: 7, ODOMETRY: 3}
+"""One of so many messages goes wrong."""
+
+HOUR_S = 3600
+_SECONDS = slice(4, 8)  # of the stamp in the header that a message begins with, after four bytes of CDR's own
+
+
+class FaultyNetwork:
+    """Sends what has become of messages. fault: what is wrong now, "" if nothing."""
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+        self._count: Counter[str] = Counter()
+        self._held: dict[str, list[bytes]] = {topic: [] for topic in EVERY}
+        self.fault = ""
+        self.keep, self.is_heard = network.keep, network.is_heard
+
+    def publish(self, topic: str, content: bytes) -> None:
+        for message in self._made_of(topic, content) if topic in EVERY else [content]:
+            self._network.publish(topic, message)
+
+    def _made_of(self, topic: str, content: bytes) -> list[bytes]:
+        """Return what is sent in the place of a message."""
+        self._count[topic] += 1
+        held, self._held[topic] = self._held[topic], []
+        goes_wrong = self._count[topic] % EVERY[topic] == 0
+        match self.fault:
+            case "no odometry" if topic == ODOMETRY:
+                return []
+            case "duplicated" if goes_wrong:
+                return [content, content]
+            case "reordered" if goes_wrong:
+                self._held[topic] = [content]
+                return held
+            case "in the future" if goes_wrong:
+                return [_an_hour_ahead(content)]
+            case "corrupt" if goes_wrong and topic == IMAGE:
+                return [_without_middle(content) if self._count[topic] % 2 else _without_end(content)]
+        return [content, *held]
+
+
+def _an_hour_ahead(content: bytes) -> bytes:
+    ahead = bytearray(content)
+    ahead[_SECONDS] = (int.from_bytes(ahead[_SECONDS], "little") + HOUR_S).to_bytes(4, "little")
+    return bytes(ahead)
+
+
+def _without_middle(content: bytes) -> bytes:
+    third = len(content) // 3
+    return content[:third] + bytes(third) + content[2 * third :]
+
+
+def _without_end(content: bytes) -> bytes:
+    return content[: len(content) // 2] + bytes(len(content) - len(content) // 2)
+
+
+def main(log: Path, endpoint: str) -> None:
+    with Network(connect=[], listen=[endpoint]) as network:
+        faulty, stop = FaultyNetwork(network), Event()
+        robot = StandIn(faulty, Passage.of(drive(log, 0), ODOMETRY_HZ))
+        robot.wait_for_listener(stop)
+        running = Thread(target=robot.run, args=(stop,))
+        running.start()
+        for line in sys.stdin:
+            faulty.fault = line.strip()
+        stop.set()
+        running.join()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2])

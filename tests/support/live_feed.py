@@ -1,0 +1,121 @@
+"""A robot's messages for a live run in this process: time is what the messages say, nothing waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from short_log import CORRIDOR
+
+from localiser.config import Config, load_config
+from localiser.filter import mcl
+from localiser.live.inbound import TOPICS, CameraFinder
+from localiser.live.located import Filter
+from localiser.live.monitor import Monitor
+from localiser.live.outputs import Published
+from localiser.live.prepare import LiveOptions, begun_recording
+from localiser.live.run import LiveRun
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.state import Resumed
+from localiser.observation import EdgeObservation
+from localiser.storage import ImageEvent, open_log
+from localiser.storage.bags.messages import ODOM, Messages
+
+MAKE = Messages()
+LOG = open_log(CORRIDOR)
+BEGIN_NS = 1_700_000_000_000_000_000  # when the robot's calendar says that the log begins
+CONFIG = load_config(
+    None, ["mcl.particles=300", "mcl.start_particles=300", "search.particles_most=2000", "search.fresh=300"]
+)
+
+
+def image(t_ns: int, index: int, data: bytes | None = None) -> Arrival:
+    frame = LOG.frames[index]
+    assert isinstance(frame, ImageEvent)
+    return arrival("image", t_ns, MAKE.encode(MAKE.compressed(BEGIN_NS + t_ns, data or frame.encoded())))
+
+
+def odometry(t_ns: int, pose: np.ndarray | None = None) -> Arrival:
+    pose = LOG.odometry.at(t_ns) if pose is None else pose
+    return arrival("odometry", t_ns, MAKE.encode(MAKE.odometry(BEGIN_NS + t_ns, ODOM, pose)))
+
+
+def arrival(role: str, t_ns: int, content: bytes) -> Arrival:
+    return Arrival(role, TOPICS[role], content, at_ns=t_ns, wall_ns=BEGIN_NS + t_ns)
+
+
+def camera(t_ns: int = 0) -> list[Arrival]:
+    info = MAKE.encode(MAKE.camera_info(BEGIN_NS + t_ns, LOG.camera))
+    mount = MAKE.encode(MAKE.mount(BEGIN_NS + t_ns, LOG.camera))
+    return [arrival("camera_info", t_ns, info), arrival("transforms", t_ns, mount)]
+
+
+def drive(images: int, first: int = 0, late_ns: int = 0) -> list[Arrival]:
+    """Return what a robot sends during some images of the log, in the order of time, each `late_ns` after its stamp."""
+    end_ns = LOG.frames[first + images - 1].t_ns + 60_000_000
+    begin_ns = LOG.frames[first].t_ns - 60_000_000
+    wheels = [odometry(int(t_ns)) for t_ns in LOG.odometry.t_ns if max(begin_ns, 0) <= t_ns <= end_ns]
+    pictures = [image(LOG.frames[k].t_ns, k) for k in range(first, first + images)]
+    return sorted([*wheels, *pictures], key=lambda message: message.at_ns)
+
+
+@dataclass
+class Feed:
+    """A live run that is fed by hand."""
+
+    config: Config = CONFIG
+    record: Path | None = None
+    start: mcl.Start | None = LOG.start
+    resumed: Resumed | None = None
+    published: list[Published] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+    now_ns: int = 0
+
+    def __post_init__(self) -> None:
+        def filter_of(camera: object) -> Filter:
+            observation = EdgeObservation(LOG.camera, self.config.observation)
+            rng = np.random.default_rng(self.config.seed)
+            assert LOG.landmark_map is not None
+            return Filter(camera, LOG.landmark_map, self.config, [], rng, observation)
+
+        options = LiveOptions(CORRIDOR / "map.yaml", self.config, record=self.record)
+        self.recording = begun_recording(options, self.said.append)
+        self.run = LiveRun(
+            Inbox(),
+            CameraFinder(None, TOPICS["image"]),
+            filter_of,
+            Monitor(lambda text, level: self.said.append(text)),
+            [self.published.append],
+            self.recording,
+            self.start,
+            self.resumed,
+            now_ns=lambda: self.now_ns,
+        )
+
+    def __call__(self, arrivals: Iterable[Arrival], each: Callable[[], None] = lambda: None) -> Feed:
+        """Feed messages one after another, as a robot would that is never too fast."""
+        for message in arrivals:
+            self.now_ns = max(self.now_ns, message.at_ns)
+            self.run.turn([message])
+            self.run.turn([])
+            each()
+        return self
+
+    def close(self) -> None:
+        if self.recording is not None:
+            self.recording.close()
+
+    @property
+    def poses(self) -> np.ndarray:
+        return np.array([published.located.estimate.pose for published in self.published])
+
+    @property
+    def times(self) -> list[int]:
+        return [published.located.t_ns - BEGIN_NS for published in self.published]
+
+    def worst_error_m(self) -> float:
+        assert LOG.groundtruth is not None
+        truth = LOG.groundtruth.sampled(self.times).poses
+        return float(np.hypot(*(self.poses - truth)[:, :2].T).max())

@@ -1,0 +1,66 @@
+"""The first frames of the log that ships, and the command line in this process, for end-to-end tests."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from localiser.commands import main
+
+CORRIDOR = Path(__file__).resolve().parents[2] / "logs" / "corridor"
+FRAMES = 12
+
+
+def cut_log(source: Path, folder: Path, frames: int) -> Path:
+    """Copy the first `frames` images of a log folder, and everything else of it, to `folder`, which is returned."""
+    folder.mkdir()
+    for file in source.iterdir():
+        if file.is_file():
+            shutil.copy(file, folder)
+    rows = (source / "images.csv").read_text().splitlines()[: frames + 1]
+    (folder / "images.csv").write_text("\n".join(rows) + "\n")
+    for row in rows[1:]:
+        name = row.split(",")[1]
+        (folder / name).parent.mkdir(exist_ok=True)
+        shutil.copy(source / name, folder / name)
+    return folder
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """How a command ended, and what it said."""
+
+    exit_code: int
+    out: str
+    err: str
+
+
+@dataclass(frozen=True, slots=True)
+class Localiser:
+    """The command line, called in this process as a shell would call it."""
+
+    capsys: pytest.CaptureFixture[str]
+
+    def __call__(self, *arguments: object) -> Result:
+        code: Sequence[object] | object = 0
+        self.capsys.readouterr()
+        with patch.object(sys, "argv", ["localiser", *map(str, arguments)]):
+            try:
+                main()
+            except SystemExit as end:
+                code = end.code
+        out, err = self.capsys.readouterr()
+        return Result(code if isinstance(code, int) else int(code is not None), out, err)
+
+    def replay(self, log: Path, out: Path, *arguments: object, rrd: bool = False) -> Path:
+        """Replay, which must succeed, and return the folder of the run."""
+        result = self("replay", log, "--out", out, "--quiet", "--rrd" if rrd else "--no-rrd", *arguments)
+        assert result.exit_code == 0 and not result.err, result.err
+        (name,) = {folder.name for folder in out.iterdir()}
+        return (out / name / "latest").resolve()

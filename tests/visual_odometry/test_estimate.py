@@ -1,0 +1,384 @@
+"""The motion between two frames, from edges that were simulated from the equations alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from two_views import CAMERA, INVERSE_SIGMA, POINTS, edges_from
+
+from localiser import geometry
+from localiser.edges import Edges
+from localiser.geometry import Array, Increment
+from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, IncrementParameters, Odometer, follow
+from localiser.visual_odometry import twist_kernel as loops
+from localiser.visual_odometry.fuse import at_least, mixture
+from localiser.visual_odometry.sights import Sights
+from localiser.visual_odometry.twist import motion_by_twist, motion_gaussian, motion_of, twist_gaussian, twist_of
+
+ANYTHING = IncrementParameters().twist(None, 0.2)
+
+
+def followed(before: Edges, after: Edges) -> Followed:
+    """Return the motion between two frames of which nothing is known but that 0.2 s passed."""
+    frames = Frames.of(before, after, CAMERA)
+    return follow(frames, [Belief(ANYTHING, frames.likely_motions(ANYTHING))])
+
+
+motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2, 0.2)).map(np.array)
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)  # the first call compiles
+@given(motions, st.floats(-0.5, 0.5), st.floats(0.0, 1.5))
+def test_what_the_moved_camera_sees(twist: Array, bearing: float, inverse: float) -> None:
+    mount = CAMERA.robot_from_level
+    expected = geometry.between(mount, geometry.compose(motion_of(twist), mount))
+    x, z, jac = loops.camera_moved(twist, mount)
+    np.testing.assert_allclose([x, z], expected[:2], atol=1e-9)
+    step = 1e-6
+    for column, change in enumerate(step * np.eye(3)):
+        ends = [np.array(loops.camera_moved(twist + sign * change, mount)[:2]) for sign in (1, -1)]
+        np.testing.assert_allclose(jac[:, column], (ends[0] - ends[1]) / (2 * step), atol=1e-6)
+    seen, *_, square = loops.seen_from(bearing, inverse, x, z, twist[2])
+    if inverse > 0.01:
+        point = np.array([np.sin(bearing), -np.cos(bearing)]) / inverse
+        at = geometry.robot_from_map(expected, point)
+        assert seen == pytest.approx(float(geometry.bearing_from_point(*at)))
+        assert inverse / np.sqrt(square) == pytest.approx(1.0 / np.hypot(*at))
+
+
+def test_turning_on_the_spot_is_equation_13_of_the_paper() -> None:
+    tilt = np.radians(30.0)
+    slopes = np.tan(np.radians([106.82, 95.16]))
+    bearings = geometry.bearing_from_lean(geometry.lean_from_slope(slopes), tilt)
+    turn = float(geometry.rotation_from_slopes(slopes[0], slopes[1], tilt))
+    assert loops.seen_from(bearings[0], 0.4, 0.0, 0.0, turn)[0] == pytest.approx(bearings[1])
+
+
+def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
+    tilt, ahead_m, driven_m, right_m = np.radians(30.0), 3.0, 0.5, 0.8
+    bearing = float(np.arctan2(right_m, ahead_m))
+    seen = loops.seen_from(bearing, 1.0 / np.hypot(right_m, ahead_m), 0.0, -driven_m, 0.0)[0]
+    slopes = geometry.slope_from_lean(geometry.lean_from_bearing(np.array([bearing, seen]), tilt))
+    assert geometry.depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)  # the first call compiles
+@given(motions)
+def test_twists_are_motions_along_arcs(twist: Array) -> None:
+    np.testing.assert_allclose(twist_of(motion_of(twist)), twist, atol=1e-12)
+    step = 1e-6
+    changes = [motion_of(twist + step * axis) - motion_of(twist - step * axis) for axis in np.eye(3)]
+    np.testing.assert_allclose(motion_by_twist(twist), np.array(changes).T / (2 * step), atol=1e-6)
+    cov = np.diag([1e-4, 2e-4, 3e-5])
+    there_and_back = twist_gaussian(motion_gaussian(Gaussian(twist, cov)))
+    np.testing.assert_allclose(there_and_back.mean, twist, atol=1e-12)
+    np.testing.assert_allclose(there_and_back.cov, cov, atol=1e-12)
+
+
+BY_WHEELS = Gaussian(np.array([0.0, -0.096, 0.09]), np.diag([1e-3, 9e-3, 0.01]) ** 2)
+
+
+@pytest.mark.parametrize(("floor", "prior"), [(1.0, ANYTHING), (0.6, ANYTHING), (0.0, BY_WHEELS)])
+def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussian) -> None:
+    """The least sum of squares over twist, common errors, typical range and every edge's own unknowns."""
+    from scipy.optimize import least_squares
+
+    rng, true = np.random.default_rng(11), np.array([0.01, -0.1, 0.08])
+    frames = Frames.of(edges_from(np.zeros(3), rng), edges_from(motion_of(true), rng), CAMERA)
+    model, (one, two), mount = frames.model(), frames.arrays(), CAMERA.robot_from_level
+    count = len(POINTS)
+    links = np.stack([np.arange(count)] * 2, axis=-1)
+    weight = rng.uniform(0.3, 1.0, count)
+    belief = loops.Belief(prior.mean, np.linalg.inv(prior.cov), True)
+    found, cov = loops.solve(one, two, links, weight, np.full(count, floor), true, belief, mount, model)
+    root = np.linalg.cholesky(belief.information).T
+    terms = one.common.shape[2]
+
+    def cost(unknown: Array) -> Array:
+        twist, wrong, typical = unknown[:3], unknown[3 : 3 + terms], unknown[3 + terms]
+        bearing, inverse = unknown[4 + terms :].reshape(count, 2).T
+        x, z, _ = loops.camera_moved(twist, mount)
+        d = np.stack([np.sin(bearing) - inverse * x, -np.cos(bearing) - inverse * z])
+        seen = np.arctan2(d[0], -d[1]) + twist[2], inverse / np.hypot(*d)
+        parts = [root @ (twist - prior.mean), wrong, [(typical - model.typical) / model.spread]]
+        parts.append(np.sqrt(weight) * (inverse - typical) / model.spread)
+        for frame, expected in ((one, (bearing, inverse)), (two, seen)):
+            uneven = np.sqrt(frame.sigma[:, 1] ** 2 + 2 * (model.uneven * frame.measured[:, 1]) ** 2)
+            for column, sigma in ((0, frame.sigma[:, 0]), (1, uneven / np.sqrt(max(floor, 1e-12)))):
+                error = frame.measured[:, column] - expected[column] - frame.common[:, column] @ wrong
+                parts.append(np.sqrt(weight) * error / sigma)
+        return np.concatenate(parts)
+
+    start = np.concatenate(
+        [np.zeros(3 + terms), [model.typical], np.stack([one.measured[:, 0], np.full(count, 0.4)], -1).ravel()]
+    )
+    best = least_squares(cost, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    expected = np.linalg.inv(best.jac.T @ best.jac)[:3, :3]
+    sigma = np.sqrt(np.diag(expected))
+    # Three steps of Gauss-Newton leave some hundredths of a sigma.
+    np.testing.assert_allclose(found[:3] / sigma, best.x[:3] / sigma, atol=0.1)
+    np.testing.assert_allclose(cov[:3, :3] / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=0.1)
+
+
+def test_without_feet_the_turn_on_a_known_way_is_as_exact_as_theory_has_it() -> None:
+    """Bearings change by ψ + a ρ with ρ = μ + s n, μ = typical + s m: generalised least squares says how exact ψ is.
+
+    Bearings have errors in both frames, n is of each edge, m of all. Errors of ψ over that sigma are standard normal.
+    """
+    from scipy.stats import chi2
+
+    mount, draws, count, bearing_sigma = np.zeros(3), 200, 20, 1e-4
+    way, rng = np.array([0.0, -0.02, 0.0]), np.random.default_rng(16)  # so short that bearings are linear in ρ
+    belief = loops.Belief(way, np.diag([1e12, 1e12, 1.0]), False)
+    links = np.stack([np.arange(count)] * 2, axis=-1)
+    model = Frames.of(Edges.none(), Edges.none(), CAMERA).model()
+    none, share, errors = np.full(count, np.nan), np.ones(count), []
+    for _ in range(draws):
+        bearing = rng.uniform(-0.5, 0.5, count)
+        inverse = model.typical + model.spread * (rng.standard_normal() + rng.standard_normal(count))
+        turn = rng.uniform(-0.1, 0.1)
+        x, z, _ = loops.camera_moved(np.append(way[:2], turn), mount)
+        seen = np.array([loops.seen_from(b, rho, x, z, turn)[0] for b, rho in zip(bearing, inverse, strict=True)])
+        one, two = (
+            loops.Frame(
+                np.stack([angle + bearing_sigma * rng.standard_normal(count), none], axis=-1),
+                np.stack([np.full(count, bearing_sigma), none], axis=-1),
+                np.zeros((count, 2, 1)),
+            )
+            for angle in (bearing, seen)
+        )
+        found, cov = loops.solve(one, two, links, share, 0.0 * share, way, belief, mount, model)
+        slope = -(np.cos(bearing) * x + np.sin(bearing) * z)
+        error_cov = 2 * bearing_sigma**2 * np.eye(count)
+        error_cov += model.spread**2 * (np.diag(slope**2) + np.outer(slope, slope))
+        sigma = np.linalg.inv(error_cov).sum() ** -0.5
+        assert np.sqrt(cov[2, 2]) == pytest.approx(sigma, rel=0.1)
+        errors.append((found[2] - turn) / sigma)
+    low, high = chi2.ppf([0.001, 0.999], draws)
+    assert low < np.square(errors).sum() < high
+
+
+@pytest.mark.parametrize("motion", [[0.0, -0.1, 0.0], [0.0, 0.0, 0.15], [0.01, -0.08, -0.12], [0.0, 0.0, 0.0]])
+def test_motion_is_found_with_no_idea_beforehand(motion: list[float]) -> None:
+    rng = np.random.default_rng(3)
+    found = followed(edges_from(np.zeros(3), rng), edges_from(np.array(motion), rng))
+    np.testing.assert_array_equal(found.first, found.second)
+    assert len(found.first) >= 8
+    assert (np.abs(found.motion.mean - motion) < 5 * np.sqrt(np.diag(found.motion.cov))).all()
+    assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
+    assert np.sqrt(np.diag(found.motion.cov))[:2].max() < 0.03
+
+
+def test_clutter_and_edges_that_hang_in_the_air_do_not_mislead() -> None:
+    rng = np.random.default_rng(4)
+    motion = np.array([0.0, -0.1, 0.1])
+    before, after = (edges_from(pose, rng) for pose in (np.zeros(3), motion))
+    for edges in (before, after):
+        edges.foot_range_m[[2, 5]] *= 1.6
+    new = edges_from(motion, rng, np.array([[-2.0, -3.3], [0.9, -3.0], [0.1, -2.0]]))
+    columns = ("bearing", "bearing_sigma", "lean", "lean_sigma")
+    both = {name: np.concatenate([getattr(after, name), getattr(new, name)]) for name in columns}
+    more = {
+        name: np.concatenate([getattr(after, name), getattr(new, name)])
+        for name in ("polarity", "foot_range_m", "foot_range_sigma_m", "profile")
+    }
+    found = followed(before, Edges.from_columns(**both, **more))
+    assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
+    np.testing.assert_allclose(found.motion.mean[:2], motion[:2], atol=0.02)
+
+
+def test_what_edges_do_not_tell_stays_as_uncertain_as_before() -> None:
+    rng = np.random.default_rng(5)
+    prior = np.sqrt(np.diag(ANYTHING.cov))
+    none = followed(Edges.none(), edges_from(np.zeros(3), rng))
+    np.testing.assert_allclose(none.motion.cov, ANYTHING.cov)
+    motion = np.array([0.0, -0.1, 0.02])
+    ahead = geometry.map_from_robot(CAMERA.robot_from_level, np.array([[0.0, -4.0]]))
+    one = followed(edges_from(np.zeros(3), rng, ahead), edges_from(motion, rng, ahead))
+    assert (np.sqrt(np.diag(one.motion.cov))[:2] > 0.3 * prior[:2]).all()
+    blind = followed(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False))
+    known = followed(edges_from(np.zeros(3), rng), edges_from(motion, rng))
+    assert np.sqrt(blind.motion.cov[1, 1]) > 5 * np.sqrt(known.motion.cov[1, 1])
+
+
+def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
+    """Ends near the horizon look like feet far away, and edges as far as that would be sure of a wrong turn."""
+    wall = np.array([[x_m, -1.2] for x_m in (-0.5, -0.46, -0.42, -0.05, 0.0, 0.05, 0.3)])
+    seen_share = np.array([0.06, 0.03, 0.1, 0.08, 0.05, 0.02, 0.1])
+    motion, misses = np.array([0.0, 0.0, np.radians(6.0)]), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        before, after = (edges_from(pose, rng, wall) for pose in (np.zeros(3), motion))
+        for edges in (before, after):
+            edges.foot_range_m[:] /= seen_share
+            edges.foot_range_sigma_m[:] = INVERSE_SIGMA * edges.foot_range_m**2
+        found = followed(before, after)
+        assert len(found.first) >= 6
+        error = found.motion.mean - motion
+        misses.append(error @ np.linalg.solve(found.motion.cov, error))
+    assert np.mean(misses) < 9.0
+
+
+def test_edges_that_the_border_cuts_off_have_no_foot() -> None:
+    edges = edges_from(np.zeros(3), np.random.default_rng(9))
+    rows = np.linspace(300.0, 475.0, len(edges))
+    edges.ends_px[:, 0] = np.stack([np.full(len(edges), 320.0), rows], axis=-1)
+    np.testing.assert_array_equal(np.isnan(Sights.of(edges, CAMERA).inverse_range), rows > 471.0)
+    edges.ends_px[:] = np.nan
+    assert np.isfinite(Sights.of(edges, CAMERA).inverse_range).all()
+
+
+def odometer(source: str) -> Odometer:
+    return Odometer(CAMERA, IncrementParameters(source=source))
+
+
+WHEEL_COV = np.diag([1e-4, 9e-3, np.radians(0.5)]) ** 2
+STOOD = Increment.from_mean(np.zeros(3))
+
+
+def test_wheels_alone_are_passed_through() -> None:
+    wheel = Increment.from_mean([0.0, -0.1, 0.1])
+    assert odometer("wheel").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)[0] is wheel
+    assert odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.0)[0] is wheel
+    assert not odometer("wheel").follows_edges and odometer("vision").follows_edges
+
+
+def test_both_sharpen_the_turn_of_wheels_that_hold() -> None:
+    rng = np.random.default_rng(6)
+    motion = np.array([0.0, -0.1, 0.1])
+    wheel = Increment.from_mean([0.0, -0.096, 0.106])
+    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
+    assert found.source == "both"
+    assert abs(found.mean[2] - motion[2]) < np.radians(0.1) < abs(wheel.mean[2] - motion[2])
+    assert np.sqrt(found.cov[2, 2]) < np.radians(0.25)
+
+
+def test_feet_that_all_err_alike_do_not_move_the_way_of_wheels_that_hold() -> None:
+    """A skirting board that hides all feet puts all edges too far away, and would make every step too long."""
+    rng, motion = np.random.default_rng(6), np.array([0.0, -0.1, 0.1])
+    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
+    for edges in frames:
+        edges.foot_range_m[:] *= 1.1
+    wheel = Increment.from_mean([0.0, -0.1, 0.106])
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
+    np.testing.assert_allclose(found.mean[:2], wheel.mean[:2], atol=1e-3)
+    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
+    assert np.sqrt(found.cov[1, 1]) == pytest.approx(np.sqrt(WHEEL_COV[1, 1]), rel=0.05)
+    seen, _ = odometer("vision").increment(wheel, WHEEL_COV, *frames, 0.2)
+    assert seen.mean[1] < -0.105
+
+
+def test_the_turn_for_each_way_goes_with_another_way() -> None:
+    """Draws: a turn that depends on the way as before, on ways drawn from elsewhere."""
+    rng = np.random.default_rng(17)
+    root, other_root = rng.standard_normal((2, 3, 3))
+    one = Gaussian(rng.standard_normal(3), root @ root.T + 0.1 * np.eye(3))
+    other = Gaussian(rng.standard_normal(3), other_root @ other_root.T + 0.1 * np.eye(3))
+    ways = rng.multivariate_normal(other.mean[:2], other.cov[:2, :2], 200_000)
+    information = np.linalg.inv(one.cov)
+    turn_var = 1.0 / information[2, 2]
+    turns = one.mean[2] - turn_var * (ways - one.mean[:2]) @ information[2, :2]
+    draws = np.column_stack([ways, turns + np.sqrt(turn_var) * rng.standard_normal(len(ways))])
+    found = one.with_way_of(other)
+    scale = np.sqrt(np.diag(found.cov))
+    np.testing.assert_allclose(draws.mean(axis=0) / scale, found.mean / scale, atol=0.01)
+    np.testing.assert_allclose(np.cov(draws.T) / np.outer(scale, scale), found.cov / np.outer(scale, scale), atol=0.02)
+
+
+@pytest.mark.parametrize("slip", [[0.0, -0.1, 0.0], [0.0, 0.0, np.radians(10.0)]])
+def test_both_leave_wheels_that_slip(slip: list[float]) -> None:
+    rng = np.random.default_rng(7)
+    motion = np.array([0.0, -0.05, 0.05])
+    wheel = Increment.from_mean(motion + slip)
+    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
+    assert np.linalg.norm(found.mean[:2] - motion[:2]) < 0.02
+    assert abs(found.mean[2] - motion[2]) < np.radians(0.3)
+
+
+def test_without_edges_wheels_are_believed() -> None:
+    wheel = Increment.from_mean([0.0, -0.1, 0.1])
+    found, _ = odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)
+    np.testing.assert_allclose(found.mean, wheel.mean, atol=1e-3)
+    assert np.sqrt(found.cov[1, 1]) < 0.012
+
+
+def test_vision_that_sees_nothing_may_have_moved_anywhere() -> None:
+    found, _ = odometer("vision").increment(STOOD, WHEEL_COV, None, Edges.none(), 0.2)
+    sigma = np.sqrt(np.diag(found.cov))
+    np.testing.assert_allclose(sigma[1:], np.sqrt(np.diag(ANYTHING.cov))[1:], rtol=0.01)
+    assert found.path_m > 0.09 and found.turned_rad > 0.1
+
+
+def test_a_robot_goes_on_at_its_pace_while_nothing_is_seen_and_less_and_less_surely() -> None:
+    rng, motion = np.random.default_rng(12), np.array([-0.004, -0.08, 0.1])
+    vision, seen = odometer("vision"), edges_from(motion, np.random.default_rng(13))
+    _, pace = vision.increment(STOOD, WHEEL_COV, edges_from(np.zeros(3), rng), seen, 0.2)
+    turns, sigmas, before = [], [], seen
+    for _ in range(15):
+        blind, pace = vision.increment(STOOD, WHEEL_COV, before, Edges.none(), 0.2, pace)
+        turns.append(blind.mean[2])
+        sigmas.append(np.sqrt(blind.cov[2, 2]))
+        before = Edges.none()
+    assert turns[0] == pytest.approx(motion[2] * np.exp(-0.1), rel=0.05)
+    assert (np.diff(turns) < 0).all() and (np.diff(sigmas) > 0).all()
+    assert sigmas[-1] == pytest.approx(np.sqrt(ANYTHING.cov[2, 2]), rel=0.05)
+
+
+def test_a_robot_that_steers_is_not_thought_to_sidle_and_one_that_sidles_is_believed() -> None:
+    """A wall of edges equally far shows turn and sideways motion alike; edges at many ranges tell them apart."""
+    vision, misses = odometer("vision"), []
+    wall = np.array([[x_m, -2.0] for x_m in (-0.7, -0.5, -0.2, 0.0, 0.3, 0.6)])
+    for seed, (points, motion) in enumerate(((wall, [0.0, 0.0, 0.1]), (POINTS, [0.08, -0.02, 0.0])) * 3):
+        rng = np.random.default_rng(seed)
+        frames = edges_from(np.zeros(3), rng, points), edges_from(np.array(motion), rng, points)
+        found, _ = vision.increment(STOOD, WHEEL_COV, *frames, 0.2)
+        misses.append((found.mean - motion) / np.sqrt(np.diag(found.cov)))
+        assert abs(found.mean[0] - motion[0]) < 0.02
+    assert np.abs(misses).max() < 4.0
+
+
+def test_a_matrix_is_inverted_in_place() -> None:
+    root = np.random.default_rng(15).standard_normal((7, 7))
+    matrix = root @ root.T + 0.1 * np.eye(7)
+    inverse = matrix.copy()
+    loops.invert(inverse)
+    np.testing.assert_allclose(inverse @ matrix, np.eye(7), atol=1e-9)
+
+
+def test_each_edge_joins_one_pair_the_likeliest_first() -> None:
+    pairs = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [2, 1], [2, 2]])
+    odds = np.array([5.0, 9.0, 8.0, 1.0, 7.0, 0.9])
+    np.testing.assert_array_equal(loops.one_to_one(pairs, odds, 3, 3), [1, 2])
+
+
+def test_at_least_reaches_as_far_as_both() -> None:
+    rng = np.random.default_rng(14)
+    one, two = (a @ a.T + 0.1 * np.eye(3) for a in rng.standard_normal((2, 3, 3)))
+    whole = at_least(one, two)
+    for part in (one, two):
+        assert np.linalg.eigvalsh(whole - part).min() > -1e-9
+    np.testing.assert_allclose(at_least(one, 0.5 * one), one, atol=1e-12)
+    np.testing.assert_allclose(at_least(one, 2.0 * one), 2.0 * one, atol=1e-12)
+
+
+def test_moments_of_a_mixture() -> None:
+    rng = np.random.default_rng(8)
+    parts = [
+        Gaussian(np.array([0.0, 0.1, 3.1]), 0.01 * np.eye(3)),
+        Gaussian(np.array([0.2, 0.1, -3.1]), 0.04 * np.eye(3)),
+    ]
+    whole = mixture(parts, np.log([0.25, 0.75]))
+    chosen = rng.random(200_000) < 0.25
+    draws = np.where(
+        chosen[:, None],
+        rng.multivariate_normal(parts[0].mean, parts[0].cov, 200_000),
+        rng.multivariate_normal(parts[1].mean, parts[1].cov, 200_000),
+    )
+    apart = draws - whole.mean
+    apart[:, 2] = geometry.wrap_angle(apart[:, 2])
+    np.testing.assert_allclose(apart.mean(axis=0), 0.0, atol=3e-3)
+    np.testing.assert_allclose(np.cov(apart.T), whole.cov, atol=1e-3)
