@@ -2,10 +2,10 @@
 
     python benchmarks/mutations.py --count 30 --seed 0
 
-A mutation changes one operator or function of one formula: + to -, * to /, sin to cos, a sign dropped, < to >, a factor
-of a half. The formulas are those of geometry, camera, observation, motion, the optimal proposal and mapping. The tests
-of the mutated package are run, then, if none of them fails, all tests that are not slow. A mutation that no test notices
-is printed with its line: either a test is missing or the mutation changes nothing.
+A mutation changes one operator or function of one formula: + to -, * to /, sin to cos, a sign dropped, < to >. The
+formulas are those of geometry, camera, observation, motion, the optimal proposal and mapping. The tests of the mutated
+package are run first. If none of them fails, all tests that are not slow are run. A mutation that no test notices is
+printed with its line: either a test is missing or the mutation changes nothing.
 """
 
 from __future__ import annotations
