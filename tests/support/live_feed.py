@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from short_log import CORRIDOR
 
+from localiser.camera import Camera
 from localiser.config import Config, load_config
 from localiser.filter import mcl
 from localiser.live.inbound import TOPICS, CameraFinder
-from localiser.live.located import Filter
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published
 from localiser.live.prepare import LiveOptions, begun_recording
 from localiser.live.run import LiveRun
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Resumed
-from localiser.observation import EdgeObservation
+from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags.messages import ODOM, Messages
 
@@ -74,18 +74,16 @@ class Feed:
     now_ns: int = 0
 
     def __post_init__(self) -> None:
-        def filter_of(camera: object) -> Filter:
-            observation = EdgeObservation(LOG.camera, self.config.observation)
-            rng = np.random.default_rng(self.config.seed)
+        def localiser_of(camera: Camera) -> Localiser:
             assert LOG.landmark_map is not None
-            return Filter(camera, LOG.landmark_map, self.config, [], rng, observation)
+            return Localiser(LOG.landmark_map, camera, self.config)
 
         options = LiveOptions(CORRIDOR / "map.yaml", self.config, record=self.record)
         self.recording = begun_recording(options, self.said.append)
         self.run = LiveRun(
             Inbox(),
             CameraFinder(None, TOPICS["image"]),
-            filter_of,
+            localiser_of,
             Monitor(lambda text, level: self.said.append(text)),
             [self.published.append],
             self.recording,
