@@ -44,7 +44,7 @@ from localiser.relocalisation import Search
 from localiser.storage import check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
 from localiser.visual_odometry import Odometer
 
-_LEAST_TILT_RAD = math.radians(0.1)
+_LEAST_SIN = math.sin(math.radians(0.1))  # of a tilt with which slopes tell anything
 _AT_NEXT = -(2**62)  # the time of a start that holds from the next measurement on
 
 
@@ -75,7 +75,7 @@ class Localiser:
         config = config or Config()
         self.landmark_map, self.camera = landmark_map, camera
         self.config = config if seed is None else config.model_copy(update={"seed": seed})
-        check_camera(camera, config)
+        check_settings(config, camera)
         self.rng = np.random.default_rng(self.config.seed)
         self.state = FilterState()
         self.observation = observation_of(camera, config.observation)
@@ -246,18 +246,15 @@ class Localiser:
 # -- settings that cannot work ----------------------------------------------------------------------------------------
 
 
-def check_camera(camera: Camera, config: Config) -> None:
-    """Raise InputError when the observation tells nothing with this camera."""
-    if config.observation.kind == "slope" and abs(math.sin(camera.mount.tilt_rad)) < math.sin(_LEAST_TILT_RAD):
-        raise InputError(
-            f"the observation `slope` needs a tilted camera, found a tilt of {math.degrees(camera.mount.tilt_rad):g}°: "
-            "without tilt every vertical edge is vertical in the image; use --set observation.kind=line",
-            field="mount.tilt_deg",
-        )
-
-
-def check_settings(config: Config, *, images: bool, has_ends: bool = False, has_start: bool = True) -> None:
-    """Raise InputError when settings cannot work with what there is.
+def check_settings(
+    config: Config,
+    camera: Camera | None = None,
+    *,
+    images: bool | None = None,
+    has_ends: bool = False,
+    has_start: bool = True,
+) -> None:
+    """Raise InputError when settings cannot work with what there is; None where that is not known yet.
 
     images: whether edges are found in images, or were measured elsewhere; has_ends: whether it is known then where
     they end in the image. has_start: whether it is known where the robot starts.
@@ -265,20 +262,25 @@ def check_settings(config: Config, *, images: bool, has_ends: bool = False, has_
     known, source = config.observation.association == "known", config.increments.source
     if known and images:
         raise InputError(
-            "association: known believes edges that say which landmark they belong to, found images, whose edges do "
-            "not: leave it unknown",
+            "`known` believes edges that say which landmark they belong to, found images, whose edges do not; use "
+            "--set observation.association=unknown",
             field="observation.association",
         )
     if known and not has_start:
         raise InputError(
-            "association: known cannot look for a robot on the whole map: say where it starts",
-            field="observation.association",
+            "`known` cannot look for a robot on the whole map; say where it starts", field="observation.association"
         )
-    if source != "wheel" and not (images or has_ends):
+    if source != "wheel" and images is False and not has_ends:
         raise InputError(
-            f"source: {source} follows edges from image to image, found edges without images: bearings alone tell "
-            "neither how far the robot went nor which edge is which; use --set increments.source=wheel",
+            f"`{source}` follows edges from image to image, found edges without images: bearings alone tell neither "
+            "how far the robot went nor which edge is which; use --set increments.source=wheel",
             field="increments.source",
+        )
+    if config.observation.kind == "slope" and camera is not None and abs(math.sin(camera.mount.tilt_rad)) < _LEAST_SIN:
+        raise InputError(
+            f"the observation `slope` needs a tilted camera, found a tilt of {math.degrees(camera.mount.tilt_rad):g}°: "
+            "without tilt every vertical edge is vertical in the image; use --set observation.kind=line",
+            field="mount.tilt_deg",
         )
 
 

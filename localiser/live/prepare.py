@@ -62,9 +62,9 @@ class LiveOptions:
 def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
-    check_settings(options.config, images=True)
     landmark_map = load_map(options.map_file)
     given = load_camera(options.camera) if options.camera else None
+    check_settings(options.config, given, images=True)
     topics = _topics(options.topics)
     viewers: list[view.LiveView] = []
 

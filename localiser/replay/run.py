@@ -22,7 +22,7 @@ from localiser.localiser import Localiser, check_settings
 from localiser.replay.figures import bound_of, run_metrics, track_of, truth_of
 from localiser.replay.inputs import RunInputs, map_of
 from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
-from localiser.replay.start import start_of
+from localiser.replay.start import has_start, start_of
 from localiser.replay.stop import asked_to_stop
 from localiser.storage import ImageEvent, Log, RunFolder, camera_error, checkpoint_of, open_log
 from localiser.view import LiveView
@@ -131,18 +131,15 @@ def prepare(
     """
     landmark_map = map_of(log, map_file) if landmark_map is None else landmark_map
     try:
-        localiser = Localiser(landmark_map, log.camera, config)
-        given = start_of(log, start, localiser.rng)
-        check_settings(config, images=log.has_images, has_start=given is not None)
+        check_settings(config, log.camera, images=log.has_images, has_start=has_start(log, start))
     except InputError as error:
         raise _placed(error, log) from None
-    return Replay(RunInputs(log, localiser, map_file, given))
+    localiser = Localiser(landmark_map, log.camera, config)
+    return Replay(RunInputs(log, localiser, map_file, start_of(log, start, localiser.rng)))
 
 
 def _placed(error: InputError, log: Log) -> InputError:
-    """Return the error with the file where it can be mended, unless it names its place."""
-    if error.path is not None or (error.field or "").startswith("--"):
-        return error
+    """Return the error with the file of the log that does not fit the settings."""
     if error.field == "mount.tilt_deg":
         return camera_error(log.path, ("mount", "tilt_deg"), error.problem)
     return InputError(error.problem, path=log.path, field=error.field)

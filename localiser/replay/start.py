@@ -21,12 +21,17 @@ def start_of(log: Log, option: str | Start | None, rng: np.random.Generator) -> 
     option: a start, `x,z,heading_deg`, `global` for anywhere on the map, or `truth` for the true pose plus a draw from
     N(0, `START_SIGMA`²). Raises InputError.
     """
-    if option is None or option == GLOBAL:
-        return log.start if option is None else None
-    if isinstance(option, Start):
-        return option
+    if option is None or isinstance(option, Start):
+        return option or log.start
+    if option == GLOBAL:
+        return None
     first_ns = log.frames[0].t_ns
     return stated_start(_near_truth(log, first_ns, rng) if option == TRUTH else option, first_ns)
+
+
+def has_start(log: Log, option: str | Start | None) -> bool:
+    """Whether it is known where a replay starts; see `start_of`."""
+    return log.start is not None if option is None else option != GLOBAL
 
 
 def _near_truth(log: Log, first_ns: int, rng: np.random.Generator) -> np.ndarray:

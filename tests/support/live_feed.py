@@ -46,9 +46,9 @@ def arrival(role: str, t_ns: int, content: bytes) -> Arrival:
     return Arrival(role, TOPICS[role], content, at_ns=t_ns, wall_ns=BEGIN_NS + t_ns)
 
 
-def camera(t_ns: int = 0) -> list[Arrival]:
-    info = MAKE.encode(MAKE.camera_info(BEGIN_NS + t_ns, LOG.camera))
-    mount = MAKE.encode(MAKE.mount(BEGIN_NS + t_ns, LOG.camera))
+def camera(t_ns: int = 0, of: Camera = LOG.camera) -> list[Arrival]:
+    info = MAKE.encode(MAKE.camera_info(BEGIN_NS + t_ns, of))
+    mount = MAKE.encode(MAKE.mount(BEGIN_NS + t_ns, of))
     return [arrival("camera_info", t_ns, info), arrival("transforms", t_ns, mount)]
 
 
