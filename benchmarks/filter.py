@@ -35,11 +35,10 @@ from rich.table import Table
 from localiser.camera import Camera, Mount
 from localiser.config import Config
 from localiser.edges import Edges
-from localiser.filter import mcl
 from localiser.filter.mcl import MclParameters
 from localiser.geometry import Array, Increment, Trajectory, compose
 from localiser.landmarks import LandmarkMap, in_camera, sight
-from localiser.localiser import filter_of
+from localiser.localiser import Localiser
 from localiser.motion import MotionParameters, predict
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
@@ -203,13 +202,12 @@ def images_of_a_drive(landmarks: int, edges: int, count: int) -> Iterator[Callab
     frames = simulated_edges(landmark_map, CAMERA, Trajectory(t_ns, np.array(poses)), rng, noise=noise)
 
     config = Config(mcl=MclParameters(particles=5000))
-    filter_ = filter_of(CAMERA, landmark_map, EdgeObservation(CAMERA, config.observation), config)
-    state = mcl.FilterState()
-    list(mcl.step(filter_, state, mcl.Start(0, poses[0], np.diag([0.05, 0.05, np.radians(2)]) ** 2), rng))
+    localiser = Localiser(landmark_map, CAMERA, config, seed=1)
+    localiser.warm_up(images=False)
+    localiser.start(poses[0], np.diag([0.05, 0.05, np.radians(2)]) ** 2, 0)
     for t, pose, seen in zip(t_ns.tolist(), poses, frames, strict=True):
-        list(mcl.step(filter_, state, mcl.Odometry(t, pose), rng))
-        sighting = mcl.Sighting(t, seen.take(rng.permutation(len(seen))[:edges]))
-        yield lambda sighting=sighting: list(mcl.step(filter_, state, sighting, rng))
+        localiser.odometry(t, pose)
+        yield partial(localiser.edges, t, seen.take(rng.permutation(len(seen))[:edges]))
 
 
 def step_and_lsd(images: int) -> dict[str, float]:

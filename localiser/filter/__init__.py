@@ -15,6 +15,7 @@ from localiser.filter.mcl import (
     finish,
     step,
 )
+from localiser.filter.optimal_proposal import warm_up
 
 __all__ = [
     "CORRECT_M",
@@ -35,4 +36,5 @@ __all__ = [
     "Start",
     "finish",
     "step",
+    "warm_up",
 ]

@@ -72,7 +72,8 @@ class Located:
     likeliest one. particles: all of them. ess: effective sample size. increment: motion since the last image.
     odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is within 0.5 m and 10°.
     reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest first. attitude: by how
-    much tilt and roll differ from what is stated, None where edges do not tell.
+    much tilt and roll differ from what is stated, None where edges do not tell. weighed_edges: the edges as they were
+    weighed, corrected by the attitude and by what is known of clutter.
     """
 
     t_ns: int
@@ -86,6 +87,7 @@ class Located:
     reason: confidence.Reason = ""
     clusters: Clusters | None = None
     attitude: Attitude | None = None
+    weighed_edges: Edges | None = None
 
 
 STRAY_START = 0.01  # probability that a start that was stated is wrong
@@ -211,7 +213,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         weighed = _weighed(mcl, state, moves if increment is wheels else [increment], edges, share, rng)
 
     # Estimate before resampling, which only adds noise.
-    located = _located(state, weighed, sighting, increment, odometry_pose)
+    located = _located(state, weighed, sighting, edges, increment, odometry_pose)
 
     state.particles = _resampled(mcl, state, located, rng)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, sighting.edges
@@ -297,7 +299,12 @@ def _tracked(
 
 
 def _located(
-    state: FilterState, weighed: Particles, sighting: Sighting, increment: Increment, odometry_pose: Array
+    state: FilterState,
+    weighed: Particles,
+    sighting: Sighting,
+    edges: Edges,
+    increment: Increment,
+    odometry_pose: Array,
 ) -> Located:
     clusters = confidence.places_of(weighed)
     chosen = only(weighed, clusters.label == 0) if state.searching else weighed
@@ -317,6 +324,7 @@ def _located(
         sure.reason,
         clusters,
         state.attitude,
+        edges,
     )
 
 

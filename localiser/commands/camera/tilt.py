@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from localiser.calibration import LogMount, check_mount, mount_of_images, save_mount_plot, spread, views_of
+from localiser.calibration import LogMount, mount_of_images, save_mount_plot, spread, views_of
 from localiser.config import Config
-from localiser.edges import Edges
 from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.storage import ImageEvent, Log, camera_file, output_errors, require_new_file, update_mount
@@ -67,26 +65,3 @@ def write_tilt(tilt: Tilt, config: Config) -> tuple[Path, Path]:
             )
     tilt_deg, roll_deg = (round(float(value), 4) for value in np.rad2deg(tilt.found.mount))
     return path, update_mount(path, {"tilt_deg": tilt_deg, "roll_deg": roll_deg})
-
-
-def mount_figures(log: Log, frames: Sequence[Edges], odometry: Array, config: Config) -> dict[str, Any]:
-    """Return what the edges of a run's images say about tilt and roll, for its metrics.
-
-    odometry: (F, 3) poses at the images. `warnings` has a text when they contradict what is stated; see `check_mount`.
-    """
-    if not log.has_images or not frames:
-        return {"warnings": []}
-    believed_rad = np.deg2rad([config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg])
-    check = check_mount(frames, odometry, log.camera, believed_rad)
-    stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
-    warning = (
-        f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
-        f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log.path}`."
-    )
-    return {
-        "tilt_found_deg": round(float(found[0]), 6),
-        "tilt_found_sigma_deg": round(float(sigma[0]), 6),
-        "roll_found_deg": round(float(found[1]), 6),
-        "roll_found_sigma_deg": round(float(sigma[1]), 6),
-        "warnings": [warning] if check.disagrees else [],
-    }
