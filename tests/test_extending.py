@@ -11,9 +11,7 @@ from localiser import edges, storage
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-EXAMPLES = {
-    title: code for title, code in re.findall(r"^## Your own ([\w ]+)$.*?```python\n(.*?)```", PAGE, re.M | re.S)
-}
+EXAMPLES = dict(re.findall(r"^## Your own ([\w ]+)$.*?```python\n(.*?)```", PAGE, re.M | re.S))
 
 
 @pytest.fixture(autouse=True)

@@ -9,10 +9,9 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import evaluate, replay, simulate
+from localiser.commands import convert, evaluate, replay, simulate
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
-from localiser.commands.convert import arguments as convert
 from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
