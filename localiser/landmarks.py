@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.camera import Camera
-from localiser.geometry import Array
+from localiser.geometry import Array, robot_from_map
 
 FRAME = {"axes": "x right, y up, z backward", "units": "m"}
 
@@ -90,6 +90,11 @@ class LandmarkMap:
             source=(source,) * count,
             extra=({},) * count,
         )
+
+    def sigma_m(self, unknown_m: float) -> Array:
+        """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
+        trace = np.trace(self.cov, axis1=1, axis2=2)
+        return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
 
     def take(self, index: NDArray[np.int64]) -> LandmarkMap:
         """Return the map of the landmarks at `index` (K,), in that order."""
@@ -183,10 +188,8 @@ def sight(
 
 def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
     """Return (right, ahead), each (N, L) m: points (L, 2) of the map in the level frames of camera poses (N, 3)."""
-    cos, sin = np.cos(camera_poses[:, 2:3]), np.sin(camera_poses[:, 2:3])
-    dx = points[:, 0] - camera_poses[:, 0:1]
-    dz = points[:, 1] - camera_poses[:, 1:2]
-    return dx * cos - dz * sin, -(dx * sin + dz * cos)
+    seen = robot_from_map(camera_poses[:, None], points)
+    return seen[..., 0], -seen[..., 1]
 
 
 def visible_length_px(

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 from localiser.camera import Camera
 from localiser.config import Config
-from localiser.filter import Level, Mcl
-from localiser.filter import optimal_proposal as guide
+from localiser.filter import Level, Mcl, optimal_proposal
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation
-from localiser.relocalisation import Search
+from localiser.relocalisation import GlobalLocalisation
 from localiser.storage import identity_of
 from localiser.visual_odometry import Odometer
 
@@ -19,10 +18,10 @@ from localiser.visual_odometry import Odometer
 def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> Mcl:
     """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
     observation.warm_up()
-    guide.warm_up()
+    optimal_proposal.warm_up()
     search = None  # looks for poses by edges that do not say what they are
     if config.observation.association == "unknown":
-        search = Search.of(observation, landmark_map, config.search)
+        search = GlobalLocalisation.of(observation, landmark_map, config.search)
         search.warm_up()
     return Mcl(
         landmark_map,

@@ -13,7 +13,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.config import Config
 from localiser.edges import find_edges
-from localiser.filter import FilterState, Located, LocatedFrame, Mcl, Odometry, Sighting, Start, step
+from localiser.filter import FilterState, Located, LocatedFrame, Mcl, Odometry, Sighting, Start, matched, step
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.live.timeline import Frame
@@ -88,7 +88,7 @@ class Filter:
     def show(self, frame: Frame, located: Located, truth: Array | None) -> None:
         """Hand a result to who looks on."""
         if self.sinks:
-            matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.landmark_map)
+            matches = matched(self._by_wheels, located)
             shown = LocatedFrame(located, matches, frame.file or frame.pixels, truth, frame.stage_ms)
             for sink in self.sinks:
                 sink.frame(shown)

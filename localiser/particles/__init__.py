@@ -14,6 +14,7 @@ from localiser.particles.cloud import (
     largest_step,
     log_sum,
     normalised,
+    only,
     spread,
     take,
 )
@@ -49,6 +50,7 @@ __all__ = [
     "multinomial_resample",
     "normalised",
     "occupied_cells",
+    "only",
     "particles_for_cells",
     "poses_per_cell",
     "residual_resample",

@@ -64,8 +64,8 @@ def evidence_of(view: View, polarities: NDArray[np.int8], blur_rad: float, blur_
     density *= view.span_rad / (np.sqrt(2 * np.pi) * sigma[:, None])
     ends = _ends_match(view, rows, float(np.hypot(view.foot_sigma, blur_e)), e_high - e_low)
     tables = [
-        _likeliest(density * polarity.agreement(view.polarity, expected)[:, None], ends)
-        for expected in polarity.leaning(polarities)
+        _likeliest(density * (1.0 + view.polarity * expected)[:, None], ends)
+        for expected in polarity.mean_polarity(polarities)
     ]
     edge, fit = (np.stack(table) for table in zip(*tables, strict=True))
     return Evidence(view, edge, fit, left, tangent_step, e_low, e_step)
@@ -102,10 +102,10 @@ def _likeliest(density: Array, ends: Array) -> tuple[NDArray[np.int64], Array]:
 def score_poses(evidences: list[Evidence], places: Places, robot_poses: Array) -> Array:
     """Return the score (N,) of robot poses (N, 3) at even shares of landmarks and clutter: the sum over the views."""
     even = np.array([0.5])
-    return np.asarray(sum(score_by_share(evidence, places, robot_poses, even)[0] for evidence in evidences))
+    return np.asarray(sum(score_by_rate(evidence, places, robot_poses, even)[0] for evidence in evidences))
 
 
-def score_by_share(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
+def score_by_rate(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
     """Return the score (K, N) of robot poses (N, 3) if the share w_k (K,) of the edges belongs to landmarks."""
     loop: Any = checked(score_loop)
     return np.asarray(loop(*_arguments(evidence, places, robot_poses), shares))

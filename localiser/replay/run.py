@@ -16,7 +16,7 @@ from localiser.config import Config, in_force, to_yaml
 from localiser.edges import find_edges, warm_up
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.filter import Event as FilterEvent
-from localiser.filter import Image, Located, LocatedFrame, Mcl, Sighting, finish, step
+from localiser.filter import Image, Located, LocatedFrame, Mcl, Sighting, finish, matched, step
 from localiser.geometry import compose
 from localiser.localiser import filter_of
 from localiser.observation import EdgeObservation, observation_of
@@ -159,7 +159,7 @@ class Replay:
         located = self._by_what_was_followed(located)
         truth = self.inputs.log.groundtruth
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
-        matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.inputs.landmark_map)
+        matches = matched(self.filter, located)
         begin = perf_counter()
         for sink in self.sinks:
             sink.frame(LocatedFrame(located, matches, pending.image, true_pose, pending.stage_ms))

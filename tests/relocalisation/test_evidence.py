@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 
 from localiser.landmarks import in_camera
-from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.polarity import SAME
 from localiser.relocalisation import Places, view_of
-from localiser.relocalisation.evidence import _arguments, evidence_of, score_by_share, score_loop, score_poses
+from localiser.relocalisation.evidence import _arguments, evidence_of, score_by_rate, score_loop, score_poses
 from localiser.relocalisation.places import half_view_rad
 from localiser.relocalisation.sectors import CELL_M, HEADINGS, Sectors
 
@@ -106,15 +106,15 @@ def test_score_is_that_of_the_plain_formula(evidence):
 
 def test_compiled_score_is_that_of_the_loops(evidence):
     poses = drawn_frames(ROOM, 40, seed=4)[0]
-    loops = score_loop(*_arguments(evidence, PLACES, poses), INLIER_SHARES)
-    np.testing.assert_allclose(score_by_share(evidence, PLACES, poses, INLIER_SHARES), loops, rtol=1e-9, atol=1e-9)
+    loops = score_loop(*_arguments(evidence, PLACES, poses), INLIER_RATES)
+    np.testing.assert_allclose(score_by_rate(evidence, PLACES, poses, INLIER_RATES), loops, rtol=1e-9, atol=1e-9)
 
 
 def test_poses_off_the_map_explain_nothing(evidence):
     """All edges are clutter then, as they are to poses that look away from all landmarks."""
     nowhere = np.array([[100.0, 0.0, 0.0], [0.0, -100.0, 1.0]])
-    expected = len(evidence.view) * np.log1p(-INLIER_SHARES)
-    lost = score_by_share(evidence, PLACES, nowhere, INLIER_SHARES)
+    expected = len(evidence.view) * np.log1p(-INLIER_RATES)
+    lost = score_by_rate(evidence, PLACES, nowhere, INLIER_RATES)
     np.testing.assert_allclose(lost, np.tile(expected[:, None], 2))
 
 
