@@ -132,22 +132,14 @@ def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest:
     return low
 
 
-def kernel_width(particles: Particles) -> float:
-    """Return the width h of each particle's kernel, as a share of the cloud's: N^(-1/7).
-
-    About what is best for a normal density of three dimensions: poses, since constant errors follow from their paths
-    [Silverman 1986; Musso, Oudjane, Le Gland 2001].
-    """
-    return float(len(particles) ** (-1.0 / (len(POSE) + 4)))
-
-
 def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     """Return equally weighted particles, each moved by a draw from a small kernel of the cloud's own shape.
 
-    The kernel's covariance is h² times the cloud's, h from `kernel_width`. The cloud is first drawn together by
-    √(1 - h²), so that its mean and covariance stay as they are [Liu, West 2001].
+    The kernel's covariance is h² times the cloud's. The cloud is first drawn together by √(1 - h²), so that its mean
+    and covariance stay as they are [Liu, West 2001]. h = N^(-1/7) is about what is best for a normal density of three
+    dimensions: poses, since constant errors follow from their paths [Silverman 1986; Musso, Oudjane, Le Gland 2001].
     """
-    width = kernel_width(particles)
+    width = float(len(particles) ** (-1.0 / (len(POSE) + 4)))
     mean, residual, weight = centred(particles)
     variance, axes = np.linalg.eigh((residual * weight) @ residual.T)
     draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal(residual.shape))
