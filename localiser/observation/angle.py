@@ -57,11 +57,6 @@ class Angle:
         return bearing, edges.lean_sigma * np.abs(geometry.bearing_per_lean(bearing, tilt_rad))
 
     @property
-    def field_rad(self) -> float:
-        """Return the angle (rad) between the bearings of the image's left and right border."""
-        return Angle(self.camera, "line").span_rad
-
-    @property
     def span_rad(self) -> float:
         """Return the angle (rad) that clutter is spread over."""
         a_left, a_right, _, _ = self.camera.upright_bounds

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, Sight, in_camera, sight
+from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, in_camera, sight
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import likelihood, polarity
 from localiser.observation.angle import Angle
@@ -163,7 +163,7 @@ class EdgeObservation:
         right, back, _ = between(mount, compose(increment.mean, mount))
         motion = np.array([right, back, increment.mean[2]])
         now, then = self.angle.bearings(sighting.edges), self.angle.bearings(before.edges)
-        density = clutter_density(*now, *then, motion, turn_var, self.angle.field_rad)
+        density = clutter_density(*now, *then, motion, turn_var, field_of_view_rad(self.camera))
         return replace(sighting, edges=replace(sighting.edges, clutter=density))
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:

@@ -1,11 +1,10 @@
 """The observation's sum over particles, landmarks and edges, compiled.
 
-It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, none of which
-changes the result by more than 1e-5: particles are sorted into cells of floor and heading, and only the landmarks that
-can be in view from a cell are looked at; an edge that no landmark comes near costs nothing, since its factor 1 - w is
-common to all particles; the loops run as vector instructions (`loops`); and no more particles are weighed at a time
-than the cache holds. A particle's result depends on nothing but that particle, so neither on how many threads share the
-work.
+It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes the
+result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be in
+view from a cell are looked at. An edge that no landmark comes near costs nothing, since its factor 1 - w is common to
+all particles. The loops run as vector instructions (`likelihood_kernel`). No more particles are weighed at a time than
+the cache holds. A particle's result depends on that particle alone, whatever number of threads share the work.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, widest_tangent
+from localiser.landmarks import LandmarkMap, in_view_of_cells, widest_tangent
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import polarity
 from localiser.observation.angle import Angle
@@ -125,16 +124,16 @@ def by_rate(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> Ar
 
 def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins: EdgeBins) -> Array:
     """Return `by_rate` of so few particles that all about them stays in the cache. base: (K,) to be added."""
-    from localiser.observation import likelihood_kernel as loops
+    from localiser.observation import likelihood_kernel as kernel
 
     low, per_unit, shape = _cells(columns[:3])
     poses = columns.T.copy()
-    run, order = loops.ordered(loops.cells_of(poses, low, per_unit, shape), int(shape.prod()))
+    run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()))
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
-    start, item = loops.candidates(
-        run, low, per_unit, shape, scene.offset, scene.landmarks, half_view_rad, scene.range_m[1]
+    start, item = in_view_of_cells(
+        run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.offset
     )
-    return loops.log_products(
+    return kernel.log_products(
         poses,
         order,
         run,
@@ -142,7 +141,7 @@ def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins
         start,
         item,
         scene.landmarks,
-        (*(shares / (1.0 - shares)).tolist(), *[0.0] * (loops.LANES - len(shares))),
+        (*(shares / (1.0 - shares)).tolist(), *[0.0] * (kernel.LANES - len(shares))),
         scene.edges,
         *edge_bins,
         scene.view,

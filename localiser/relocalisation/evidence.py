@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import checked
+from localiser.landmarks import CELL_M, field_of_view_rad, half_view_rad
 from localiser.observation import polarity
-from localiser.relocalisation.places import Indices, Places, half_view_rad
-from localiser.relocalisation.sectors import CELL_M
+from localiser.relocalisation.places import Indices, Places
 from localiser.relocalisation.views import View
 
 COLUMNS, ROWS = 512, 48
@@ -61,7 +61,7 @@ def evidence_of(view: View, polarities: NDArray[np.int8], blur_rad: float, blur_
     sigma = np.hypot(view.bearing_sigma, blur_rad)
     across = (np.arctan(tangent) - view.bearing[:, None]) / sigma[:, None]
     density = np.where(np.abs(across) < GATE_SIGMAS, np.exp(-0.5 * np.minimum(across**2, GATE_SIGMAS**2)), 0.0)
-    density *= view.span_rad / (np.sqrt(2 * np.pi) * sigma[:, None])
+    density *= field_of_view_rad(view.camera) / (np.sqrt(2 * np.pi) * sigma[:, None])
     ends = _ends_match(view, rows, float(np.hypot(view.foot_sigma, blur_e)), e_high - e_low)
     tables = [
         _likeliest(density * (1.0 + view.polarity * expected)[:, None], ends)
@@ -118,7 +118,7 @@ def warm_up(view: View, places: Places) -> None:
 
 def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
     """Return what `score_loop` takes."""
-    mount, sectors = evidence.view.camera.mount, places.sectors
+    mount, sectors = evidence.view.camera.mount, places.index
     return (
         np.ascontiguousarray(evidence.view.camera_poses(robot_poses)),
         np.stack([*places.points.T, places.bottom_m - mount.height_m, places.top_m - mount.height_m], axis=-1),

@@ -13,7 +13,7 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map, wrap_angle
-from localiser.landmarks import LandmarkMap, SightParameters
+from localiser.landmarks import LandmarkMap, SightParameters, field_of_view_rad
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting, Targets
 from localiser.observation.persistent_clutter import NEAR_M, clutter_density
 from localiser.particles import POSE, Particles
@@ -133,7 +133,7 @@ def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tu
     right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
     across = float(right + back * 0.1)  # at a bearing of 0.1
     sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
-    assert clutter == pytest.approx(observation.angle.field_rad / np.sqrt(2 * np.pi) / sigma, rel=0.2)
+    assert clutter == pytest.approx(field_of_view_rad(camera) / np.sqrt(2 * np.pi) / sigma, rel=0.2)
 
 
 def test_the_filter_knows_what_the_last_image_showed() -> None:
