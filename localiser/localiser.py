@@ -34,13 +34,14 @@ from localiser.filter import (
     Sighting,
     Start,
     finish,
+    matched,
     step,
 )
 from localiser.filter import warm_up as warm_up_filter
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import observation_of
-from localiser.relocalisation import Search
+from localiser.relocalisation import GlobalLocalisation
 from localiser.storage import check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
 from localiser.visual_odometry import Odometer
 
@@ -87,7 +88,7 @@ class Localiser:
             config.motion,
             config.observation,
             odometer=Odometer(camera, config.increments),
-            search=None if known else Search.of(self.observation, landmark_map, config.search),
+            search=None if known else GlobalLocalisation.of(self.observation, landmark_map, config.search),
             level=Level(camera, math.radians(config.edges.plumb_sigma_deg)),
         )
         by_edges = Odometer(camera, replace(config.increments, source="vision"))
@@ -220,8 +221,7 @@ class Localiser:
         begin = perf_counter()
         for located in results:
             measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
-            weighed = located.edges if located.weighed_edges is None else located.weighed_edges
-            matches = self.observation.associate(located.estimate.pose_as_seen, weighed, self.landmark_map)
+            matches = matched(self._mcl, located)
             stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
             frames.append(LocatedFrame(located, matches, measured.image, None, stage_ms))
             begin = perf_counter()

@@ -148,7 +148,8 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     config = load_config(None, ["edges.tilt_sigma_deg=2", "mcl.particles=500"])
     one = Localiser(LOG.landmark_map, tilted, config)
     last = feed(one, first_events(8))[-1]
-    as_weighed, as_measured = last.located.weighed_edges, last.located.edges
+    assert last.located.sighting is not None
+    as_weighed, as_measured = last.located.sighting.edges, last.located.edges
     assert as_weighed is not None and np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
     expected = one.observation.associate(last.located.estimate.pose_as_seen, as_weighed, LOG.landmark_map)
     np.testing.assert_array_equal(last.matches.landmark, expected.landmark)

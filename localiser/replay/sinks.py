@@ -64,5 +64,5 @@ def without_bulk(frame: LocatedFrame) -> LocatedFrame:
     located = frame.located
     none = np.zeros(0, dtype=np.int64)
     clusters = located.clusters and replace(located.clusters, label=none)
-    light = replace(located, particles=particles.take(located.particles, none), clusters=clusters, weighed_edges=None)
+    light = replace(located, particles=particles.take(located.particles, none), clusters=clusters, sighting=None)
     return replace(frame, located=light, image=None)

@@ -1,110 +1,21 @@
-"""The landmark map, and which landmarks a camera sees from many poses at once."""
+"""How a landmark is seen from a pose: its bearing, its range, and where its ends are in the image.
+
+These plain functions are the one model of it. Compiled loops that repeat a part of it for speed are held against them
+by tests.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.camera import Camera
-from localiser.geometry import Array
-
-FRAME = {"axes": "x right, y up, z backward", "units": "m"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Quality:
-    """How well landmarks (L) are known beside their covariance; nan where something is not known.
-
-    sightings: (L,) images that showed it. parallax_rad: (L,) widest angle between the directions it was seen from.
-    existence: (L,) probability that it is there. profile: (L, P) grey values across it, P may be 0.
-    """
-
-    sightings: Array
-    parallax_rad: Array
-    existence: Array
-    profile: Array
-
-    @classmethod
-    def unknown(cls, count: int) -> Quality:
-        """Return the quality of `count` landmarks of which nothing is known."""
-        nothing = np.full(count, np.nan)
-        return cls(nothing, nothing, nothing, np.zeros((count, 0)))
-
-    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Quality:
-        """Return the quality of the landmarks at `index`."""
-        return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index], self.profile[index])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LandmarkMap:
-    """Vertical edges of a building, L of them, as columns; nan where something is not known.
-
-    ids: L unique names. points: (L, 2) x, z in metres. cov: (L, 2, 2) m². bottom_m, top_m: (L,) heights above the
-    floor between which the edge can be seen. polarity: (L,) as in `Edges`, seen from where it was measured, 0 unknown.
-    source: how each was obtained. extra: unknown keys of each landmark, header: unknown keys of the file; both are
-    kept so that a newer version's file survives being saved. quality: how well each is known, None where the map does
-    not say.
-    """
-
-    name: str
-    ids: tuple[int | str, ...]
-    points: Array
-    cov: Array
-    bottom_m: Array
-    top_m: Array
-    polarity: NDArray[np.int8]
-    source: tuple[str, ...]
-    frame: dict[str, Any] = field(default_factory=lambda: dict(FRAME))
-    extra: tuple[dict[str, Any], ...] = ()
-    header: dict[str, Any] = field(default_factory=dict)
-    quality: Quality | None = None
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    @classmethod
-    def from_points(
-        cls,
-        points: Array,
-        *,
-        name: str = "",
-        ids: tuple[int | str, ...] | None = None,
-        bottom_m: Array | None = None,
-        top_m: Array | None = None,
-        source: str = "",
-    ) -> LandmarkMap:
-        """Return a map of points (L, 2) with heights where given; the rest is unknown."""
-        count = len(points)
-        return cls(
-            name=name,
-            ids=tuple(range(count)) if ids is None else ids,
-            points=np.asarray(points, dtype=np.float64).reshape(count, 2),
-            cov=np.full((count, 2, 2), np.nan),
-            bottom_m=np.full(count, np.nan) if bottom_m is None else bottom_m,
-            top_m=np.full(count, np.nan) if top_m is None else top_m,
-            polarity=np.zeros(count, dtype=np.int8),
-            source=(source,) * count,
-            extra=({},) * count,
-        )
-
-    def take(self, index: NDArray[np.int64]) -> LandmarkMap:
-        """Return the map of the landmarks at `index` (K,), in that order."""
-        return replace(
-            self,
-            ids=tuple(self.ids[i] for i in index),
-            points=self.points[index],
-            cov=self.cov[index],
-            bottom_m=self.bottom_m[index],
-            top_m=self.top_m[index],
-            polarity=self.polarity[index],
-            source=tuple(self.source[i] for i in index),
-            extra=tuple(self.extra[i] for i in index) if self.extra else (),
-            quality=None if self.quality is None else self.quality.take(index),
-        )
+from localiser.geometry import Array, robot_from_map
+from localiser.landmarks.landmark_map import LandmarkMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,10 +94,8 @@ def sight(
 
 def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
     """Return (right, ahead), each (N, L) m: points (L, 2) of the map in the level frames of camera poses (N, 3)."""
-    cos, sin = np.cos(camera_poses[:, 2:3]), np.sin(camera_poses[:, 2:3])
-    dx = points[:, 0] - camera_poses[:, 0:1]
-    dz = points[:, 1] - camera_poses[:, 1:2]
-    return dx * cos - dz * sin, -(dx * sin + dz * cos)
+    seen = robot_from_map(camera_poses[:, None], points)
+    return seen[..., 0], -seen[..., 1]
 
 
 def visible_length_px(
@@ -248,3 +157,18 @@ def _near_any_pose(camera_poses: Array, points: Array, range_max_m: float) -> ND
     low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)
     outside = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.flatnonzero((outside**2).sum(axis=1) <= range_max_m**2)
+
+
+def field_of_view_rad(camera: Camera) -> float:
+    """Return the angle between the bearings of the image's left and right border, on its middle row."""
+    a_left, a_right, _, _ = camera.upright_bounds
+    left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
+    return float(right - left)
+
+
+def half_view_rad(camera: Camera) -> float:
+    """Return the largest angle to either side that the image sees, at whichever height it sees widest."""
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    a_left, a_right, e_low, e_high = camera.upright_bounds
+    narrowest = max(min(c + e_low * s, c + e_high * s), 0.25 * c)
+    return float(np.arctan(max(-a_left, a_right) / narrowest))
