@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from localiser import __version__
-from localiser.commands import simulate
+from localiser.commands import paper, simulate
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.convert import arguments as convert
 from localiser.commands.doctor import arguments as doctor
@@ -32,7 +32,6 @@ from localiser.commands.options import (
     topics_by_role,
     working,
 )
-from localiser.commands.paper import arguments as paper
 from localiser.commands.pose import pose_app
 from localiser.errors import LocaliserError
 
