@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from paper.figure import figure_png
@@ -20,10 +19,11 @@ def main() -> None:
     for sheet in reproduction.sheets:
         title, *rest = sheet.markdown().rstrip().splitlines()
         table = "\n".join([f"**{title.removeprefix('## ')}**", *rest])
-        marks = re.compile(rf"(<!-- {sheet.name} -->\n).*?(\n<!-- end -->)", re.DOTALL)
-        page, count = marks.subn(lambda found, table=table: found[1] + table + found[2], page)
-        if count != 1:
-            raise SystemExit(f"expected one place for the table {sheet.name}, found {count}")
+        before, mark, after = page.partition(f"<!-- {sheet.name} -->\n")
+        old, end, rest_of_page = after.partition("\n<!-- end -->")
+        page = before + mark + table + end + rest_of_page
+        if not (old and end):
+            raise SystemExit(f"expected a place for the table {sheet.name} in docs/paper.md, found none")
     (DOCS / "paper.md").write_text(page)
 
 
