@@ -86,7 +86,7 @@ def _at_place(scene: Scene, pose: Array, rng: np.random.Generator) -> Iterator[t
     images = tuple(render(scene, view, rng) for view in poses)
     points = geometry.robot_from_map(pose, scene.structure.landmark_map.points)
     for detector in DETECTORS:
-        parameters = EdgeParameters(detector=detector)  # type: ignore[arg-type]
+        parameters = EdgeParameters(detector=detector)
         found = (find_edges(image, scene.camera, parameters) for image in images)
         *turned, ahead = (_seen(edges, scene, view) for edges, view in zip(found, poses, strict=True))
         yield detector, Place(tuple(turned), ahead, points, images)

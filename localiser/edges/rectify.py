@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import blocks_loop, pairs_loop
+from localiser.edges.columns_kernel import blocks_loop, pairs_loop
 from localiser.edges.undistort import Image, image_border, remap_tables
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled

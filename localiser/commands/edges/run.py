@@ -92,14 +92,14 @@ class EdgeRun:
             find_edges(image, self.camera, self._parameters(name))
 
     def _parameters(self, detector: str) -> EdgeParameters:
-        return replace(self.config.edges, detector=detector)  # type: ignore[arg-type]
+        return replace(self.config.edges, detector=detector)
 
     def _one(self, taken: Taken, image: Image) -> None:
         found: dict[str, Edges] = {}
         ms: dict[str, float] = {}
         for name in self.detectors:
             begin = perf_counter()
-            edges = find_edges(image, self.camera, self._parameters(name))
+            edges = find_edges(image, self.camera, self._parameters(name), with_probabilities=True)
             ms[name] = 1e3 * (perf_counter() - begin)
             found[name] = edges.take(np.argsort(edges.bearing, kind="stable"))
         self.comparison.add(found, ms, self.camera)
