@@ -13,9 +13,8 @@ from pydantic import Field
 
 from localiser.camera import Camera
 from localiser.geometry import Array, between, robot_from_map, wrap_angle
-from localiser.mapping.dissection import dissected
 from localiser.mapping.sightings import Index
-from localiser.mapping.sparse import Rows
+from localiser.mapping.sparse import Block, Linearised
 
 CONSTANTS = ("distance scale", "rotation scale", "veer", "mount yaw")
 _CAUCHY = 2.0
@@ -149,32 +148,18 @@ def cost_of(problem: Problem, state: State) -> float:
 # -- linearisation ----------------------------------------------------------------------------------------------------
 
 
-def linearise(problem: Problem, state: State) -> Rows:
+def linearise(problem: Problem, state: State) -> Linearised:
     """Return residuals, robust weights and derivatives of the predictions: bearings first, in their order.
 
     Variables: poses but the first, constants, landmarks. The gradient step solves (JᵀWJ) step = JᵀW r.
     """
-    parts = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
-    parts.append(_place_block(state))
-    width = np.repeat([part.column.shape[1] for part in parts], [len(part.residual) for part in parts])
-    return Rows(
-        start=np.concatenate([[0], np.cumsum(width)]),
-        column=np.concatenate([part.column.ravel() for part in parts]),
-        value=np.concatenate([part.value.ravel() for part in parts]),
-        residual=np.concatenate([part.residual for part in parts]),
-        weight=np.concatenate([part.weight for part in parts]),
-    )
+    blocks = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
+    return Linearised.of([*blocks, _place_block(state)], variables(state))
 
 
-def elimination_order(problem: Problem, landmarks: int) -> Index:
-    """Return the variables (V,) in the order in which they are eliminated: constants, which all involve, last."""
-    b, frames = problem.bearings, len(problem.wheels.motion) + 1
-    order = dissected(frames, b.frame, b.landmark, landmarks)
-    is_pose = order < frames
-    first = np.where(is_pose, 3 * (order - 1), _first_landmark(frames) + 2 * (order - frames))
-    size = np.where(is_pose, 3, 2)
-    each = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-    return np.concatenate([np.repeat(first, size) + each, 3 * (frames - 1) + np.arange(len(CONSTANTS))])
+def variables(state: State) -> int:
+    """Return the number of variables: poses but the first, constants, landmarks."""
+    return _first_landmark(len(state.poses)) + state.points.size
 
 
 def landmark_columns(frames: int, landmark: Index) -> Index:
@@ -184,16 +169,6 @@ def landmark_columns(frames: int, landmark: Index) -> Index:
 
 def _first_landmark(frames: int) -> int:
     return 3 * (frames - 1) + len(CONSTANTS)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """K measurements that involve C variables each: column, value (K, C), residual, weight (K,); see `Rows`."""
-
-    column: Index
-    value: Array
-    residual: Array
-    weight: Array
 
 
 def _block(columns: list[Index], values: list[Array], sigma: Array, residual: Array) -> Block:

@@ -22,15 +22,7 @@ from localiser.mapping.landmarks import fitted
 from localiser.mapping.loops import same_landmarks
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import dead_reckoned, smooth
-from localiser.mapping.sparse import Rows
 from localiser.mapping.triangulate import triangulate
-
-
-def jacobian(rows: Rows, size: int) -> Array:
-    """Return the derivatives (R, V) of the predictions."""
-    dense = np.zeros((len(rows.residual), size + 1))
-    dense[np.repeat(np.arange(len(dense)), np.diff(rows.start)), rows.column] = rows.value
-    return dense[:, :size]
 
 
 def test_derivatives_agree_with_differences() -> None:
@@ -42,7 +34,7 @@ def test_derivatives_agree_with_differences() -> None:
         CONSTANTS,
         points,
     )
-    dense, step = jacobian(linearise(problem, state), 3 * 11 + 4 + points.size), 1e-6
+    dense, step = linearise(problem, state).jacobian.toarray(), 1e-6
     for column in range(dense.shape[1]):
         change = np.zeros(dense.shape[1])
         change[column] = step
@@ -77,9 +69,9 @@ def test_errors_of_landmarks_are_what_their_covariances_say() -> None:
 def test_covariances_are_those_of_the_dense_inverse() -> None:
     problem, poses, points = circle(1.0, frames=20)
     found = smooth(problem, poses, points, CONSTANTS)
-    rows = linearise(problem, State(found.poses, found.points, found.constants, points))
-    dense = jacobian(rows, 3 * 19 + 4 + points.size)
-    whole = np.linalg.inv(dense.T @ (rows.weight[:, None] * dense))[-points.size :, -points.size :]
+    linear = linearise(problem, State(found.poses, found.points, found.constants, points))
+    dense = linear.jacobian.toarray()
+    whole = np.linalg.inv(dense.T @ (linear.weight[:, None] * dense))[-points.size :, -points.size :]
     blocks = whole.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
     one, other = np.array([0, 5, 29]), np.array([7, 6, 3])
     np.testing.assert_allclose(found.landmark_cov(), blocks.diagonal().transpose(2, 0, 1), rtol=1e-5, atol=1e-10)
