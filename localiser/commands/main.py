@@ -17,7 +17,7 @@ from localiser.commands.convert import arguments as convert
 from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
-from localiser.commands.map.arguments import map_app
+from localiser.commands.map import map_app
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,

@@ -10,11 +10,9 @@ from mapping_worlds import World, world
 from ring_world import CAMERA, CONSTANTS, circle
 
 from localiser import mapping
-from localiser.commands.map.build import wheels_of
-from localiser.config import Config
 from localiser.edges import Edges
 from localiser.geometry import Array, robot_from_map
-from localiser.mapping import Built, MappingParameters, Sightings
+from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.constellations import seen_before
 from localiser.mapping.factors import State, linearise
 from localiser.mapping.feet import Scale, scale_by_feet
@@ -23,6 +21,7 @@ from localiser.mapping.loops import same_landmarks
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import dead_reckoned, smooth
 from localiser.mapping.triangulate import triangulate
+from localiser.motion import MotionParameters
 
 
 def test_derivatives_agree_with_differences() -> None:
@@ -186,8 +185,9 @@ def aligned_error(found: Array, truth: Array) -> Array:
 def drive_alone(drive: World, edges: list[Edges]) -> mapping.Slam:
     """Build from edges and odometry."""
     sightings = Sightings.from_edges(edges, drive.camera)
-    wheels = wheels_of(drive.odometry, drive.odometry.t_ns, Config())
-    return mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, MappingParameters())
+    wheels = mapping.wheels_of(drive.odometry, drive.odometry.t_ns, MotionParameters())
+    prior = Prior.of(MotionParameters())
+    return mapping.build_from_log(sightings, wheels, prior, np.zeros(3), drive.camera, MappingParameters())
 
 
 def test_a_drive_with_wrong_wheels_is_put_right() -> None:
