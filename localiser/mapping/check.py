@@ -43,6 +43,16 @@ class LogFit:
     rms_rad: Array
     explained: float
 
+    def text(self) -> str:
+        """Return how well the whole map fits a log."""
+        found = self.found > 0
+        rms = np.rad2deg(np.median(self.rms_rad[found])) if found.any() else np.nan
+        return (
+            f"{found.sum()} of {len(found)} landmarks were seen; "
+            f"{100 * self.explained:.0f} % of the log's edges are theirs, "
+            f"{rms:.2f}° (median) from where they should be"
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
@@ -55,6 +65,13 @@ class Coverage:
     z: Array
     step_m: float
     share: Array
+
+    def text(self) -> str:
+        """Return how much of the building has too few landmarks."""
+        return (
+            f"Fewer than {ENOUGH} landmarks in view: {100 * self.share.mean():.0f} % of all places and headings; "
+            f"walls, which hide more, are not counted"
+        )
 
 
 def duplicates(landmark_map: LandmarkMap) -> Index:

@@ -53,6 +53,17 @@ class Lookalikes:
                 break
         return self.found.poses[chosen], self.found.twins[chosen]
 
+    def text(self) -> str:
+        """Return how much of the building looks like another part of it, and what would help."""
+        text = (
+            f"Looks like another place, to one image: {100 * self.found.alike.mean():.0f} % of {len(self.places)} "
+            f"places and headings, {100 * (self.found.alike & (self.found.shown >= ENOUGH)).mean():.0f} % although "
+            f"{ENOUGH} or more landmarks are in view"
+        )
+        for spot in self.spots:
+            text += f"\n  a landmark near x = {spot.x:.1f}, z = {spot.z:.1f} would leave {100 * spot.alike_share:.0f} %"
+        return text
+
 
 def lookalikes(landmark_map: LandmarkMap, camera: Camera, path: Array | None) -> Lookalikes:
     """Return what looks alike all over the building; with a path (T, 3) that was driven, near it only."""

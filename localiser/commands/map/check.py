@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from localiser.landmarks import LandmarkMap
-    from localiser.mapping import Coverage, LogFit, Lookalikes
+    from localiser.mapping import LogFit
 
 _OFTEN = 10  # frames in which a landmark must be expected before its absence is worth telling
 _SELDOM = 0.1  # share of them in which it is found
@@ -65,7 +65,7 @@ def check(
             fit = fit_to_log(landmark_map, recorded, known, effective.edges, advance, cache_folder())
     show(suspects(landmark_map, fit))
     if fit is not None:
-        typer.echo(_fit_text(fit))
+        typer.echo(fit.text())
     if camera is None:
         typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
         return
@@ -75,8 +75,8 @@ def check(
         from localiser.view import record_lookalikes
 
         record_lookalikes(rrd, camera, landmark_map, look)
-    typer.echo(_coverage_text(found))
-    typer.echo(_lookalikes_text(look))
+    typer.echo(found.text())
+    typer.echo(look.text())
     typer.echo(f"Picture in {picture}")
 
 
@@ -106,40 +106,3 @@ def suspects(landmark_map: LandmarkMap, fit: LogFit | None) -> Table:
 def _some(names: list[str]) -> str:
     more = f", and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return ", ".join(names[:_SHOWN]) + more if names else "none"
-
-
-def _fit_text(fit: LogFit) -> str:
-    """Return how well the whole map fits a log."""
-    import numpy as np
-
-    found = fit.found > 0
-    rms = np.rad2deg(np.median(fit.rms_rad[found])) if found.any() else np.nan
-    return (
-        f"{found.sum()} of {len(found)} landmarks were seen; "
-        f"{100 * fit.explained:.0f} % of the log's edges are theirs, "
-        f"{rms:.2f}° (median) from where they should be"
-    )
-
-
-def _coverage_text(found: Coverage) -> str:
-    """Return how much of the building has too few landmarks."""
-    from localiser.mapping import ENOUGH
-
-    return (
-        f"Fewer than {ENOUGH} landmarks in view: {100 * found.share.mean():.0f} % of all places and headings; "
-        f"walls, which hide more, are not counted"
-    )
-
-
-def _lookalikes_text(look: Lookalikes) -> str:
-    """Return how much of the building looks like another part of it, and what would help."""
-    from localiser.mapping import ENOUGH
-
-    text = (
-        f"Looks like another place, to one image: {100 * look.found.alike.mean():.0f} % of {len(look.places)} places "
-        f"and headings, {100 * (look.found.alike & (look.found.shown >= ENOUGH)).mean():.0f} % although "
-        f"{ENOUGH} or more landmarks are in view"
-    )
-    for spot in look.spots:
-        text += f"\n  a landmark near x = {spot.x:.1f}, z = {spot.z:.1f} would leave {100 * spot.alike_share:.0f} %"
-    return text
