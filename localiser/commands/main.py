@@ -15,7 +15,7 @@ from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
-from localiser.commands.map.arguments import map_app
+from localiser.commands.map import map_app
 from localiser.commands.pose import pose_app
 from localiser.errors import LocaliserError
 
