@@ -1,8 +1,13 @@
 """Measure the program and compare it with a baseline that is committed: is anything worse than it was?
 
     hashes      digests of trajectories, maps and other files: not one byte has changed
+    logs        errors, NEES, sureness over whole logs
+    scenarios   clutter, bare corridors, no start, robots carried away
+    efficiency  errors over the limit of accuracy
+    edges       recall, precision and bearing error of edge detectors
+    speed       ratios of times within one run
 
-python benchmarks/baseline.py --check                    compare; ends with 1 when something is lost
+python benchmarks/baseline.py --check                    compare; ends with 1 when something is worse
 python benchmarks/baseline.py --check --only hashes      two minutes, after every step that must change nothing
 python benchmarks/baseline.py --write                    measure anew and write benchmarks/baseline.json
 python benchmarks/baseline.py --list                     what is measured
@@ -20,9 +25,10 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
-from figures import hashes, store
+from figures import detection, hashes, limit, logs, robust, speed, store
 from figures.compare import LOSSES, Compared, Figure, Key, Value, compared
 from figures.measures import Measure, tolerance
 from figures.program import KEPT, ROOT, fingerprint
@@ -38,18 +44,24 @@ FILE = Path(__file__).with_name("baseline.json")
 class Group:
     """Figures that are measured together.
 
-    tasks: from the folder of data and how many seeds. measures: what each figure means. seeds: of a check, of the
-    baseline.
+    tasks: from the folder of data and how many seeds. measures: what each figure means. check_seeds, seeds: of a check
+    and of the baseline. alone: whether nothing may run beside it.
     """
 
     tasks: Callable[[Path, int], Sequence[Task]]
     measures: Mapping[str, Measure]
     check_seeds: int = 1
     seeds: int = 1
+    alone: bool = False
 
 
 GROUPS = {
     "hashes": Group(lambda data, _: hashes.tasks(data), hashes.MEASURES),
+    "logs": Group(logs.tasks, logs.MEASURES, 5, 20),
+    "scenarios": Group(lambda _, seeds: robust.tasks(seeds), robust.MEASURES, 5, 20),
+    "efficiency": Group(lambda _, seeds: limit.tasks(seeds), limit.MEASURES, 10, 20),
+    "edges": Group(lambda data, _: detection.tasks(data), detection.MEASURES),
+    "speed": Group(lambda _, seeds: speed.tasks(seeds), speed.MEASURES, 3, 20, alone=True),
 }
 
 
@@ -91,9 +103,11 @@ def measure(tasks: Sequence[Task], jobs: int, partial: Path | None) -> dict[Key,
         TextColumn("{task.description}"),
     )
     results = []
+    together = [task for task in tasks if not GROUPS[task.group].alone]
+    alone = [task for task in tasks if GROUPS[task.group].alone]
     with Progress(*columns, console=Console(stderr=True)) as bar:
         counted = bar.add_task("", total=len(tasks))
-        for task, values in measured(tasks, jobs, partial):
+        for task, values in chain(measured(together, jobs, partial), measured(alone, 1, partial, afresh=True)):
             results.append((task, values))
             bar.update(counted, advance=1, description=task.name)
     return samples_of(results)
