@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -41,8 +42,8 @@ class Task:
 
 def measured(
     tasks: Sequence[Task], jobs: int, partial: Path | None = None, *, afresh: bool = False
-) -> Iterator[tuple[Task, Values]]:
-    """Yield each task and its values as they come.
+) -> Iterator[tuple[Task, Values | Exception]]:
+    """Yield each task and its values as they come, or the error that ended it.
 
     partial: file in which values are kept, and found again. afresh: whether each task has a process of its own.
     """
@@ -58,10 +59,12 @@ def measured(
         waiting = {pool.submit(task.work): task for task in left}
         try:
             for done in as_completed(waiting):
-                task, values = waiting[done], done.result()
-                if partial:
-                    _append(partial, task.name, values)
-                yield task, values
+                task, error = waiting[done], done.exception()
+                if isinstance(error, BrokenProcessPool) or (error and not isinstance(error, Exception)):
+                    raise error
+                if partial and not error:
+                    _append(partial, task.name, done.result())
+                yield task, error or done.result()
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
