@@ -65,6 +65,7 @@ def measure(
 def write(groups: Mapping[str, Group], data: Path, jobs: int) -> None:
     """Measure these groups with all seeds and write them into the file; others stay as they are."""
     tasks = [task for group in groups.values() for task in group.tasks(data, group.seeds)]
+    tasks.sort(key=lambda task: task.seed)
     if missing := {task.missing for task in tasks if task.missing}:
         raise SystemExit(f"--write needs everything: {', '.join(sorted(missing))}")
     samples, failed = measure(tasks, jobs, KEPT / f"{fingerprint('localiser', 'benchmarks')}.jsonl")

@@ -72,5 +72,7 @@ def run(*arguments: object, cache: Path) -> None:
         try:
             main()
         except SystemExit as end:
+            if isinstance(end.code, int) and end.code >= 128:
+                raise  # stopped by a signal
             if end.code:
                 raise RuntimeError(f"{' '.join(words)}: {said.getvalue().strip()}") from None
