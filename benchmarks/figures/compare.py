@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 from figures.measures import Loss, Measure
 
-Verdict = Literal["same", "moved", "better", "LOSS", "gone", "new", "skipped", "other machine"]
-LOSSES: tuple[Verdict, ...] = ("LOSS", "gone")
+Verdict = Literal["same", "moved", "better", "new", "skipped", "other machine", "gone", "LOSS"]
+ORDER: tuple[Verdict, ...] = get_args(Verdict)
+LOSSES: tuple[Verdict, ...] = ("gone", "LOSS")
 """A figure that is no longer measured, although it could be, is lost too."""
 Value = float | str
 Key = tuple[str, str, str]
@@ -41,31 +42,38 @@ class Compared:
 
 
 def compared(
-    baseline: Mapping[Key, Figure], now: Mapping[Key, Value], skipped: Mapping[Key, str], *, same_machine: bool
+    baseline: Mapping[Key, Figure], now: Mapping[Key, Value], unmeasured: Mapping[Key, str], failed: Mapping[Key, str]
 ) -> list[Compared]:
     """Return the verdict on every figure that is in the baseline, or was measured, or both.
 
-    skipped: why figures of the baseline cannot be measured here. same_machine: whether bytes can be equal.
+    unmeasured: why figures of the baseline cannot be measured here. failed: what went wrong in measuring others.
     """
     result = []
     for key, figure in baseline.items():
-        if key in skipped:
-            result.append(Compared(key, "skipped", figure.value, None, figure.tolerance, skipped[key]))
+        before, allowed = figure.value, figure.tolerance
+        if key in failed:
+            result.append(Compared(key, "LOSS", before, None, allowed, failed[key]))
+        elif key in unmeasured:
+            result.append(Compared(key, "skipped", before, None, allowed, unmeasured[key]))
         elif key not in now:
-            result.append(Compared(key, "gone", figure.value, None, figure.tolerance, "no longer measured"))
+            result.append(Compared(key, "gone", before, None, allowed, "no longer measured"))
         else:
-            verdict = verdict_of(figure, now[key], same_machine=same_machine)
-            result.append(Compared(key, verdict, figure.value, now[key], figure.tolerance))
+            result.append(Compared(key, verdict_of(figure, now[key]), before, now[key], allowed))
     return result + [Compared(key, "new", None, value) for key, value in now.items() if key not in baseline]
 
 
-def verdict_of(figure: Figure, now: Value, *, same_machine: bool = True) -> Verdict:
+def elsewhere(one: Compared) -> Compared:
+    """Return the verdict on a figure that depends on the machine, where that is another one than the baseline's."""
+    if one.verdict != "LOSS" or one.now is None:
+        return one
+    return replace(one, verdict="other machine", reason="another processor, or other libraries")
+
+
+def verdict_of(figure: Figure, now: Value) -> Verdict:
     """Return whether a figure is as it was, within what chance may do, or past it."""
     if figure.value == now:
         return "same"
-    if isinstance(figure.value, str) or isinstance(now, str):
-        return "LOSS" if same_machine else "other machine"
-    if math.isnan(now):
+    if isinstance(figure.value, str) or isinstance(now, str) or math.isnan(now):
         return "LOSS"
     measure = Measure(figure.loss, figure.over)
     worse = measure.badness(now) - measure.badness(figure.value)

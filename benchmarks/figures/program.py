@@ -21,10 +21,10 @@ ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 COMPILED_KEPT = 2  # states of the source
 
 
-def fingerprint() -> str:
-    """Return a short digest of the package's source."""
+def fingerprint(*folders: str) -> str:
+    """Return a short digest of the source in these folders of the project."""
     digest = hashlib.sha256()
-    for source in sorted((ROOT / "localiser").rglob("*.py")):
+    for source in sorted(source for folder in folders for source in (ROOT / folder).rglob("*.py")):
         digest.update(str(source.relative_to(ROOT)).encode() + b"\0" + source.read_bytes())
     return digest.hexdigest()[:12]
 
@@ -37,7 +37,7 @@ def prepare_environment() -> None:
     sys.path.insert(0, str(ROOT))
     os.environ |= dict.fromkeys(ONE_THREAD, "1")
     compiled = KEPT / "compiled"
-    own = compiled / fingerprint()
+    own = compiled / fingerprint("localiser")
     own.mkdir(parents=True, exist_ok=True)
     own.touch()
     for old in sorted(compiled.iterdir(), key=lambda path: path.stat().st_mtime)[:-COMPILED_KEPT]:
@@ -72,5 +72,7 @@ def run(*arguments: object, cache: Path) -> None:
         try:
             main()
         except SystemExit as end:
+            if isinstance(end.code, int) and end.code >= 128:
+                raise  # stopped by a signal
             if end.code:
                 raise RuntimeError(f"{' '.join(words)}: {said.getvalue().strip()}") from None

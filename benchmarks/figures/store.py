@@ -57,7 +57,5 @@ def write(path: Path, figures: Mapping[Key, Figure], about: Mapping[str, Mapping
 
 def _figure(figure: Figure) -> str:
     """Return a figure without what is as it is by default."""
-    kept = {name: value for name, value in asdict(figure).items() if value != getattr(Figure, name, None)}
-    default = Figure(figure.value, figure.loss)
-    kept = {name: value for name, value in kept.items() if name in ("value", "loss") or value != getattr(default, name)}
-    return json.dumps(kept)
+    plain = asdict(Figure(figure.value, figure.loss))
+    return json.dumps({name: v for name, v in asdict(figure).items() if name in ("value", "loss") or v != plain[name]})

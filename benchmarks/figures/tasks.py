@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
 from figures.program import begin_process, prepare_environment
 
-Values = dict[str, float | str | None]
+Values = dict[str, float | str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,22 +40,31 @@ class Task:
         return None if self.needs is None or self.needs.exists() else f"no data in {self.needs.name} (LOCALISER_DATA)"
 
 
-def measured(tasks: Sequence[Task], jobs: int, partial: Path | None = None) -> Iterator[tuple[Task, Values]]:
-    """Yield each task and its values as they come. partial: file in which values are kept, and found again."""
+def measured(
+    tasks: Sequence[Task], jobs: int, partial: Path | None = None, *, afresh: bool = False
+) -> Iterator[tuple[Task, Values | Exception]]:
+    """Yield each task and its values as they come, or the error that ended it.
+
+    partial: file in which values are kept, and found again. afresh: whether each task has a process of its own.
+    """
     known = _read(partial) if partial else {}
     yield from ((task, known[task.name]) for task in tasks if task.name in known)
     left = [task for task in tasks if task.name not in known]
     if not left:
         return
     prepare_environment()
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=begin_process) as pool:
+    with ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=begin_process, max_tasks_per_child=1 if afresh else None
+    ) as pool:
         waiting = {pool.submit(task.work): task for task in left}
         try:
             for done in as_completed(waiting):
-                task, values = waiting[done], done.result()
-                if partial:
-                    _append(partial, task.name, values)
-                yield task, values
+                task, error = waiting[done], done.exception()
+                if isinstance(error, BrokenProcessPool) or (error and not isinstance(error, Exception)):
+                    raise error
+                if partial and not error:
+                    _append(partial, task.name, done.result())
+                yield task, error or done.result()
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

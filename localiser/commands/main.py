@@ -9,14 +9,13 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import convert, evaluate, replay, simulate
+from localiser.commands import convert, evaluate, paper, replay, simulate
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
-from localiser.commands.map.arguments import map_app
-from localiser.commands.paper import arguments as paper
+from localiser.commands.map import map_app
 from localiser.commands.pose import pose_app
 from localiser.errors import LocaliserError
 

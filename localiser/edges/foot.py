@@ -17,7 +17,7 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import changes_loop, sides_loop
+from localiser.edges.foot_kernel import changes_loop, sides_loop
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled

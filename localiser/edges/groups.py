@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.loops import line_loop
+from localiser.edges.columns_kernel import line_loop
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 

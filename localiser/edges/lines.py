@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.edges.columns import ALONG, SCALE_PX, GradientField, Peaks, gradient_kernel
+from localiser.edges.columns_kernel import samples_loop
 from localiser.edges.groups import Groups, LineFit
-from localiser.edges.loops import samples_loop
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import mount_loop
+from localiser.edges.mount_kernel import mount_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import ideal_camera

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import blocks_loop, pairs_loop
-from localiser.edges.undistort import Image, image_border, remap_tables
+from localiser.edges.columns_kernel import blocks_loop, pairs_loop
+from localiser.edges.undistort import Image, remap_tables
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -113,7 +113,7 @@ class ColumnView:
 @lru_cache(maxsize=8)
 def column_view(camera: Camera) -> ColumnView:
     """Return the cached view of `camera` that holds all vertical edges ahead."""
-    border = camera.upright_from_pixels(image_border(camera))
+    border = camera.upright_from_pixels(camera.border_px().reshape(-1, 2))
     tilt, focal = camera.mount.tilt_rad, camera.focal_px
     depth = np.cos(tilt) + border[:, 1] * np.sin(tilt)
     border, depth = border[depth > _LEAST_DEPTH], depth[depth > _LEAST_DEPTH]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import same_edge_loop
 from localiser.edges.mount import MountError, NadirMiss, mount_error, nadir_miss
+from localiser.edges.mount_kernel import same_edge_loop
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.edges.loops import vertical_loop
 from localiser.edges.mount import mount_error_of_pointing, nadir_miss, pointing_of_edges
+from localiser.edges.mount_kernel import vertical_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.geometry import Array

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from localiser.commands.edges.records import csv_text
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,20 +23,18 @@ class Sheet:
 
     def csv(self) -> str:
         """Return the table as CSV."""
-        names = [column.replace("\n", " ") for column in self.columns]
-        return csv_text(names, [dict(zip(names, row, strict=True)) for row in self.rows])
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([_one_line(self.columns), *self.rows])
+        return text.getvalue()
 
     def markdown(self) -> str:
         """Return title, table and note as Markdown."""
         rule = ("---", *("---:" for _ in self.columns[1:]))
-        lines = [_line(row) for row in (self.columns, rule, *self.rows)]
+        lines = [f"| {' | '.join(_one_line(row))} |" for row in (self.columns, rule, *self.rows)]
         return "\n".join([f"## {self.title}", "", *lines, *(["", self.note] if self.note else []), ""])
 
     def table(self) -> Table:
         """Return the table for a terminal."""
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
-
         table = Table(title=self.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
         table.caption, table.caption_justify = self.note or None, "left"
         for index, column in enumerate(self.columns):
@@ -47,5 +44,5 @@ class Sheet:
         return table
 
 
-def _line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cell.replace("\n", " ") for cell in cells) + " |"
+def _one_line(cells: Iterable[str]) -> list[str]:
+    return [cell.replace("\n", " ") for cell in cells]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -25,24 +25,38 @@ _LEAST_HALVED_PX = 200
 """Images smaller than this are not halved: too little would remain."""
 
 
-def columns(image: Image, camera: Camera, parameters: EdgeParameters) -> Segments:
-    """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The detector `columns`. min_step: faintest edge that counts (grey levels)."""
+
+    min_step: float
+
+    def configured(self, parameters: EdgeParameters) -> Columns:
+        """Return the detector with the settings of a configuration."""
+        return Columns(parameters.min_step)
+
+    def __call__(self, image: Image, camera: Camera, /) -> Segments:
+        """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
+        return _found(image, camera, self.min_step)
+
+
+def _found(image: Image, camera: Camera, min_step: float) -> Segments:
     field = gradient_field(image, camera)
     peaks = peaks_of(field)
     rough = rough_lines(peaks, linked(peaks, field.fine.shape))
     cells = cells_of(rough, field)
     fitted = refined(rough, cells, field)
-    kept, top, bottom = _significant(fitted, cells, field, parameters.min_step)
+    kept, top, bottom = _significant(fitted, cells, field, min_step)
     if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
-        return _columns_of_half(image, camera, parameters)
+        return _found_in_half(image, camera, min_step)
     return _segments(fitted.take(kept), top[kept], bottom[kept], column_view(camera), camera)
 
 
-def _columns_of_half(image: Image, camera: Camera, parameters: EdgeParameters) -> Segments:
+def _found_in_half(image: Image, camera: Camera, min_step: float) -> Segments:
     """Return the segments of an image of half the size, where a blurred edge is a sharp one, in pixels of the whole."""
     half = half_camera(camera)
     smaller = cv2.resize(image[: 2 * half.height, : 2 * half.width], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    found = columns(np.asarray(smaller, dtype=np.uint8), half, parameters)
+    found = _found(np.asarray(smaller, dtype=np.uint8), half, min_step)
     return replace(
         found,
         ends_px=2 * found.ends_px + 0.5,

@@ -1,20 +1,16 @@
-"""Where a building looks like another part of itself: places, a picture, and what would help."""
+"""Where a building looks like another part of itself, and where one more landmark would help most."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from localiser import mapping
 from localiser.camera import Camera
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
+from localiser.mapping.ambiguity import Ambiguity, Spot, ambiguity, best_spots
+from localiser.mapping.check import ENOUGH
 
 _STEP_M, _MOST_PLACES = 0.25, 300
 _NEAR_PATH_M = 1.5  # the robot may come so far off a path that it has driven
@@ -33,8 +29,8 @@ class Lookalikes:
     places: Array
     step_m: float
     share: Array
-    found: mapping.Ambiguity
-    spots: list[mapping.Spot]
+    found: Ambiguity
+    spots: list[Spot]
 
     @property
     def spots_at(self) -> Array:
@@ -47,7 +43,7 @@ class Lookalikes:
         Where less is in view than fixes a pose, much looks alike, and no example says anything.
         """
         chosen: list[int] = []
-        telling = self.found.alike & (self.found.shown >= mapping.ENOUGH)
+        telling = self.found.alike & (self.found.shown >= ENOUGH)
         for index in np.argsort(self.found.nats, kind="stable"):
             here = self.found.poses[index, :2]
             apart = [float(np.hypot(*(here - self.found.poses[k, :2]))) for k in chosen]
@@ -57,6 +53,17 @@ class Lookalikes:
                 break
         return self.found.poses[chosen], self.found.twins[chosen]
 
+    def text(self) -> str:
+        """Return how much of the building looks like another part of it, and what would help."""
+        text = (
+            f"Looks like another place, to one image: {100 * self.found.alike.mean():.0f} % of {len(self.places)} "
+            f"places and headings, {100 * (self.found.alike & (self.found.shown >= ENOUGH)).mean():.0f} % although "
+            f"{ENOUGH} or more landmarks are in view"
+        )
+        for spot in self.spots:
+            text += f"\n  a landmark near x = {spot.x:.1f}, z = {spot.z:.1f} would leave {100 * spot.alike_share:.0f} %"
+        return text
+
 
 def lookalikes(landmark_map: LandmarkMap, camera: Camera, path: Array | None) -> Lookalikes:
     """Return what looks alike all over the building; with a path (T, 3) that was driven, near it only."""
@@ -64,9 +71,9 @@ def lookalikes(landmark_map: LandmarkMap, camera: Camera, path: Array | None) ->
     while len(places) > _MOST_PLACES:
         step *= max(1.05, float(np.sqrt(len(places) / _MOST_PLACES)))
         places = _places(landmark_map, path, step)
-    found = mapping.ambiguity(landmark_map, camera, places)
+    found = ambiguity(landmark_map, camera, places)
     near = _within(places, landmark_map.points, _NEAR_LANDMARK_M + step / 2)
-    spots = mapping.best_spots(found, camera, places[near] if near.any() else places)
+    spots = best_spots(found, camera, places[near] if near.any() else places)
     return Lookalikes(places, step, found.alike.reshape(len(places), -1).mean(axis=1), found, spots)
 
 
@@ -83,47 +90,3 @@ def _within(places: Array, points: Array, distance_m: float) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(points).query(places)[0] <= distance_m)
-
-
-def lookalikes_text(look: Lookalikes) -> str:
-    """Return how much of the building looks like another part of it, and what would help."""
-    text = (
-        f"Looks like another place, to one image: {100 * look.found.alike.mean():.0f} % of {len(look.places)} places "
-        f"and headings, {100 * (look.found.alike & (look.found.shown >= mapping.ENOUGH)).mean():.0f} % although "
-        f"{mapping.ENOUGH} or more landmarks are in view"
-    )
-    for spot in look.spots:
-        text += f"\n  a landmark near x = {spot.x:.1f}, z = {spot.z:.1f} would leave {100 * spot.alike_share:.0f} %"
-    return text
-
-
-def draw(look: Lookalikes, axes: Axes) -> ScalarMappable:
-    """Draw from which share of headings a place looks like another, where that other is, and the spots that help."""
-    x, z = look.places.T
-    columns = np.round((x - x.min()) / look.step_m).astype(int)
-    rows = np.round((z - z.min()) / look.step_m).astype(int)
-    picture = np.full((rows.max() + 1, columns.max() + 1), np.nan)
-    picture[rows, columns] = 100 * look.share
-    half = look.step_m / 2
-    extent = (x.min() - half, x.max() + half, z.max() + half, z.min() - half)
-    shown = axes.imshow(picture, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
-    for pose, twin in zip(*look.examples(), strict=True):
-        axes.annotate(
-            "",
-            twin[:2],
-            pose[:2],
-            arrowprops={"arrowstyle": "->", "color": "#333333", "linewidth": 0.9, "connectionstyle": "arc3,rad=0.15"},
-        )
-    if look.spots:
-        axes.scatter(
-            look.spots_at[:, 0],
-            look.spots_at[:, 1],
-            s=90,
-            marker="*",
-            color="#2a9d3f",
-            edgecolors="white",
-            linewidths=0.8,
-            zorder=5,
-            label="a landmark here would help most",
-        )
-    return shown

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from localiser.commands.paper.arithmetic import TABLE_2
-from localiser.commands.paper.measured import VIEWS, Measured
-from localiser.commands.paper.results import METHODS, drive_errors, track, turn_errors
-from localiser.commands.paper.room import SIZES
+from paper.equations import TABLE_2
+from paper.motions import VIEWS, Measured
+from paper.results import METHODS, drive_errors, track, turn_errors
+from paper.room import SIZES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

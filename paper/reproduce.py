@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from localiser.commands.paper import arithmetic, results
-from localiser.commands.paper.figure import figure_png
-from localiser.commands.paper.measured import Measured, measure
-from localiser.commands.paper.sheet import Sheet
 from localiser.storage import write_bytes, write_text
+from paper import equations, results
+from paper.figure import figure_png
+from paper.motions import Measured, measure
+from paper.room import SIZES
+from paper.sheet import Sheet
 
 _HEAD = """# The paper, reproduced
 
@@ -35,16 +36,21 @@ class Reproduction:
         write_bytes(folder / "paper.png", figure_png(self.found))
 
 
+def steps(places: int) -> int:
+    """Return how many times `reproduce` calls its progress."""
+    return places * len(SIZES)
+
+
 def reproduce(places: int, seed: int, progress: Callable[[], None]) -> Reproduction:
     """Compute and measure everything; the same seed gives the same figures. progress: `steps(places)` times."""
     found = measure(places, seed, progress)
     sheets = (
-        arithmetic.table_1(),
-        arithmetic.steepest_slope(),
-        arithmetic.one_pixel(),
+        equations.table_1(),
+        equations.steepest_slope(),
+        equations.one_pixel(),
         results.three_turns(found),
         results.rotations(found),
-        arithmetic.explanations(),
+        equations.explanations(),
         results.translations(found),
     )
     command = f"localiser paper --places {places} --seed {seed}"

@@ -11,9 +11,9 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.commands.paper.room import SIZES, camera_of
-from localiser.commands.paper.sheet import Sheet
 from localiser.geometry import Array
+from paper.room import SIZES, camera_of
+from paper.sheet import Sheet
 
 TILT_1_DEG = 30.0
 """Of example 1, simulated."""
@@ -36,7 +36,8 @@ def table_1() -> Sheet:
     """Return the paper's table 1 with psi by our own eq. 13."""
     rows = []
     for first, second, printed in TABLE_1:
-        psi = rotation_deg(first, second, TILT_1_DEG)
+        slopes = np.tan(np.deg2rad([first, second]))
+        psi = float(np.rad2deg(geometry.rotation_from_slopes(slopes[0], slopes[1], np.deg2rad(TILT_1_DEG))))
         rows.append((f"{first:.2f}", f"{second:.2f}", f"{printed:.1f}", f"{psi:.2f}", f"{psi - 20:+.2f}"))
     return Sheet(
         "table_1",
@@ -45,12 +46,6 @@ def table_1() -> Sheet:
         tuple(rows),
         "The second edge crosses the image's centre, where m jumps from −∞ to +∞: ψ is unwrapped by π.",
     )
-
-
-def rotation_deg(slope_1_deg: float, slope_2_deg: float, tilt_deg: float) -> float:
-    """Return psi between two slopes given as angles, all in degrees. [Taylor06] eq. 13."""
-    slopes = np.tan(np.deg2rad([slope_1_deg, slope_2_deg]))
-    return float(np.rad2deg(geometry.rotation_from_slopes(slopes[0], slopes[1], float(np.deg2rad(tilt_deg)))))
 
 
 def steepest_slope() -> Sheet:
@@ -88,14 +83,13 @@ def one_pixel() -> Sheet:
     rows = []
     for size, (name, moves) in product(SIZES, MOVES.items()):
         camera = camera_of(size, TILT_1_DEG)
-        edges = [_edge_of_slope(camera, slope_deg) for line in TABLE_1 for slope_deg in line[:2]]
-        moved = [_moved_deg(camera, ends, moves) for ends in edges]
-        slope, line = np.array(moved).T
+        leans = np.deg2rad([90 - slope_deg for line in TABLE_1 for slope_deg in line[:2]])
+        bearings = geometry.bearing_from_lean(leans, camera.mount.tilt_rad)
+        edges = [_whole_edge(camera, float(bearing)) for bearing in bearings]
         length = [float(np.linalg.norm(ends[1] - ends[0])) for ends in edges]
-        rows.append(
-            (f"{size[0]}×{size[1]}", name, f"{min(length):.0f}–{max(length):.0f}",
-             f"{slope.min():.2f}–{slope.max():.2f}", f"{line.min():.2f}–{line.max():.2f}")
-        )  # fmt: skip
+        by_slope, by_line = np.array([_moved_deg(camera, ends, moves) for ends in edges]).T
+        ranges = (f"{min(by):.2f}–{max(by):.2f}" for by in (by_slope, by_line))
+        rows.append((f"{size[0]}×{size[1]}", name, f"{min(length):.0f}–{max(length):.0f}", *ranges))
     return Sheet(
         "one_pixel",
         "Section 4.1: what one pixel does to ψ, for the slopes of table 1 and edges as long as the image allows",
@@ -104,10 +98,6 @@ def one_pixel() -> Sheet:
         "The paper: ½ to 2 degrees. By line: the same ends, with the line held through the nadir point. "
         "An edge half as long moves ψ by slope twice as far, ψ by line hardly more. The range is over the four slopes.",
     )
-
-
-def _edge_of_slope(camera: Camera, slope_deg: float) -> Array:
-    return _whole_edge(camera, float(geometry.bearing_from_lean(np.deg2rad(90 - slope_deg), camera.mount.tilt_rad)))
 
 
 def _whole_edge(camera: Camera, bearing_rad: float) -> Array:
@@ -126,59 +116,58 @@ def _moved_deg(camera: Camera, ends: Array, moves: Moves) -> tuple[float, float]
     """
     moved = ends + np.array([[[bottom, 0.0], [top, 0.0]] for bottom, top in ((0, 0), *moves)])
     slope = geometry.bearing_from_lean(camera.lean_of_segments(moved), camera.mount.tilt_rad)
-    line = camera.bearing_of_segments(moved)
-    by_slope, by_line = (np.rad2deg(np.abs(found[1:] - found[0]).max()) for found in (slope, line))
-    return float(by_slope), float(by_line)
+    by_slope, by_line = (
+        float(np.rad2deg(np.abs(found - found[0]).max())) for found in (slope, camera.bearing_of_segments(moved))
+    )
+    return by_slope, by_line
 
 
 def explanations() -> Sheet:
     """Return what psi of table 2 would have been, had something else than a turn on the spot happened."""
-    on_the_spot, still, exact = np.zeros(2), np.zeros(4), (0.0, 0.0)
     cases = (
-        ("nothing else", on_the_spot, still, exact),
-        ("camera 10 cm ahead of the turning point", np.array([0.0, -0.10]), still, exact),
-        ("drift by 10 cm to the left, in the last turn", on_the_spot, np.array([0.0, 0.0, 0.0, -0.10]), exact),
-        ("tilt is 1° more than stated", on_the_spot, still, (np.deg2rad(1.0), 0.0)),
-        ("roll is 0.5° more than stated", on_the_spot, still, (0.0, np.deg2rad(0.5))),
+        ("nothing else", _psi_seen()),
+        ("camera 10 cm ahead of the turning point", _psi_seen(ahead_m=0.10)),
+        ("drift by 10 cm to the left, in the last turn", _psi_seen(last_drift_left_m=0.10)),
+        ("tilt is 1° more than stated", _psi_seen(tilt_error_deg=1.0)),
+        ("roll is 0.5° more than stated", _psi_seen(roll_error_deg=0.5)),
     )
     unknown = ("–",) * 3
     rows = [("paper, by eq. 13", *(f"{psi:.2f}" for _, _, psi in TABLE_2), *unknown)]
     rows += [("paper, by extrinsic parameters", *(f"{delta:.2f}" for _, delta, _ in TABLE_2), *unknown)]
-    for name, offset, drift, mount_error in cases:
-        psi = np.rad2deg(_psi_seen(offset, drift, mount_error))
-        rows.append((name, *(f"{value:.2f}" for value in psi.ravel())))
-    rows.append(
-        ("one pixel at each end, in both views", *(f"±{value:.2f}" for value in _pixel_in_both_views().ravel()))
-    )
-    images = [f"image {image}" for image, _, _ in TABLE_2]
+    rows += [(name, *(f"{np.rad2deg(value):.2f}" for value in psi.ravel())) for name, psi in cases]
+    pixel = (f"±{value:.2f}" for value in _pixel_in_both_views().ravel())
+    rows.append(("one pixel at each end, in both views", *pixel))
+    images = [f"image {image} °\n{kind}" for kind in ("slope", "line") for image, _, _ in TABLE_2]
     return Sheet(
         "explanations",
         f"Table 2: what else moves ψ; a jamb {_JAMB_M:.0f} m away that starts 10° to the right, tilt {TILT_2_DEG}°",
-        ("cause", *(f"{image} °\nslope" for image in images), *(f"{image} °\nline" for image in images)),
+        ("cause", *images),
         tuple(rows),
         "Distance and start are assumed: the paper does not give them. Drift to the left makes the last ψ smaller, "
         "not larger; one pixel at each end of the edge, here as long as a 176×144 image allows, is enough for 14.92°.",
     )
 
 
-def _psi_seen(offset: Array, drift_right_m: Array, mount_error_rad: tuple[float, float]) -> Array:
+def _psi_seen(
+    ahead_m: float = 0.0, last_drift_left_m: float = 0.0, tilt_error_deg: float = 0.0, roll_error_deg: float = 0.0
+) -> Array:
     """Return psi (2, 3), by slope and by line, of a jamb seen in four views.
 
-    offset: (2,) of the camera on the robot. drift_right_m: (4,) to the robot's right in the turn before each view.
-    mount_error_rad: true minus stated tilt and roll.
+    ahead_m: of the camera on the robot. last_drift_left_m: to the robot's left, in the turn before the last view.
+    tilt_error_deg, roll_error_deg: true minus stated.
     """
     headings = -np.deg2rad(np.cumsum([0.0, *(delta for _, delta, _ in TABLE_2)]))
     jamb = _JAMB_M * np.array([np.sin(_BEARINGS_2_RAD[0]), -np.cos(_BEARINGS_2_RAD[0])])
+    poses = np.stack([np.zeros(4), np.zeros(4), headings], axis=-1)
     # Drift is to the side of the robot as it stands before the turn.
-    drift = drift_right_m[:, None] * geometry.right(np.append(headings[0], headings[:-1]))
-    poses = np.concatenate([np.cumsum(drift, axis=0), headings[:, None]], axis=1)
-    seen = geometry.robot_from_map(poses, jamb) - offset
+    poses[-1, :2] = -last_drift_left_m * geometry.right(headings[-2])
+    seen = geometry.robot_from_map(poses, jamb) - np.array([0.0, -ahead_m])
     stated = camera_of(SIZES[0], TILT_2_DEG)
-    tilt_error, roll_error = mount_error_rad
-    true = stated.with_mount(tilt_rad=stated.mount.tilt_rad + tilt_error, roll_rad=roll_error)
+    tilt_rad = stated.mount.tilt_rad
+    true = stated.with_mount(tilt_rad=tilt_rad + np.deg2rad(tilt_error_deg), roll_rad=float(np.deg2rad(roll_error_deg)))
     ends = np.array([_whole_edge(true, float(bearing)) for bearing in geometry.bearing_from_point(*seen.T)])
     slope = geometry.slope_from_lean(stated.lean_of_segments(ends))
-    by_slope = -geometry.rotation_from_slopes(slope[:-1], slope[1:], stated.mount.tilt_rad)
+    by_slope = -geometry.rotation_from_slopes(slope[:-1], slope[1:], tilt_rad)
     return np.stack([by_slope, -np.diff(stated.bearing_of_segments(ends))])
 
 
