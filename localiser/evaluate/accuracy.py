@@ -46,20 +46,19 @@ class Track:
     ) -> Track:
         """Return a track with what is given; the rest is unknown."""
         count = len(np.asarray(t_ns))
-        shapes = {
-            "covs": (count, 3, 3),
-            "odometry": (count, 3),
-            "edges": (count,),
-            "matched": (count,),
-            "p_correct": (count,),
-        }
-        given = {"covs": covs, "odometry": odometry, "edges": edges, "matched": matched, "p_correct": p_correct}
-        columns = {
-            name: np.full(shape, np.nan) if given[name] is None else np.asarray(given[name], dtype=np.float64)
-            for name, shape in shapes.items()
-        }
-        poses = np.asarray(poses, dtype=np.float64).reshape(count, 3)
-        return cls(np.asarray(t_ns, dtype=np.int64), poses, **columns)
+
+        def column(given: ArrayLike | None, *shape: int) -> Array:
+            return np.full((count, *shape), np.nan) if given is None else np.asarray(given, dtype=np.float64)
+
+        return cls(
+            np.asarray(t_ns, dtype=np.int64),
+            np.asarray(poses, dtype=np.float64).reshape(count, 3),
+            column(covs, 3, 3),
+            column(odometry, 3),
+            column(edges),
+            column(matched),
+            column(p_correct),
+        )
 
     @property
     def seconds(self) -> Array:
@@ -106,7 +105,9 @@ def errors_against(track: Track, truth: Trajectory) -> Errors:
     """
     known = np.array([truth.covers(int(t)) for t in track.t_ns], dtype=bool)
     if not known.any():
-        raise InputError(_no_overlap(track, truth), field="groundtruth")
+        during, found = _span(track.t_ns), _span(truth.t_ns)
+        problem = f"expected truth during the run ({during}), found {found}: no image in common"
+        raise InputError(problem, field="groundtruth")
     true_poses = np.where(known[:, None], truth.sampled(track.t_ns).poses, np.nan)
     error = track.poses - true_poses
     error[:, 2] = wrap_angle(error[:, 2])
@@ -128,8 +129,5 @@ def dead_reckoning(odometry: Array, start: Array) -> Array:
     return compose(start, between(odometry[0], odometry))
 
 
-def _no_overlap(track: Track, truth: Trajectory) -> str:
-    def span(t_ns: NDArray[np.int64]) -> str:
-        return f"{t_ns[0] / 1e9:.3f} s to {t_ns[-1] / 1e9:.3f} s" if len(t_ns) else "no time at all"
-
-    return f"expected truth during the run ({span(track.t_ns)}), found {span(truth.t_ns)}: no image in common"
+def _span(t_ns: NDArray[np.int64]) -> str:
+    return f"{t_ns[0] / 1e9:.3f} s to {t_ns[-1] / 1e9:.3f} s" if len(t_ns) else "no time at all"

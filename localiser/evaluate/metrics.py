@@ -85,10 +85,10 @@ def mean(values: Array) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def quantile(values: Array, share: float) -> float:
-    """Return the quantile of the finite values."""
+def quantile(values: Array, level: float) -> float:
+    """Return the quantile of the finite values, level 0 … 1."""
     values = values[np.isfinite(values)]
-    return float(np.quantile(values, share)) if len(values) else float("nan")
+    return float(np.quantile(values, level)) if len(values) else float("nan")
 
 
 # -- groups of figures ----------------------------------------------------------------------------------------------
@@ -140,9 +140,10 @@ def _by_sightings(track: Track, errors: Errors | None, sighted: NDArray[np.bool_
     pauses = find_pauses(track.t_ns, sighted)
     seen, after = seen_recently(track.t_ns, sighted), after_pauses(track.t_ns, pauses)
     groups = {"seen_2s": seen, "after_pause_10s": after, "steady": seen & ~after}
+    ends_ns = [*(pause.start_ns for pause in pauses[1:]), None]
     return {
         **{name: _group(errors, chosen) for name, chosen in groups.items()},
-        "pauses": [_pause(track, errors, pauses, i) for i in range(len(pauses))],
+        "pauses": [_pause(track, errors, *pause) for pause in zip(pauses, ends_ns, strict=False)],
     }
 
 
@@ -156,17 +157,14 @@ def _group(errors: Errors | None, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _pause(track: Track, errors: Errors | None, pauses: tuple[Pause, ...], index: int) -> dict[str, Any]:
-    pause = pauses[index]
-    next_ns = pauses[index + 1].start_ns if index + 1 < len(pauses) else None
-    after = after_pauses(track.t_ns, (pause,))
-    position = errors.position_m[after] if errors else np.zeros(0)
+def _pause(track: Track, errors: Errors | None, pause: Pause, until_ns: int | None) -> dict[str, Any]:
+    position = errors.position_m[after_pauses(track.t_ns, (pause,))] if errors else np.zeros(0)
     return {
         "start_s": _figure((pause.start_ns - track.t_ns[0]) / 1e9),
         "duration_s": _figure(pause.duration_s),
         "position_end_m": _figure(position[0]) if len(position) else None,
         "position_rmse_after_m": _figure(rms(position)),
-        "recovery_s": _figure(recovery_s(track.t_ns, errors.position_m, pause, next_ns)) if errors else None,
+        "recovery_s": _figure(recovery_s(track.t_ns, errors.position_m, pause, until_ns)) if errors else None,
     }
 
 

@@ -103,9 +103,10 @@ def draw_edges(axes: Axes, track: Track) -> None:
     seconds = track.seconds
     style: dict[str, Any] = {"step": "mid", "linewidth": 0}
     axes.fill_between(seconds, 0, track.edges, color=EDGES, label="measured", **style)
+    counted = track.edges
     if np.isfinite(track.matched).any():
-        axes.fill_between(seconds, 0, track.matched, color=MATCHED, alpha=0.75, label="matched", **style)
-    counted = track.matched if np.isfinite(track.matched).any() else track.edges
+        counted = track.matched
+        axes.fill_between(seconds, 0, counted, color=MATCHED, alpha=0.75, label="matched", **style)
     few = counted < FEWEST_THAT_FIX_A_POSE
     if few.any():
         height, across = np.full(int(few.sum()), 0.03), axes.get_xaxis_transform()
@@ -128,8 +129,8 @@ def _set_equal_limits(axes: Axes, box: Array) -> None:
     right, bottom = (low + high + span) / 2
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     step = next((step for step in GRID_STEPS_M if span.max() <= 12 * step), GRID_STEPS_M[-1])
-    axes.xaxis.set_major_locator(MultipleLocator(step))
-    axes.yaxis.set_major_locator(MultipleLocator(step))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(step))
 
 
 def _draw_ellipses(axes: Axes, track: Track) -> None:

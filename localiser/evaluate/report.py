@@ -67,24 +67,13 @@ KEY_FIGURES = (
 )
 
 
-def save_report(
-    path: Path,
-    track: Track,
-    figures: Mapping[str, Any],
-    *,
-    truth: Trajectory | None = None,
-    landmark_map: LandmarkMap | None = None,
-    bound: Array | None = None,
-) -> None:
+def save_report(path: Path, track: Track, figures: Mapping[str, Any], **known: Any) -> None:
     """Write the report of a run as a PNG of 1600×1000 pixels; the same run gives the same bytes.
 
-    figures: as `metrics` returns them. bound: (T, 3, 3) posterior Cramér-Rao bound. Raises InputError when truth and
-    run share no time.
+    known: see `draw_report`. Raises InputError when truth and run share no time.
     """
-    from matplotlib import style
-
-    figure = draw_report(track, figures, truth=truth, landmark_map=landmark_map, bound=bound)
-    with style.context(["default", STYLE]):  # fonts are looked up on drawing
+    with _style():  # fonts are looked up on drawing
+        figure = draw_report(track, figures, **known)
         # Without "Software", which names matplotlib's version.
         figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})
 
@@ -97,39 +86,37 @@ def draw_report(
     landmark_map: LandmarkMap | None = None,
     bound: Array | None = None,
 ) -> Figure:
-    """Return the report as a figure that no window or global state holds."""
-    from matplotlib import style
+    """Return the report as a figure that no window or global state holds.
 
-    # From the defaults, not from the user's own settings: the picture is the same everywhere.
-    with style.context(["default", STYLE]):
-        return _drawn(track, figures, truth, landmark_map, bound)
-
-
-def _drawn(
-    track: Track,
-    figures: Mapping[str, Any],
-    truth: Trajectory | None,
-    landmark_map: LandmarkMap | None,
-    bound: Array | None,
-) -> Figure:
+    figures: as `metrics` returns them. bound: (T, 3, 3) posterior Cramér-Rao bound. Raises InputError when truth and
+    run share no time.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    track, bound = _broken_at_gaps(track, bound)
-    errors = errors_against(track, truth) if truth is not None else None
-    width, height = np.diff(panels.framed([track.poses], landmark_map), axis=1)[:, 0]
-    wide = bool(width > WIDE * height)
-    on_map, position, heading, edges = _lay_out(figure, wide=wide)
-    panels.draw_map(on_map, track, errors, truth, landmark_map, _odometry_label(figures))
-    panels.draw_position_error(position, track, errors, bound)
-    panels.draw_heading_error(heading, track, errors)
-    panels.draw_edges(edges, track)
-    for axes in (position, heading, edges) if wide else (edges,):
-        axes.set_xlabel("time (s)")
-    _draw_header(figure, figures)
+    with _style():
+        figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
+        FigureCanvasAgg(figure)
+        track, bound = _broken_at_gaps(track, bound)
+        errors = errors_against(track, truth) if truth is not None else None
+        width, height = np.diff(panels.framed([track.poses], landmark_map), axis=1)[:, 0]
+        wide = bool(width > WIDE * height)
+        on_map, position, heading, edges = _lay_out(figure, wide=wide)
+        panels.draw_map(on_map, track, errors, truth, landmark_map, _odometry_label(figures))
+        panels.draw_position_error(position, track, errors, bound)
+        panels.draw_heading_error(heading, track, errors)
+        panels.draw_edges(edges, track)
+        for axes in (position, heading, edges) if wide else (edges,):
+            axes.set_xlabel("time (s)")
+        _draw_header(figure, figures)
     return figure
+
+
+def _style() -> Any:
+    """Return the context of this style, from the defaults and not the user's: the picture is the same everywhere."""
+    from matplotlib import style
+
+    return style.context(["default", STYLE])
 
 
 def _odometry_label(figures: Mapping[str, Any]) -> str:

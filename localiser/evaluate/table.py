@@ -61,14 +61,15 @@ def errors_table(runs: Mapping[str, Metrics]) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
     table.add_column("run", overflow="fold", vertical="bottom")
     for key in names:
-        table.add_column(
-            key, justify="right" if key in ("particles", "seed") else "left", overflow="fold", vertical="bottom"
-        )
+        justify: Any = "right" if key in ("particles", "seed") else "left"
+        table.add_column(key, justify=justify, overflow="fold", vertical="bottom")
     for column in columns:
         table.add_column(column.title, justify="right", no_wrap=True)
 
-    ordered = sorted(runs.items(), key=lambda run: _kind(run[1]))
-    for _, group in groupby(ordered, key=lambda run: _kind(run[1])):
+    def kind(run: tuple[str, Metrics]) -> tuple[str, ...]:
+        return tuple(_text(run[1].get(key)) for key in NAMES if key != "seed")
+
+    for _, group in groupby(sorted(runs.items(), key=kind), key=kind):
         members = list(group)
         for name, run in members:
             table.add_row(name, *(_text(run.get(key)) for key in names), *_figures(run, columns))
@@ -89,10 +90,6 @@ def summaries(runs: list[Metrics]) -> dict[str, dict[str, float | None]]:
         median[column.key] = float(np.median(known)) if known else None
         worst[column.key] = column.worst(known) if known else None
     return {"median": median, "worst": worst}
-
-
-def _kind(run: Metrics) -> tuple[str, ...]:
-    return tuple(_text(run.get(key)) for key in NAMES if key != "seed")
 
 
 def _figures(run: Metrics, columns: Iterable[Column]) -> list[str]:

@@ -17,7 +17,6 @@ from localiser.storage.bags import (
     POSE,
     TRANSFORMS,
     FrameTree,
-    add_all,
     camera_of,
     mount_of,
     plain_frame,
@@ -94,8 +93,7 @@ class CameraFinder:
 
     def take_transforms(self, message: Any) -> None:
         """Take a TFMessage. Raises ValueError."""
-        add_all(FrameTree(), message.transforms)  # all of them are right, or none is taken
-        add_all(self._tree, message.transforms)
+        self._tree.add_all(message.transforms)
         self._find()
 
     def take_image(self, image: Any) -> None:

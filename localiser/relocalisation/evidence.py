@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import checked
+from localiser.landmarks import CELL_M, field_of_view_rad, half_view_rad
 from localiser.observation import polarity
-from localiser.relocalisation.places import Indices, Places, half_view_rad
-from localiser.relocalisation.sectors import CELL_M
+from localiser.relocalisation.places import Indices, Places
 from localiser.relocalisation.views import View
 
 COLUMNS, ROWS = 512, 48
@@ -61,11 +61,11 @@ def evidence_of(view: View, polarities: NDArray[np.int8], blur_rad: float, blur_
     sigma = np.hypot(view.bearing_sigma, blur_rad)
     across = (np.arctan(tangent) - view.bearing[:, None]) / sigma[:, None]
     density = np.where(np.abs(across) < GATE_SIGMAS, np.exp(-0.5 * np.minimum(across**2, GATE_SIGMAS**2)), 0.0)
-    density *= view.span_rad / (np.sqrt(2 * np.pi) * sigma[:, None])
+    density *= field_of_view_rad(view.camera) / (np.sqrt(2 * np.pi) * sigma[:, None])
     ends = _ends_match(view, rows, float(np.hypot(view.foot_sigma, blur_e)), e_high - e_low)
     tables = [
-        _likeliest(density * polarity.agreement(view.polarity, expected)[:, None], ends)
-        for expected in polarity.leaning(polarities)
+        _likeliest(density * (1.0 + view.polarity * expected)[:, None], ends)
+        for expected in polarity.mean_polarity(polarities)
     ]
     edge, fit = (np.stack(table) for table in zip(*tables, strict=True))
     return Evidence(view, edge, fit, left, tangent_step, e_low, e_step)
@@ -102,10 +102,10 @@ def _likeliest(density: Array, ends: Array) -> tuple[NDArray[np.int64], Array]:
 def score_poses(evidences: list[Evidence], places: Places, robot_poses: Array) -> Array:
     """Return the score (N,) of robot poses (N, 3) at even shares of landmarks and clutter: the sum over the views."""
     even = np.array([0.5])
-    return np.asarray(sum(score_by_share(evidence, places, robot_poses, even)[0] for evidence in evidences))
+    return np.asarray(sum(score_by_rate(evidence, places, robot_poses, even)[0] for evidence in evidences))
 
 
-def score_by_share(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
+def score_by_rate(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
     """Return the score (K, N) of robot poses (N, 3) if the share w_k (K,) of the edges belongs to landmarks."""
     loop: Any = checked(score_loop)
     return np.asarray(loop(*_arguments(evidence, places, robot_poses), shares))
@@ -118,7 +118,7 @@ def warm_up(view: View, places: Places) -> None:
 
 def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
     """Return what `score_loop` takes."""
-    mount, sectors = evidence.view.camera.mount, places.sectors
+    mount, sectors = evidence.view.camera.mount, places.index
     return (
         np.ascontiguousarray(evidence.view.camera_poses(robot_poses)),
         np.stack([*places.points.T, places.bottom_m - mount.height_m, places.top_m - mount.height_m], axis=-1),

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
-from localiser.landmarks import in_camera
+from localiser.landmarks import half_view_rad, in_camera
 from localiser.relocalisation.evidence import Evidence, evidence_of
-from localiser.relocalisation.places import Places, half_view_rad
+from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
 
 Indices = NDArray[np.int64]

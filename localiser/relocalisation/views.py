@@ -40,13 +40,6 @@ class View:
     def __len__(self) -> int:
         return len(self.bearing)
 
-    @property
-    def span_rad(self) -> float:
-        """The angle between the leftmost and the rightmost bearing on the middle row of the image."""
-        a_left, a_right, _, _ = self.camera.upright_bounds
-        cos = np.cos(self.camera.mount.tilt_rad)
-        return float(np.arctan(a_right / cos) - np.arctan(a_left / cos))
-
     def camera_poses(self, robot_poses: Array) -> Array:
         """Return where in the map (N, 3) the camera was for robots now at (N, 3)."""
         return geometry.compose(robot_poses, self.camera_in_robot)

@@ -4,7 +4,7 @@ from localiser.storage.bags import KINDS, write_bag
 from localiser.storage.bags.label import motion_settings
 from localiser.storage.cameras import camera_error, camera_file, load_camera, save_camera, update_mount
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of, load_checkpoint, save_checkpoint
-from localiser.storage.files import output_errors, write_bytes, write_text
+from localiser.storage.files import output_errors, require_new, require_new_file, write_bytes, write_text
 from localiser.storage.folder import FolderReader, write_log
 from localiser.storage.images import (
     MAX_IMAGE_BYTES,
@@ -16,10 +16,9 @@ from localiser.storage.images import (
     load_image,
     measure,
 )
-from localiser.storage.log import Event, Frame, Log, LogReader
+from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.open import FORMATS, open_log
-from localiser.storage.outputs import require_new, require_new_file
 from localiser.storage.packing import fingerprint
 from localiser.storage.plans import is_plan, load_plan, plan_picture, save_plan
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, load_json, safe_name
@@ -39,6 +38,7 @@ __all__ = [
     "ImageEvent",
     "Log",
     "LogReader",
+    "ReadOptions",
     "RunFolder",
     "TrackWriter",
     "camera_error",

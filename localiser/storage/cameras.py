@@ -20,6 +20,7 @@ from localiser.storage.files import inside, output_errors, write_text
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
 Pixels = Annotated[int, Field(ge=2, le=2**14)]
+_ANGLES, _LENGTHS = ("tilt", "roll", "yaw"), ("height_m", "right_m", "back_m")
 FileModel = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
@@ -70,35 +71,25 @@ def load_camera(path: Path) -> Camera:
 def camera_from_document(document: Document) -> Camera:
     """Return the camera that a document describes. Raises InputError."""
     file = validate(document, CameraFile)
-    fx, fy, cx, cy = _intrinsics(document, file.camera_matrix)
-    _check_rectification(document, file.rectification_matrix)
-    mount = file.mount
-    return Camera(
-        width=file.image_width,
-        height=file.image_height,
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        mount=Mount(
-            tilt_rad=math.radians(mount.tilt_deg),
-            height_m=mount.height_m,
-            roll_rad=math.radians(mount.roll_deg),
-            yaw_rad=math.radians(mount.yaw_deg),
-            right_m=mount.right_m,
-            back_m=mount.back_m,
-        ),
-        distortion_model=file.distortion_model,
-        distortion=_distortion(document, file),
-        name=file.camera_name,
-    )
+    intrinsics = _intrinsics(document, file.camera_matrix)
+    rectification = file.rectification_matrix
+    if rectification is not None and rectification.data != [1, 0, 0, 0, 1, 0, 0, 0, 1]:
+        # A stereo camera's, which would turn the image and is not applied.
+        problem = f"expected the unit matrix, found {shown(rectification.data)}"
+        raise document.error(("rectification_matrix", "data"), problem)
+    mount = {f"{name}_rad": math.radians(getattr(file.mount, f"{name}_deg")) for name in _ANGLES}
+    mount |= {name: getattr(file.mount, name) for name in _LENGTHS}
+    model, distortion = file.distortion_model, _distortion(document, file)
+    size = (file.image_width, file.image_height)
+    return Camera(*size, *intrinsics, Mount(**mount), model, distortion, file.camera_name)
 
 
 def _intrinsics(document: Document, matrix: MatrixFile) -> tuple[float, float, float, float]:
     """Return fx, fy, cx, cy of a matrix without skew."""
     key = ("camera_matrix", "data")
     if (matrix.rows, matrix.cols, len(matrix.data)) != (3, 3, 9):
-        raise document.error(key, f"expected 3 rows, 3 cols and 9 numbers, found {_shape(matrix)}")
+        found = f"{matrix.rows} rows, {matrix.cols} cols and {len(matrix.data)} numbers"
+        raise document.error(key, f"expected 3 rows, 3 cols and 9 numbers, found {found}")
     fx, skew, cx, p, fy, cy, *last = matrix.data
     if [skew, p, *last] != [0, 0, 0, 0, 1]:
         raise document.error(key, f"expected [fx, 0, cx, 0, fy, cy, 0, 0, 1], found {shown(matrix.data)}")
@@ -124,16 +115,6 @@ def _distortion(document: Document, file: CameraFile) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _check_rectification(document: Document, matrix: MatrixFile | None) -> None:
-    """Refuse a stereo camera's rectification, which would turn the image and is not applied."""
-    if matrix is not None and matrix.data != [1, 0, 0, 0, 1, 0, 0, 0, 1]:
-        raise document.error(("rectification_matrix", "data"), f"expected the unit matrix, found {shown(matrix.data)}")
-
-
-def _shape(matrix: MatrixFile) -> str:
-    return f"{matrix.rows} rows, {matrix.cols} cols and {len(matrix.data)} numbers"
-
-
 def save_camera(camera: Camera, path: Path, *, with_mount: bool = True, comment: str = "") -> None:
     """Write a camera file. Raises OutputError.
 
@@ -152,10 +133,15 @@ def camera_file(log: Path) -> Path:
     name = document.value.get("camera") if isinstance(document.value, dict) else None
     if not isinstance(name, str):
         raise document.error(("camera",), f"expected the name of a file, found {shown(name)}")
+    return named(document, log, "camera", name)
+
+
+def named(document: Document, folder: Path, key: str, name: str) -> Path:
+    """Return the path of the file in `folder` that the document names at `key`. Raises InputError."""
     try:
-        return inside(log, name)
+        return inside(folder, name)
     except ValueError as error:
-        raise document.error(("camera",), f"{error}, found {name!r}") from None
+        raise document.error((key,), f"{error}, found {name!r}") from None
 
 
 def camera_error(log: Path, key: tuple[str, ...], problem: str) -> InputError:
@@ -178,7 +164,11 @@ def update_mount(path: Path, changes: Mapping[str, float]) -> Path:
     wanted["mount"] |= changes
     for key, value in changes.items():
         text = _with_mount_value(text, str(path), key, value)
-    if _value(text) != wanted:  # written in a way that cannot be changed in place: then comments are lost
+    try:
+        changed = parse(text, str(path)).value
+    except InputError:
+        changed = None
+    if changed != wanted:  # written in a way that cannot be changed in place: then comments are lost
         text = dump(wanted)
     camera_from_document(parse(text, str(path)))
     kept = _keep_beside(path)
@@ -207,13 +197,6 @@ def _with_mount_value(text: str, source: str, key: str, value: float) -> str:
     return "\n".join(lines)
 
 
-def _value(text: str) -> Any:
-    try:
-        return parse(text, "").value
-    except InputError:
-        return None
-
-
 def _keep_beside(path: Path) -> Path:
     """Copy a file to the first free name of FILE.bak, FILE.bak2, … and return that."""
     with output_errors(path):
@@ -231,30 +214,17 @@ def _keep_beside(path: Path) -> Path:
 
 def camera_data(camera: Camera) -> dict[str, Any]:
     """Return the camera as plain data, as its file has it."""
-    mount = camera.mount
+    angles = {f"{name}_deg": degrees(getattr(camera.mount, f"{name}_rad")) for name in _ANGLES}
+    lengths = {name: float(getattr(camera.mount, name)) for name in _LENGTHS}
+    coefficients = [float(value) for value in camera.distortion]
     return {
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_name": camera.name,
-        "camera_matrix": {
-            "rows": 3,
-            "cols": 3,
-            "data": [float(value) for value in camera.matrix.ravel()],
-        },
+        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.matrix.ravel().tolist()},
         "distortion_model": camera.distortion_model,
-        "distortion_coefficients": {
-            "rows": 1,
-            "cols": len(camera.distortion),
-            "data": [float(value) for value in camera.distortion],
-        },
-        "mount": {
-            "tilt_deg": degrees(mount.tilt_rad),
-            "roll_deg": degrees(mount.roll_rad),
-            "height_m": float(mount.height_m),
-            "right_m": float(mount.right_m),
-            "back_m": float(mount.back_m),
-            "yaw_deg": degrees(mount.yaw_rad),
-        },
+        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
+        "mount": angles | lengths,
     }
 
 

@@ -1,32 +1,29 @@
 """Checkpoints: the filter as it was after some image, exactly, to go on from later.
 
-A file is two lines, the format's name and the SHA-256 of all that follows; then a line of JSON; then the bytes of the
-arrays that it lists. Nothing in it is run, and how much memory is taken is bounded by the size of the file.
+A file is two lines, the format's name and the SHA-256 of all that follows, and then what `packing` encodes. Nothing in
+it is run, and how much memory is taken is bounded by the size of the file.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.documents import read_bytes
 from localiser.errors import InputError
 from localiser.filter import FilterState
 from localiser.storage.files import write_bytes
-from localiser.storage.packing import fingerprint, pack, unpack
+from localiser.storage.packing import decode, encode, fingerprint, form_of
 
-FORMAT = "localiser-checkpoint/1"
+FORMAT = "localiser-checkpoint/2"
 MAX_BYTES = 2**30  # a state of ten million particles with five biases
-_MOST_DIMENSIONS = 8
-_KINDS = "fiub"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +34,16 @@ class Checkpoint:
     rng: np.random.Generator
     kept: Any
     identity: Mapping[str, str]
+
+
+class _File(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+    """What is written, in its order. form: of the state's type. rng: the state of the generator, as JSON."""
+
+    form: str
+    identity: dict[str, str]
+    rng: str
+    state: msgspec.Raw
+    kept: msgspec.Raw
 
 
 def identity_of(settings: Mapping[str, Any], **parts: Any) -> dict[str, str]:
@@ -65,26 +72,10 @@ def save_checkpoint(
 def checkpoint_bytes(
     state: FilterState, rng: np.random.Generator, identity: Mapping[str, str], kept: Any = None
 ) -> bytes:
-    """Return the content of a checkpoint. kept: anything that can be packed."""
-    arrays: list[NDArray[Any]] = []
-    header = {
-        "identity": dict(identity),
-        "rng": rng.bit_generator.state,
-        "state": pack(state, arrays),
-        "kept": pack(kept, arrays),
-    }
-    # In the order that they have in memory: how sums are rounded depends on it.
-    orders = ["F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C" for array in arrays]
-    little = [array.astype(array.dtype.newbyteorder("<"), order="K", copy=False) for array in arrays]
-    header["arrays"] = [
-        [array.dtype.str, list(array.shape), order] for array, order in zip(little, orders, strict=True)
-    ]
-    parts = [json.dumps(header).encode() + b"\n"]
-    parts += [array.tobytes(order) for array, order in zip(little, orders, strict=True)]  # type: ignore[arg-type]
-    digest = sha256()
-    for part in parts:
-        digest.update(part)
-    return b"".join([f"{FORMAT}\n{digest.hexdigest()}\n".encode(), *parts])
+    """Return the content of a checkpoint. kept: anything that `packing` can encode."""
+    random = json.dumps(rng.bit_generator.state)  # its integers have more than 64 bits
+    body = encode((form_of(FilterState), identity, random, state, kept))
+    return f"{FORMAT}\n{sha256(body).hexdigest()}\n".encode() + body
 
 
 def load_checkpoint(path: Path, identity: Mapping[str, str], kept: Any = None) -> Checkpoint:
@@ -106,22 +97,18 @@ def checkpoint_of(
     if digest != sha256(body).hexdigest().encode():
         raise InputError("expected a whole checkpoint, found one that is damaged or cut off", path=path)
     try:
-        line, _, data = body.partition(b"\n")
-        header = json.loads(line)
-        saved = unpack(dict[str, str], header["identity"], [], "identity")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise _other_version(path, error) from None
-    if identity is not None:
-        _require_same(path, saved, identity)
-    try:
-        arrays = _arrays(header["arrays"], data)
-        state = unpack(FilterState, header["state"], arrays, "state")
-        rest_of_it = unpack(kept or type(None), header["kept"], arrays, "kept")
+        file: _File = decode(_File, body)
+        if identity is not None:
+            _require_same(path, file.identity, identity)
+        if file.form != form_of(FilterState):
+            raise ValueError("the filter keeps other things")
+        state, rest_of_it = decode(FilterState, file.state), decode(kept or None, file.kept)
         rng = np.random.default_rng()
-        rng.bit_generator.state = header["rng"]
+        rng.bit_generator.state = json.loads(file.rng)
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise _other_version(path, error) from None
-    return Checkpoint(state, rng, rest_of_it, saved)
+        problem = f"expected a checkpoint that this version of the program made; {error}"
+        raise InputError(problem, path=path) from None
+    return Checkpoint(state, rng, rest_of_it, file.identity)
 
 
 def _require_same(path: Path, saved: Mapping[str, str], identity: Mapping[str, str]) -> None:
@@ -131,23 +118,3 @@ def _require_same(path: Path, saved: Mapping[str, str], identity: Mapping[str, s
             raise InputError(
                 f"expected {expected}, as the checkpoint was made with, found {found}", path=path, field=name
             )
-
-
-def _other_version(path: Path, error: Exception) -> InputError:
-    return InputError(f"expected a checkpoint that this version of the program made; {error}", path=path)
-
-
-def _arrays(described: Any, data: bytes) -> list[NDArray[Any]]:
-    """Return the arrays whose type, shape and order are listed, out of the bytes that hold them, one after another."""
-    arrays, start = [], 0
-    for name, shape, order in described:
-        dtype = np.dtype(name)
-        if dtype.kind not in _KINDS or len(shape) > _MOST_DIMENSIONS or any(size < 0 for size in shape):
-            raise ValueError(f"expected an array of numbers, found {name} {shape}")
-        stop = start + math.prod(shape) * dtype.itemsize
-        if stop > len(data):
-            raise ValueError(f"expected {stop} bytes of arrays, found {len(data)}")
-        flat = np.frombuffer(data[start:stop], dtype).astype(dtype.newbyteorder("="))
-        arrays.append(flat.reshape(shape, order=order))
-        start = stop
-    return arrays

@@ -18,25 +18,18 @@ from localiser.edges import Edges, complete
 from localiser.filter import Sighting
 from localiser.geometry import Array, wrap_angle
 from localiser.storage.files import write_text
-from localiser.storage.tables import (
-    Column,
-    Table,
-    integer,
-    integer_or_none,
-    number_or_unknown,
-    positive_or_unknown,
-    read_table,
-    sign,
-)
+from localiser.storage.tables import Column, Table, integer, integer_or_none, read_table, sign
+from localiser.storage.tables import number_or_unknown as number
+from localiser.storage.tables import positive_or_unknown as positive
 
 _MEASURED = ("bearing_rad", "bearing_sigma_rad", "lean_rad", "lean_sigma_rad", "length_px")
 COLUMNS = (
     Column("t_ns", integer),
-    Column("bearing_rad", number_or_unknown),
-    Column("bearing_sigma_rad", positive_or_unknown),
-    Column("lean_rad", number_or_unknown),
-    Column("lean_sigma_rad", positive_or_unknown),
-    Column("length_px", positive_or_unknown),
+    Column("bearing_rad", number),
+    Column("bearing_sigma_rad", positive),
+    Column("lean_rad", number),
+    Column("lean_sigma_rad", positive),
+    Column("length_px", positive),
     Column("polarity", sign),
     Column("landmark_id", integer_or_none, required=False),
 )
@@ -95,18 +88,14 @@ def save_edges(frames: Iterable[Sighting], camera: Camera, path: Path) -> None:
     lines = [",".join(column.name for column in COLUMNS)]
     for frame in frames:
         edges = frame.edges
-        columns = (
-            wrap_angle(edges.bearing - camera.mount.yaw_rad),
-            edges.bearing_sigma,
-            edges.lean,
-            edges.lean_sigma,
-            edges.length_px,
-        )
+        bearing = wrap_angle(edges.bearing - camera.mount.yaw_rad)
+        measured = (bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, edges.length_px)
         for row in range(len(edges)):
-            cells = ["" if np.isnan(column[row]) else repr(float(column[row])) for column in columns]
-            polarity = str(edges.polarity[row]) if edges.polarity[row] else ""
-            landmark = str(edges.landmark_id[row]) if edges.landmark_id[row] >= 0 else ""
-            lines.append(",".join([str(frame.t_ns), *cells, polarity, landmark]))
+            cells = [str(frame.t_ns)]
+            cells += ["" if np.isnan(column[row]) else repr(float(column[row])) for column in measured]
+            cells += [str(edges.polarity[row]) if edges.polarity[row] else ""]
+            cells += [str(edges.landmark_id[row]) if edges.landmark_id[row] >= 0 else ""]
+            lines.append(",".join(cells))
         if len(edges) == 0:
             lines.append(f"{frame.t_ns}" + "," * (len(COLUMNS) - 1))
     write_text(path, "\n".join(lines) + "\n")

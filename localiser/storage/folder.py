@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from localiser.camera import Camera
-from localiser.documents import Document, dump, load, validate
-from localiser.errors import InputError, OutputError
+from localiser.documents import dump, load, validate
+from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage.cameras import FileModel, degrees, load_camera, save_camera
+from localiser.storage.cameras import FileModel, degrees, load_camera, named, save_camera
 from localiser.storage.edge_tables import load_edges, save_edges
-from localiser.storage.files import inside, output_errors, write_bytes, write_text
+from localiser.storage.files import inside, output_errors, require_new, write_bytes, write_text
 from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of
-from localiser.storage.log import Frame, Log, require_overlap
+from localiser.storage.log import Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.tables import Column, integer, read_table, text
 from localiser.storage.trajectories import load_poses, save_poses
 
+Part = TypeVar("Part")
 LOG_FILE = "log.yaml"
 FORMAT = "localiser-log/1"
 FileName = Annotated[str, Field(min_length=1, max_length=255)]
@@ -65,21 +66,30 @@ class LogFile(BaseModel):
 class FolderReader:
     """Reads log folders."""
 
-    format = "folder"
+    format, looks_like, options = "folder", "a folder with a log.yaml", ()
 
     def recognises(self, path: Path) -> bool:
         """Whether `path` is a folder with a log.yaml, or that file itself."""
         return (path / LOG_FILE).exists() or path.name == LOG_FILE
 
-    def read(self, path: Path) -> Log:
+    def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log. That all images are there and of the camera's size is checked now. Raises InputError."""
         folder = path.parent if path.name == LOG_FILE else path
         document = load(folder / LOG_FILE)
         file = validate(document, LogFile)
-        camera = load_camera(_named(document, folder, "camera", file.camera))
-        odometry = load_poses(_named(document, folder, "odometry", file.odometry))
-        frames = _frames(document, folder, file, camera)
-        truth = load_poses(_named(document, folder, "groundtruth", file.groundtruth)) if file.groundtruth else None
+
+        def part(key: str, read: Callable[[Path], Part]) -> Part | None:
+            name = getattr(file, key)
+            return read(named(document, folder, key, name)) if name else None
+
+        camera = load_camera(named(document, folder, "camera", file.camera))
+        odometry = load_poses(named(document, folder, "odometry", file.odometry))
+        if bool(file.images) == bool(file.edges):
+            key, found = ("edges", "both") if file.images else ("images", "neither")
+            raise document.error((key,), f"expected images or edges, found {found}")
+        images = part("images", lambda table: _images(table, folder, camera))
+        edges = part("edges", lambda table: load_edges(table, camera))
+        frames: Sequence[Frame] = images or edges or []
         first_ns = min(int(odometry.t_ns[0]), frames[0].t_ns)
         log = Log(
             name=file.name,
@@ -87,29 +97,12 @@ class FolderReader:
             camera=camera,
             odometry=odometry,
             frames=frames,
-            landmark_map=load_map(_named(document, folder, "map", file.map)) if file.map else None,
+            landmark_map=part("map", load_map),
             start=start_from_file(file.start, first_ns) if file.start else None,
-            groundtruth=truth,
+            groundtruth=part("groundtruth", load_poses),
             settings={f"motion.{name}": value for name, value in (file.motion or {}).items()},
         )
         return require_overlap(log)
-
-
-def _named(document: Document, folder: Path, field: str, name: str) -> Path:
-    try:
-        return inside(folder, name)
-    except ValueError as error:
-        raise document.error((field,), f"{error}, found {name!r}") from None
-
-
-def _frames(document: Document, folder: Path, file: LogFile, camera: Camera) -> list[Frame]:
-    if file.images and file.edges:
-        raise document.error(("edges",), "expected images or edges, found both")
-    if file.images:
-        return list(_images(_named(document, folder, "images", file.images), folder, camera))
-    if file.edges:
-        return list(load_edges(_named(document, folder, "edges", file.edges), camera))
-    raise document.error(("images",), "expected images or edges, found neither")
 
 
 def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
@@ -145,6 +138,14 @@ def start_from_file(file: StartFile, t_ns: int) -> Start:
     return Start(t_ns, mean, np.diag(sigma**2))
 
 
+def start_data(start: Start) -> dict[str, float]:
+    """Return a start as plain data, as a file has it: one sigma for the position and one for the heading."""
+    x, z, heading = (float(value) for value in start.mean)
+    sigma_m = float(np.sqrt((start.cov[0, 0] + start.cov[1, 1]) / 2))
+    sigma_deg = degrees(float(np.sqrt(start.cov[2, 2])))
+    return {"x": x, "z": z, "heading_deg": degrees(heading), "sigma_m": sigma_m, "sigma_deg": sigma_deg}
+
+
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
@@ -172,29 +173,27 @@ def write_log(
     """
     if (images is None) == (sightings is None):
         raise ValueError("expected images or sightings")
+    require_new(folder)
+    draft = folder.with_name(f".{folder.name}.part")
     with output_errors(folder):
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise OutputError(f"{folder}: expected a new or empty folder, found files in it")
-        draft = folder.with_name(f".{folder.name}.part")
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir(parents=True)
+    data: dict[str, Any] = {"format": FORMAT, "name": name}
+
+    def part(key: str, file: str, write: Callable[[Part, Path], None], value: Part | None) -> None:
+        if value is not None:
+            data[key] = file
+            write(value, draft / file)
+
     try:
-        names = {"camera": "camera.yaml", "odometry": "odometry.csv"}
-        save_camera(camera, draft / "camera.yaml")
-        save_poses(odometry, draft / "odometry.csv")
-        if groundtruth is not None:
-            names["groundtruth"] = "groundtruth.csv"
-            save_poses(groundtruth, draft / "groundtruth.csv")
-        if landmark_map is not None:
-            names["map"] = "map.yaml"
-            save_map(landmark_map, draft / "map.yaml")
-        if images is not None:
-            names["images"] = "images.csv"
-            _write_images(images, draft, image_suffix, jpeg_quality)
-        if sightings is not None:
-            names["edges"] = "edges.csv"
-            save_edges(sightings, camera, draft / "edges.csv")
-        data: dict[str, Any] = {"format": FORMAT, "name": name, **names}
+        part("camera", "camera.yaml", save_camera, camera)
+        part("odometry", "odometry.csv", save_poses, odometry)
+        part("groundtruth", "groundtruth.csv", save_poses, groundtruth)
+        part("map", "map.yaml", save_map, landmark_map)
+        part(
+            "images", "images.csv", lambda images, path: _write_images(images, path, image_suffix, jpeg_quality), images
+        )
+        part("edges", "edges.csv", lambda frames, path: save_edges(frames, camera, path), sightings)
         if start is not None:
             data["start"] = start_data(start)
         if motion:
@@ -207,27 +206,11 @@ def write_log(
         raise
 
 
-def _write_images(images: Iterable[tuple[int, Image | bytes]], folder: Path, suffix: str, jpeg_quality: int) -> None:
+def _write_images(images: Iterable[tuple[int, Image | bytes]], table: Path, suffix: str, jpeg_quality: int) -> None:
     lines = ["t_ns,file"]
     for index, (t_ns, image) in enumerate(images):
-        if isinstance(image, bytes):
-            data, ending = image, suffix_of(image)
-        else:
-            data, ending = encode_image(image, suffix, jpeg_quality), suffix
-        name = f"images/{index:06d}{ending}"
-        write_bytes(folder / name, data)
+        data = image if isinstance(image, bytes) else encode_image(image, suffix, jpeg_quality)
+        name = f"images/{index:06d}{suffix_of(data)}"
+        write_bytes(table.parent / name, data)
         lines.append(f"{t_ns},{name}")
-    write_text(folder / "images.csv", "\n".join(lines) + "\n")
-
-
-def start_data(start: Start) -> dict[str, float]:
-    """Return a start as plain data, as a file has it: one sigma for the position and one for the heading."""
-    x, z, heading = (float(value) for value in start.mean)
-    position_var = (start.cov[0, 0] + start.cov[1, 1]) / 2
-    return {
-        "x": x,
-        "z": z,
-        "heading_deg": degrees(heading),
-        "sigma_m": float(np.sqrt(position_var)),
-        "sigma_deg": degrees(float(np.sqrt(start.cov[2, 2]))),
-    }
+    write_text(table, "\n".join(lines) + "\n")

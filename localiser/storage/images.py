@@ -7,6 +7,8 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from struct import unpack_from
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +28,6 @@ _PNG_COLOUR_TYPE = 25
 _PNG_COLOURS = frozenset((2, 3, 6))
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _JPEG_END = 0xD9
-_JPEG_SCAN = 0xDA
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # not a stuffed byte, a filler or a restart
 
@@ -85,14 +86,18 @@ def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None
     """
     colour = data.startswith(_PNG_SIGNATURE) and data[_PNG_COLOUR_TYPE] in _PNG_COLOURS
     flags = (cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour and image is not None else image
-    except cv2.error:
-        image = None
-    if image is None or image.shape != (size[1], size[0]):
+    image = decode_pixels(data, flags)
+    if image is None or image.shape[:2] != (size[1], size[0]):
         raise InputError("expected an image that can be decoded", path=path, field=field)
-    return np.asarray(image, dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, dtype=np.uint8)
+
+
+def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
+    """Return what OpenCV reads from an image file, None where it cannot."""
+    try:
+        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error:
+        return None
 
 
 def check_head(path: Path, size: tuple[int, int]) -> None:
@@ -119,11 +124,8 @@ def check_head(path: Path, size: tuple[int, int]) -> None:
 def check_size(path: Path, found: tuple[int, int], size: tuple[int, int], field: str | None = None) -> None:
     """Raise InputError when an image's size is not the camera's."""
     if found != size:
-        raise InputError(
-            f"expected an image of {size[0]}×{size[1]} pixels, as the camera says, found {found[0]}×{found[1]}",
-            path=path,
-            field=field,
-        )
+        expected = f"expected an image of {size[0]}×{size[1]} pixels, as the camera says"
+        raise InputError(f"{expected}, found {found[0]}×{found[1]}", path=path, field=field)
 
 
 # -- the structure of the two formats ---------------------------------------------------------------------------------
@@ -152,10 +154,8 @@ def _measure_jpeg(data: bytes) -> tuple[tuple[int, int], bool]:
         start = marker.end()
         length = int.from_bytes(data[start : start + 2], "big")
         if kind in _JPEG_FRAMES and start + 7 <= len(data):
-            size = (
-                int.from_bytes(data[start + 5 : start + 7], "big"),
-                int.from_bytes(data[start + 3 : start + 5], "big"),
-            )
+            height, width = unpack_from(">HH", data, start + 3)
+            size = (width, height)
         place = start + max(length, 2)
     if size is None:
         raise ValueError("expected a JPEG image, found one that is cut off before its size")
@@ -166,7 +166,8 @@ def _measure_png(data: bytes) -> tuple[tuple[int, int], bool]:
     """Walk from chunk to chunk, each of which carries a checksum, to the chunk that ends the file."""
     if len(data) < 33 or data[12:16] != b"IHDR":
         raise ValueError("expected a PNG image, found one that is cut off before its size")
-    size = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    width, height = unpack_from(">II", data, 16)
+    size = (width, height)
     place = len(_PNG_SIGNATURE)
     while place + 12 <= len(data):
         body_end = place + 8 + int.from_bytes(data[place : place + 4], "big")

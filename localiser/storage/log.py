@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from localiser.camera import Camera
+from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import Odometry, Sighting, Start
 from localiser.geometry import Trajectory
@@ -68,21 +69,39 @@ class Log:
         yield from heapq.merge(wheels, self.frames, self.restarts, key=lambda event: event.t_ns)
 
 
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """What a user may say of a log that is opened.
+
+    sensor: stands in for the camera where a log has bearings only. topics: names of a bag's topics by what they are
+    for. camera: a camera file in place of what a bag says of its camera.
+    """
+
+    sensor: BearingSensor = field(default_factory=BearingSensor)
+    topics: Mapping[str, str] = field(default_factory=dict)
+    camera: Path | None = None
+
+
 class LogReader(Protocol):
     """Reads logs of one format."""
 
     @property
     def format(self) -> str:
-        """The name of the format, as `--format` takes it."""
-        ...
+        """Its name, as `--format` takes it."""
+
+    @property
+    def looks_like(self) -> str:
+        """What such a log is, for people."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Which of "topics" (`--topic`) and "camera" (`--camera`) it takes."""
 
     def recognises(self, path: Path) -> bool:
         """Whether `path` looks like a log of this format."""
-        ...
 
-    def read(self, path: Path) -> Log:
+    def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; images are read later, one by one. Raises InputError."""
-        ...
 
 
 def require_overlap(log: Log) -> Log:

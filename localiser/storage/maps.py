@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
 
 from localiser.documents import Document, dump, load, shown, validate
+from localiser.geometry import Array
 from localiser.landmarks import FRAME, LandmarkMap, Quality
 from localiser.storage.files import write_text
 
@@ -82,8 +83,8 @@ def map_from_document(document: Document) -> LandmarkMap:
         ids=tuple(landmark.id for landmark in landmarks),
         points=np.array([[landmark.x, landmark.z] for landmark in landmarks]),
         cov=np.array([_cov(landmark.cov) for landmark in landmarks]),
-        bottom_m=np.array([landmark.bottom_m for landmark in landmarks]),
-        top_m=np.array([landmark.top_m for landmark in landmarks]),
+        bottom_m=_column(landmarks, "bottom_m"),
+        top_m=_column(landmarks, "top_m"),
         polarity=np.array([landmark.polarity or 0 for landmark in landmarks], dtype=np.int8),
         source=tuple(landmark.source for landmark in landmarks),
         frame=file.frame,
@@ -93,21 +94,19 @@ def map_from_document(document: Document) -> LandmarkMap:
     )
 
 
+def _column(landmarks: list[LandmarkFile], name: str) -> Array:
+    return np.array([getattr(landmark, name) for landmark in landmarks], dtype=np.float64)
+
+
 def _quality(landmarks: list[LandmarkFile]) -> Quality | None:
     """Return what the landmarks say of their quality, None where none says anything."""
     width = max(len(landmark.profile) for landmark in landmarks)
-    profile = np.full((len(landmarks), width), np.nan)
-    for row, landmark in zip(profile, landmarks, strict=True):
-        if len(landmark.profile) == width:
-            row[:] = landmark.profile
-    quality = Quality(
-        sightings=np.array([math.nan if mark.sightings is None else mark.sightings for mark in landmarks]),
-        parallax_rad=np.deg2rad([landmark.parallax_deg for landmark in landmarks]),
-        existence=np.array([landmark.existence for landmark in landmarks]),
-        profile=profile,
-    )
-    known = (quality.sightings, quality.parallax_rad, quality.existence, profile)
-    return quality if any(np.isfinite(column).any() for column in known) else None
+    unknown = [math.nan] * width
+    profiles = [mark.profile if len(mark.profile) == width else unknown for mark in landmarks]
+    sightings, existence = _column(landmarks, "sightings"), _column(landmarks, "existence")
+    parallax_rad, profile = np.deg2rad(_column(landmarks, "parallax_deg")), np.array(profiles, dtype=np.float64)
+    known = any(np.isfinite(column).any() for column in (sightings, existence, parallax_rad, profile))
+    return Quality(sightings, parallax_rad, existence, profile) if known else None
 
 
 def _check_frame(document: Document, frame: dict[str, Any]) -> None:
@@ -140,7 +139,12 @@ def _cov(cov: CovFile | None) -> list[list[float]]:
 
 def save_map(landmark_map: LandmarkMap, path: Path) -> None:
     """Write a map file with everything that the map knows. Raises OutputError."""
-    write_text(path, dump(map_data(landmark_map)))
+    write_text(path, map_text(landmark_map))
+
+
+def map_text(landmark_map: LandmarkMap) -> str:
+    """Return the text of the map's file."""
+    return dump(map_data(landmark_map))
 
 
 def map_data(landmark_map: LandmarkMap) -> dict[str, Any]:
@@ -160,26 +164,23 @@ def _landmark_data(landmark_map: LandmarkMap, index: int) -> dict[str, Any]:
     (xx, xz), (_, zz) = landmark_map.cov[index]
     if not np.isnan(landmark_map.cov[index]).all():
         data["cov"] = {"xx": float(xx), "xz": float(xz), "zz": float(zz)}
-    for name, heights in (("bottom_m", landmark_map.bottom_m), ("top_m", landmark_map.top_m)):
-        if not np.isnan(heights[index]):
-            data[name] = float(heights[index])
+    data |= {name: value for name, value in _numbers(landmark_map, index).items() if np.isfinite(value)}
     if landmark_map.polarity[index]:
         data["polarity"] = int(landmark_map.polarity[index])
     if landmark_map.source[index]:
         data["source"] = landmark_map.source[index]
-    if landmark_map.quality is not None:
-        data |= _quality_data(landmark_map.quality, index)
+    profile = [] if landmark_map.quality is None else landmark_map.quality.profile[index]
+    if len(profile) and np.isfinite(profile).all():
+        data["profile"] = [round(float(grey), 1) for grey in profile]
     return data | (landmark_map.extra[index] if landmark_map.extra else {})
 
 
-def _quality_data(quality: Quality, index: int) -> dict[str, Any]:
-    data: dict[str, Any] = {}
-    if np.isfinite(quality.sightings[index]):
-        data["sightings"] = int(quality.sightings[index])
-    if np.isfinite(quality.parallax_rad[index]):
-        data["parallax_deg"] = round(math.degrees(quality.parallax_rad[index]), 6)
-    if np.isfinite(quality.existence[index]):
-        data["existence"] = round(float(quality.existence[index]), 6)
-    if quality.profile.shape[1] and np.isfinite(quality.profile[index]).all():
-        data["profile"] = [round(float(grey), 1) for grey in quality.profile[index]]
-    return data
+def _numbers(landmark_map: LandmarkMap, index: int) -> dict[str, float]:
+    """Return the numbers of a landmark that may be unknown, which then are nan."""
+    numbers = {"bottom_m": float(landmark_map.bottom_m[index]), "top_m": float(landmark_map.top_m[index])}
+    if (quality := landmark_map.quality) is not None:
+        count = quality.sightings[index]
+        numbers["sightings"] = int(count) if np.isfinite(count) else math.nan
+        numbers["parallax_deg"] = round(math.degrees(quality.parallax_rad[index]), 6)
+        numbers["existence"] = round(float(quality.existence[index]), 6)
+    return numbers

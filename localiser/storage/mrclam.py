@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from localiser.errors import InputError
 from localiser.filter import Sighting
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage.log import Log
+from localiser.storage.log import Log, ReadOptions
 from localiser.storage.tables import Column, integer, number, read_columns
 from localiser.storage.trajectories import nanoseconds
 
@@ -43,23 +43,17 @@ degrees and 2 cm every 2 s."""
 _TIME = Column("time", nanoseconds)
 
 
-@dataclass(frozen=True, slots=True)
 class MrclamReader:
-    """Reads one robot of a data set; sensor: what stands in for the camera."""
+    """Reads one robot of a data set."""
 
-    sensor: BearingSensor = field(default_factory=BearingSensor)
-
-    @property
-    def format(self) -> str:
-        """The name of the format."""
-        return "mrclam"
+    format, looks_like, options = "mrclam", "FOLDER:N of the UTIAS data set", ()
 
     def recognises(self, path: Path) -> bool:
         """Whether `path` is FOLDER:N with the files of robot N, or a folder with those of any robot."""
         folder, robot = _split(path)
         return (folder / f"Robot{robot or 1}_Odometry.dat").exists()
 
-    def read(self, path: Path) -> Log:
+    def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log of one robot. Raises InputError."""
         folder, robot = _split(path)
         if robot is None:
@@ -69,19 +63,17 @@ class MrclamReader:
         odometry = _odometry(folder / f"Robot{robot}_Odometry.dat")
         truth = _groundtruth(folder / f"Robot{robot}_Groundtruth.dat")
         landmark_map = _landmarks(folder / "Landmark_Groundtruth.dat")
-        sightings = _sightings(folder, robot, landmark_map, self.sensor)
+        sightings = _sightings(folder, robot, landmark_map, options.sensor)
         # Without truth a frame cannot be judged, without odometry not be located.
         frames = [frame for frame in sightings if odometry.covers(frame.t_ns) and truth.covers(frame.t_ns)]
         if not frames:
-            raise InputError(
-                "expected measurements while there is odometry and truth, found none",
-                path=folder / f"Robot{robot}_Measurement.dat",
-            )
+            problem = "expected measurements while there is odometry and truth, found none"
+            raise InputError(problem, path=folder / f"Robot{robot}_Measurement.dat")
         name = f"{folder.resolve().name}-robot{robot}"
         return Log(
             name=name,
             path=folder,
-            camera=self.sensor.camera(name),
+            camera=options.sensor.camera(name),
             odometry=odometry,
             frames=frames,
             landmark_map=landmark_map,

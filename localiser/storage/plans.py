@@ -15,7 +15,7 @@ from localiser.documents import dump, load, read_bytes, validate
 from localiser.errors import InputError
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
 from localiser.storage.files import write_bytes, write_text
-from localiser.storage.images import measure
+from localiser.storage.images import decode_pixels, measure
 
 OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
 _MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text
@@ -75,17 +75,15 @@ def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
     colours = channels - 1 if has_alpha and file.mode != "trinary" else channels
     mean = picture[..., :colours].mean(axis=2, dtype=np.float32)
     mean = 255.0 - mean if file.negate else mean
+    percent = np.round(mean)
     if file.mode == "raw":
-        known = np.round(mean) <= 100
-        share = np.round(mean) / 100
-        return known & (share >= file.occupied_thresh), known & (share <= file.free_thresh)
-    share = (255.0 - mean) / 255.0
-    occupied, free = share > file.occupied_thresh, share < file.free_thresh
+        known, wall = percent <= 100, percent / 100
+        return known & (wall >= file.occupied_thresh), known & (wall <= file.free_thresh)
+    wall = (255.0 - mean) / 255.0
+    occupied, free = wall > file.occupied_thresh, wall < file.free_thresh
     if file.mode == "scale":
-        between = ~occupied & ~free
-        if has_alpha:
-            between &= picture[..., -1] == 255
-        likely = share >= (file.occupied_thresh + file.free_thresh) / 2
+        between = ~occupied & ~free & ((picture[..., -1] == 255) | (not has_alpha))
+        likely = wall >= (file.occupied_thresh + file.free_thresh) / 2
         occupied, free = occupied | (between & likely), free | (between & ~likely)
     return occupied, free
 
@@ -96,16 +94,8 @@ def save_plan(plan: FloorPlan, path: Path) -> Path:
     grey = np.where(plan.occupied, OCCUPIED_GREY, np.where(plan.free, FREE_GREY, UNKNOWN_GREY)).astype(np.uint8)
     rows, columns = grey.shape
     write_bytes(picture, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
-    data = {
-        "image": picture.name,
-        "resolution": plan.resolution_m,
-        "origin": [float(value) for value in plan.origin_ros],
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": 0.196,
-        "mode": "trinary",
-    }
-    write_text(path, dump(data))
+    data = {"image": picture.name, "resolution": plan.resolution_m, "origin": plan.origin_ros.tolist()}
+    write_text(path, dump(data | {"negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196, "mode": "trinary"}))
     return picture
 
 
@@ -135,7 +125,9 @@ def _read_pgm(data: bytes) -> Picture:
     if not 1 <= largest <= 65535:
         raise ValueError(f"expected a PGM picture with a largest value of 1 to 65535, found {largest}")
     body = data[head.end() :]
-    values = _text_values(body) if head[1] == b"P2" else _binary_values(body, 1 if largest < 256 else 2)
+    dtype = np.dtype(np.uint8 if largest < 256 else ">u2")
+    whole = len(body) // dtype.itemsize
+    values: Picture = _text_values(body) if head[1] == b"P2" else np.frombuffer(body, dtype, count=whole)
     if len(values) < rows * columns:
         raise ValueError(f"expected {columns}×{rows} pixels, as its head says, found {len(values)}: it is cut off")
     values = values[: rows * columns].reshape(rows, columns, 1)
@@ -151,10 +143,6 @@ def _text_values(body: bytes) -> Picture:
     return np.array(words, dtype=np.int32)
 
 
-def _binary_values(body: bytes, size: int) -> Picture:
-    return np.frombuffer(body[: len(body) // size * size], dtype=np.uint8 if size == 1 else ">u2")
-
-
 def _read_png(data: bytes) -> Picture:
     if not data.startswith(b"\x89PNG"):
         raise ValueError("expected a PGM or PNG picture, found " + ("an empty file" if not data else "something else"))
@@ -162,10 +150,7 @@ def _read_png(data: bytes) -> Picture:
     _check_cells(columns, rows)
     if not complete:
         raise ValueError("expected a whole picture, found one that is cut off or damaged")
-    try:
-        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        picture = None
+    picture = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if picture is None or picture.shape[:2] != (rows, columns):
         raise ValueError("expected a picture that can be decoded")
     picture = picture.reshape(rows, columns, -1)

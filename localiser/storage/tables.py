@@ -7,8 +7,9 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from localiser.documents import nearest, read_text, shown
 from localiser.errors import InputError
 from localiser.geometry import Array
 
+Value = TypeVar("Value")
 MAX_TABLE_BYTES = 64 * 2**20  # a million rows of odometry
 _LARGEST = 1e9  # metres, radians, pixels: beyond it a number is a mistake, and squares of it still fit a float
 
@@ -58,14 +60,20 @@ class Table:
         """Raise InputError at the first row whose time (ns) is before the one above it, or the same if `strictly`."""
         times = self.columns[name]
         unit = "" if name.endswith("_ns") else " ns"  # the file has another
-        for row in range(1, len(times)):
-            if times[row] < times[row - 1] or (strictly and times[row] == times[row - 1]):
-                then = "after" if strictly else "not before"
-                problem = f"expected a time {then} {times[row - 1]}{unit}, found {times[row]}{unit}"
-                raise self.error(row, name, problem)
+        then = "after" if strictly else "not before"
+        for row, (before, time) in enumerate(pairwise(times), start=1):
+            if time < before or (strictly and time == before):
+                raise self.error(row, name, f"expected a time {then} {before}{unit}, found {time}{unit}")
 
 
 # -- cells: each returns the value or raises ValueError with what was expected -----------------------------------------
+
+
+def plain(cell: str) -> str:
+    """Return the cell if it holds nothing that Python reads as a number and other programs do not."""
+    if "_" in cell or not cell.isascii() or len(cell) > 100:
+        raise ValueError
+    return cell
 
 
 def number(cell: str) -> float:
@@ -76,9 +84,7 @@ def number(cell: str) -> float:
         raise ValueError("a number") from None
     if not math.isfinite(value):
         raise ValueError("a finite number")
-    if abs(value) > _LARGEST:
-        raise ValueError(f"a number within ±{_LARGEST:.0e}")
-    return value
+    return _within(value, abs(value) <= _LARGEST, f"a number within ±{_LARGEST:.0e}")
 
 
 def number_or_unknown(cell: str) -> float:
@@ -89,9 +95,7 @@ def number_or_unknown(cell: str) -> float:
 def positive_or_unknown(cell: str) -> float:
     """Return a number above 0, nan for an empty cell."""
     value = number_or_unknown(cell)
-    if value <= 0:
-        raise ValueError("a number above 0")
-    return value
+    return _within(value, not value <= 0, "a number above 0")
 
 
 def integer(cell: str) -> int:
@@ -100,40 +104,30 @@ def integer(cell: str) -> int:
         value = int(plain(cell))
     except ValueError:
         raise ValueError("an integer") from None
-    if abs(value) >= 2**62:
-        raise ValueError("an integer below 2^62")
-    return value
+    return _within(value, abs(value) < 2**62, "an integer below 2^62")
 
 
 def integer_or_none(cell: str) -> int:
     """Return an integer from -1 on, -1 for an empty cell."""
     value = integer(cell) if cell.strip() else -1
-    if value < -1:
-        raise ValueError("an integer from -1 on")
-    return value
+    return _within(value, value >= -1, "an integer from -1 on")
 
 
 def sign(cell: str) -> int:
     """Return +1, -1, or 0, which is also what an empty cell means."""
-    if cell.strip() not in ("", "-1", "0", "1", "+1"):
-        raise ValueError("1, -1 or 0")
-    return int(cell.strip() or 0)
+    return int(_within(cell.strip(), cell.strip() in ("", "-1", "0", "1", "+1"), "1, -1 or 0") or 0)
 
 
 def text(cell: str) -> str:
     """Return a name of at most 255 characters."""
-    if not cell.strip():
-        raise ValueError("a name")
-    if len(cell) > 255:
-        raise ValueError("a name of at most 255 characters")
-    return cell.strip()
+    _within(cell, bool(cell.strip()), "a name")
+    return _within(cell, len(cell) <= 255, "a name of at most 255 characters").strip()
 
 
-def plain(cell: str) -> str:
-    """Return the cell if it holds nothing that Python reads as a number and other programs do not."""
-    if "_" in cell or not cell.isascii() or len(cell) > 100:
-        raise ValueError
-    return cell
+def _within(value: Value, is_right: bool, expected: str) -> Value:
+    if not is_right:
+        raise ValueError(expected)
+    return value
 
 
 # -- files ------------------------------------------------------------------------------------------------------------
@@ -149,62 +143,11 @@ def read_table(path: Path, columns: Sequence[Column], *, rows_at_least: int = 0,
         rows = [(reader.line_num, cells) for cells in reader if cells]
     except csv.Error as error:
         raise InputError(f"not valid CSV: {error}", path=path, line=reader.line_num) from None
+    wanted = repr(",".join(column.name for column in columns if column.required))
     if not rows:
-        raise InputError(f"expected the header {_header(columns)}, found an empty file", path=path)
-    found = _checked_header(path, rows[0], columns, more_columns)
-    body = rows[1:]
-    if len(body) < rows_at_least:
-        raise InputError(f"expected at least {rows_at_least} rows after the header, found {len(body)}", path=path)
-    for line, cells in body:
-        if len(cells) != len(found):
-            raise InputError(f"expected {len(found)} cells, found {len(cells)}", path=path, line=line)
-    values = {
-        column.name: _column(path, column, [(line, cells[place]) for line, cells in body])
-        for place, column in enumerate(found)
-    }
-    return Table(path, values, [line for line, _ in body])
-
-
-def read_columns(path: Path, columns: Sequence[Column]) -> Table:
-    """Return the table, at least one row, in a file of exactly these columns between white space, # before comments.
-
-    Raises InputError with file, line and field.
-    """
-    rows = []
-    for line, content in enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1):
-        cells = content.split()
-        if not cells or cells[0].startswith("#"):
-            continue
-        if len(cells) != len(columns):
-            wanted = f"{len(columns)} columns ({', '.join(column.name for column in columns)})"
-            raise InputError(f"expected {wanted}, found {len(cells)}", path=path, line=line)
-        rows.append((line, cells))
-    if not rows:
-        raise InputError("expected at least one row, found none", path=path)
-    values = {
-        column.name: _column(path, column, [(line, cells[place]) for line, cells in rows])
-        for place, column in enumerate(columns)
-    }
-    return Table(path, values, [line for line, _ in rows])
-
-
-def _column(path: Path, column: Column, cells: list[tuple[int, str]]) -> list[Any]:
-    values = []
-    for line, cell in cells:
-        try:
-            values.append(column.read(cell))
-        except ValueError as error:
-            found = shown(cell) if cell.strip() else "an empty cell"
-            raise InputError(f"expected {error}, found {found}", path=path, line=line, field=column.name) from None
-    return values
-
-
-def _checked_header(
-    path: Path, header: tuple[int, list[str]], columns: Sequence[Column], more_columns: bool
-) -> list[Column]:
-    """Return the columns in the order of the file."""
-    line, names = header[0], [cell.strip() for cell in header[1]]
-    known = {column.name: column for column in columns}
+        raise InputError(f"expected the header {wanted}, found an empty file", path=path)
+    (line, header), *body = rows
+    names, known = [cell.strip() for cell in header], {column.name: column for column in columns}
     for name in names:
         if names.count(name) > 1:
             raise InputError("column given twice", path=path, line=line, field=shown(name))
@@ -212,14 +155,36 @@ def _checked_header(
             raise InputError(f"unknown column; {nearest(name, list(known))}", path=path, line=line, field=shown(name))
     for column in columns:
         if column.required and column.name not in names:
-            found = shown(",".join(names))
-            raise InputError(
-                f"expected a column {column.name!r} in the header {_header(columns)}, found {found}",
-                path=path,
-                line=line,
-            )
-    return [known.get(name, Column(name, str)) for name in names]
+            problem = f"expected a column {column.name!r} in the header {wanted}, found {shown(','.join(names))}"
+            raise InputError(problem, path=path, line=line)
+    if len(body) < rows_at_least:
+        raise InputError(f"expected at least {rows_at_least} rows after the header, found {len(body)}", path=path)
+    return _table(path, [known.get(name, Column(name, str)) for name in names], body, "cells")
 
 
-def _header(columns: Sequence[Column]) -> str:
-    return repr(",".join(column.name for column in columns if column.required))
+def read_columns(path: Path, columns: Sequence[Column]) -> Table:
+    """Return the table, at least one row, in a file of exactly these columns between white space, # before comments.
+
+    Raises InputError with file, line and field.
+    """
+    lines = enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1)
+    rows = [(line, cells) for line, text in lines if (cells := text.split()) and not cells[0].startswith("#")]
+    if not rows:
+        raise InputError("expected at least one row, found none", path=path)
+    return _table(path, columns, rows, f"columns ({', '.join(column.name for column in columns)})")
+
+
+def _table(path: Path, columns: Sequence[Column], rows: Sequence[tuple[int, list[str]]], what: str) -> Table:
+    """Return the table of rows of cells, each with its line. what: a row consists of, for errors."""
+    for line, cells in rows:
+        if len(cells) != len(columns):
+            raise InputError(f"expected {len(columns)} {what}, found {len(cells)}", path=path, line=line)
+    values: dict[str, list[Any]] = {column.name: [] for column in columns}
+    for place, column in enumerate(columns):
+        for line, cells in rows:
+            try:
+                values[column.name].append(column.read(cells[place]))
+            except ValueError as error:
+                found = shown(cells[place]) if cells[place].strip() else "an empty cell"
+                raise InputError(f"expected {error}, found {found}", path=path, line=line, field=column.name) from None
+    return Table(path, values, [line for line, _ in rows])

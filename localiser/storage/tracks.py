@@ -9,9 +9,10 @@ import numpy as np
 
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
+from localiser.geometry import Array
 from localiser.storage.files import output_errors
-from localiser.storage.tables import Column, integer, number, number_or_unknown, read_table
-from localiser.storage.trajectories import tum_line
+from localiser.storage.tables import Column, number, number_or_unknown, read_table
+from localiser.storage.trajectories import POSE_COLUMNS, tum_line
 
 TRAJECTORY_CSV = "trajectory.csv"
 TRAJECTORY_TUM = "trajectory.tum"
@@ -22,8 +23,7 @@ _ODOMETRY = ("odometry_x", "odometry_z", "odometry_heading")
 PLACE = 0.05  # of the weight that a place must have to be counted
 _UPPER = np.triu_indices(3)
 COLUMNS = (
-    Column("t_ns", integer),
-    *(Column(name, number) for name in ("x", "z", "heading")),
+    *POSE_COLUMNS,
     *(Column(name, number) for name in (*_COV, "ess")),
     *(Column(name, number_or_unknown, required=False) for name in ("edges", *_ODOMETRY, "p_correct")),
     Column("reason", str, required=False),
@@ -90,11 +90,7 @@ def load_track(path: Path) -> Track:
     table.require_time_order(strictly=True)
     covs = np.empty((len(table), 3, 3))
     covs[:, _UPPER[0], _UPPER[1]] = covs[:, _UPPER[1], _UPPER[0]] = table.numbers(*_COV)
-    return Track.from_poses(
-        table.integers("t_ns"),
-        table.numbers("x", "z", "heading"),
-        covs=covs,
-        odometry=table.numbers(*_ODOMETRY) if all(name in table.columns for name in _ODOMETRY) else None,
-        edges=table.numbers("edges") if "edges" in table.columns else None,
-        p_correct=table.numbers("p_correct") if "p_correct" in table.columns else None,
-    )
+    known: dict[str, Array] = {name: table.numbers(name) for name in ("edges", "p_correct") if name in table.columns}
+    if all(name in table.columns for name in _ODOMETRY):
+        known["odometry"] = table.numbers(*_ODOMETRY)
+    return Track.from_poses(table.integers("t_ns"), table.numbers("x", "z", "heading"), covs=covs, **known)

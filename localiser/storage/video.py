@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -52,13 +53,10 @@ def _times_ns(path: Path, camera: Camera) -> list[int]:
     capture.release()
     if not times:
         raise InputError("expected a video with at least one frame, found none", path=path)
-    stuck = np.flatnonzero(np.diff(times) <= 0)
-    if len(stuck):
-        raise InputError(
-            f"expected frames with times that increase, found {times[stuck[0] + 1]} ns after {times[stuck[0]]} ns",
-            path=path,
-            field=f"frame {stuck[0] + 1}",
-        )
+    for frame, (before, time) in enumerate(pairwise(times), start=1):
+        if time <= before:
+            problem = f"expected frames with times that increase, found {time} ns after {before} ns"
+            raise InputError(problem, path=path, field=f"frame {frame}")
     return [t_ns - times[0] for t_ns in times]
 
 

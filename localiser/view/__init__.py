@@ -1,11 +1,15 @@
 """What a run looks like: recorded to a Rerun file, or shown live; the only place that knows Rerun."""
 
+from typing import TYPE_CHECKING, Any
+
 from localiser.view.context import Context
 from localiser.view.file import RrdFile
-from localiser.view.landmark_view import record_map
 from localiser.view.live import LiveView, check_kind
 from localiser.view.lookalikes import record_lookalikes
 from localiser.view.mapping import Finished, Growing, MapFile, MapView, building_context
+
+if TYPE_CHECKING:
+    from localiser.view.landmark_view import record_map
 
 __all__ = [
     "Context",
@@ -20,3 +24,12 @@ __all__ = [
     "record_lookalikes",
     "record_map",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what draws a map when it is asked for: Rerun takes most of a second."""
+    if name == "record_map":
+        from localiser.view.landmark_view import record_map
+
+        return record_map
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -24,10 +25,8 @@ def blueprint(context: Context, titles: Mapping[str, str] | None = None, *, marg
     titles: of the plots by their paths; by default those of a run. margin_m: to show around map and truth.
     """
     plots = rrb.Grid(*_plots(titles or _titles(context)), grid_columns=2)
-    if context.images:
-        beside = rrb.Vertical(_image(context), plots, _text(), row_shares=[9, 8, 3])
-    else:
-        beside = rrb.Vertical(plots, _text(), row_shares=[8, 2])
+    parts = [_image(context)] if context.images else []
+    beside = rrb.Vertical(*parts, plots, _text(), row_shares=[9, 8, 3] if context.images else [8, 2])
     return rrb.Blueprint(
         rrb.Horizontal(_world(context, margin_m), beside, column_shares=[3, 2]),
         rrb.TimePanel(state="collapsed", timeline=paths.FRAME),
@@ -39,14 +38,8 @@ def blueprint(context: Context, titles: Mapping[str, str] | None = None, *, marg
 
 def _world(context: Context, margin_m: float) -> rrb.Spatial3DView:
     target, position = _eye(context, margin_m)
-    so_far = rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange(
-                timeline, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-            )
-            for timeline in (paths.FRAME, paths.TIME)
-        ]
-    )
+    span: dict[str, Any] = {"start": rrb.TimeRangeBoundary.infinite(), "end": rrb.TimeRangeBoundary.cursor_relative()}
+    so_far = rrb.VisibleTimeRanges([rrb.VisibleTimeRange(line, **span) for line in (paths.FRAME, paths.TIME)])
     return rrb.Spatial3DView(
         origin=paths.WORLD,
         contents=["$origin/**", f"- /{paths.OVERLAY}/**"],

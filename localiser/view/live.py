@@ -17,7 +17,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from threading import Condition, Thread
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame
@@ -67,7 +67,7 @@ class Feed(Generic[R]):
     ) -> None:
         self.address: str | None = None
         if command is None:
-            command, self.address = _viewer(kind)
+            command, self.address = viewer_command(kind)
         self._context, self._begin = context, begin
         self._queue: deque[Callable[[R], None] | None] = deque(maxlen=queue_frames)
         self._changed = Condition()
@@ -77,13 +77,15 @@ class Feed(Generic[R]):
         self._worker = Thread(target=self._work, name="live view", daemon=True)
         self._worker.start()
 
-    def draw(self, item: Callable[[R], None]) -> None:
-        """Have something drawn, when its turn comes."""
-        self._put(item)
+    def draw(self, item: Callable[[R], None] | None) -> None:
+        """Have something drawn, when its turn comes; None ends the stream."""
+        with self._changed:
+            self._queue.append(item)
+            self._changed.notify()
 
     def end(self) -> None:
         """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
-        self._put(None)
+        self.draw(None)
         self._worker.join(CLOSE_WAIT_S)
 
     def wait(self) -> None:
@@ -97,11 +99,6 @@ class Feed(Generic[R]):
         return self._viewer is not None and self._viewer.poll() is None
 
     # -- the worker -------------------------------------------------------------------------------------------------
-
-    def _put(self, item: Callable[[R], None] | None) -> None:
-        with self._changed:
-            self._queue.append(item)
-            self._changed.notify()
 
     def _next(self) -> Callable[[R], None] | None:
         with self._changed:
@@ -131,13 +128,9 @@ class Feed(Generic[R]):
 class LiveView(Feed["Recorder"]):
     """Shows every frame of a run in a viewer; see `Feed`."""
 
-    def __init__(
-        self, kind: Kind, context: Context, *, command: Sequence[str] | None = None, queue_frames: int = QUEUE_FRAMES
-    ) -> None:
+    def __init__(self, kind: Kind, context: Context, **how: Any) -> None:
         self._frames = 0
-        super().__init__(
-            kind, context, lambda stream: _begun(stream, context), command=command, queue_frames=queue_frames
-        )
+        super().__init__(kind, context, lambda stream: _begun(stream, context), **how)
 
     def frame(self, frame: LocatedFrame) -> None:
         """Show what the filter knows after one image; see `Recorder.frame`."""
@@ -171,12 +164,19 @@ def _write(descriptor: int, content: bytes) -> None:
 
 def check_kind(kind: Kind) -> None:
     """Raise InputError unless `kind` is one of those, or none."""
+    if kind not in ("native", "web", "none"):
+        _remote(kind)
+
+
+def _remote(kind: Kind) -> tuple[str, str]:
+    """Return IP and port."""
     remote = _REMOTE.fullmatch(kind)
-    if kind not in ("native", "web", "none") and (remote is None or int(remote[2]) > 65535):
+    if remote is None or int(remote[2]) > 65535:
         raise InputError(f"expected native, web, none or IP:PORT, such as 0.0.0.0:9876, found {kind!r}", field="--view")
+    return remote[1], remote[2]
 
 
-def _viewer(kind: Kind) -> tuple[list[str], str | None]:
+def viewer_command(kind: Kind) -> tuple[list[str], str | None]:
     """Return the command of Rerun's viewer reading its standard input, and the address to watch it at."""
     limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
     command = [sys.executable, "-m", "rerun_cli", *limits]
@@ -187,13 +187,10 @@ def _viewer(kind: Kind) -> tuple[list[str], str | None]:
         address = f"http://{_LOCALHOST}:{page}?url=rerun%2Bhttp%3A%2F%2F{_LOCALHOST}%3A{port}%2Fproxy"
         bound = ["--bind", _LOCALHOST, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page)]
         return [*command, *bound, "-"], address
-    check_kind(kind)
-    remote = _REMOTE.fullmatch(kind)
-    assert remote is not None
-    host = _LOCALHOST if remote[1] == "localhost" else remote[1]
-    return [*command, "--bind", host.strip("[]"), "--serve-grpc", "--port", remote[2], "-"], (
-        f"rerun+http://{host}:{remote[2]}/proxy"
-    )
+    host, number = _remote(kind)
+    host = _LOCALHOST if host == "localhost" else host
+    served = ["--bind", host.strip("[]"), "--serve-grpc", "--port", number]
+    return [*command, *served, "-"], f"rerun+http://{host}:{number}/proxy"
 
 
 def _free_port() -> int:
@@ -204,16 +201,10 @@ def _free_port() -> int:
 
 def _start(command: Sequence[str]) -> subprocess.Popen[bytes] | None:
     """Return the viewer's process, in a session of its own so that Ctrl-C ends the run and not the view, or None."""
+    # Its output is not ours: a viewer that outlives the run would keep the shell's pipes open.
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     try:
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            # Not ours: a viewer that outlives the run would keep the shell's pipes open.
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            bufsize=0,
-            start_new_session=True,
-        )
+        return subprocess.Popen(command, bufsize=0, start_new_session=True, **pipes)
     except OSError:
         return None
 

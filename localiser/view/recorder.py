@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import timedelta
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.errors import OutputError
-from localiser.filter import Image, Located, LocatedFrame
+from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.view import image as image_view
 from localiser.view import palette, paths, world
@@ -73,15 +73,14 @@ class Recorder:
 
     def frame(self, number: int, frame: LocatedFrame) -> None:
         """Log one frame, the `number`th of its run."""
-        located, matches, truth = frame.located, frame.matches, frame.truth
         self._number = number
-        self._set_time(located.t_ns)
-        self._log_map(located.estimate.pose, matches.landmark, matches.visible)
-        self._log_poses(located, truth)
+        self._set_time(frame.located.t_ns)
+        self._log_map(frame)
+        self._log_poses(frame.located, frame.truth)
         if self._context.images:
-            self._log_image(located, frame.image, matches.landmark, matches.visible)
-        self._log_confidence(located)
-        self._log_plots(located, truth, int((matches.landmark >= 0).sum()), frame.stage_ms)
+            self._log_image(frame)
+        self._log_confidence(frame.located)
+        self._log_plots(frame)
 
     def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
         """Log a line of text beside the last frame; level is one of Python's, such as INFO or WARNING."""
@@ -99,9 +98,10 @@ class Recorder:
         self._t_ns = t_ns
         set_time(self._stream, self._number, t_ns)
 
-    def _log_map(self, pose: Array, landmark: NDArray[np.int64], visible: NDArray[np.bool_]) -> None:
+    def _log_map(self, frame: LocatedFrame) -> None:
+        landmark, pose = frame.matches.landmark, frame.located.estimate.pose
         matched = np.unique(landmark[landmark >= 0])
-        expected = visible.copy()
+        expected = frame.matches.visible.copy()
         expected[matched] = False
         self._stream.log(paths.VISIBLE, world.landmarks(self._ends[expected], palette.VISIBLE, 2.0))
         self._stream.log(paths.MATCHED, world.landmarks(self._ends[matched], palette.MATCHED, 3.0))
@@ -125,10 +125,9 @@ class Recorder:
 
     def _log_confidence(self, located: Located) -> None:
         if located.reason != self._reason:
-            unsure = f"perhaps lost: {located.reason} (p = {located.p_correct:.2f})"
-            found = f"sure of the pose (p = {located.p_correct:.2f})"
-            self.message(located.t_ns, unsure if located.reason else found, "WARNING" if located.reason else "INFO")
             self._reason = located.reason
+            text, level = (f"perhaps lost: {self._reason}", "WARNING") if self._reason else ("sure of the pose", "INFO")
+            self.message(located.t_ns, f"{text} (p = {located.p_correct:.2f})", level)
         places = located.clusters
         if places is None or (places.weight >= SHOWN).sum() < 2:  # the estimate's own ellipse says it all
             for path in (paths.PLACES, paths.PLACE_ARROWS):
@@ -149,40 +148,42 @@ class Recorder:
         if self._context.odometry is not None:
             return self._context.odometry.at(located.t_ns)
         if self._map_from_odometry is None and np.isfinite(located.odometry).all():
-            self._map_from_odometry = geometry.compose(
-                located.estimate.pose, geometry.between(located.odometry, np.zeros(3))
-            )
+            origin = geometry.between(located.odometry, np.zeros(3))
+            self._map_from_odometry = geometry.compose(located.estimate.pose, origin)
         if self._map_from_odometry is None:
             return np.full(3, np.nan)
         return geometry.compose(self._map_from_odometry, located.odometry)
 
-    def _log_image(
-        self, located: Located, image: Image | None, landmark: NDArray[np.int64], visible: NDArray[np.bool_]
-    ) -> None:
-        edges, pose = located.edges, located.estimate.pose
+    def _log_image(self, frame: LocatedFrame) -> None:
+        log, edges, matches = self._stream.log, frame.located.edges, frame.matches
         # Without an image the last one would stay on the screen under the new edges.
-        self._stream.log(paths.IMAGE, rr.Clear(recursive=False) if image is None else image_view.picture(image))
-        shown, lines = image_view.predicted_lines(self._context.camera, pose, self._ends, visible)
-        self._stream.log(paths.REJECTED, image_view.rejected(edges))
-        self._stream.log(paths.PREDICTED, image_view.predicted(lines))
-        self._stream.log(paths.EDGES, image_view.vertical_edges(edges, landmark >= 0))
-        self._stream.log(paths.JOINS, image_view.joins(edges, landmark, shown, lines))
+        log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else image_view.picture(frame.image))
+        pose = frame.located.estimate.pose
+        shown, lines = image_view.predicted_lines(self._context.camera, pose, self._ends, matches.visible)
+        log(paths.REJECTED, image_view.rejected(edges))
+        log(paths.PREDICTED, image_view.predicted(lines))
+        log(paths.EDGES, image_view.vertical_edges(edges, matches.landmark >= 0))
+        log(paths.JOINS, image_view.joins(edges, matches.landmark, shown, lines))
 
-    def _log_plots(self, located: Located, truth: Array | None, matched: int, stage_ms: Mapping[str, float]) -> None:
-        estimate = located.estimate
-        three_sigma = 3 * float(np.sqrt(np.trace(estimate.pose_cov[:2, :2])))
-        three_sigma_rad = 3 * float(np.sqrt(estimate.pose_cov[2, 2]))
-        error = np.nan if truth is None else float(np.hypot(*(estimate.pose - truth)[:2]))
-        error_rad = np.nan if truth is None else abs(float(geometry.wrap_angle(estimate.pose[2] - truth[2])))
-        self._stream.log(paths.ERROR, rr.Scalars([error, three_sigma]))
-        self._stream.log(paths.HEADING, rr.Scalars(np.rad2deg([error_rad, three_sigma_rad])))
-        self._stream.log(paths.P_CORRECT, rr.Scalars([located.p_correct]))
-        self._stream.log(paths.ESS, rr.Scalars([located.ess]))
-        self._stream.log(paths.COUNTS, rr.Scalars([len(located.edges), matched]))
+    def _log_plots(self, frame: LocatedFrame) -> None:
+        located, truth, stage_ms = frame.located, frame.truth, frame.stage_ms
+        estimate, matched = located.estimate, int((frame.matches.landmark >= 0).sum())
+        cov = estimate.pose_cov
+        error = np.full(3, np.nan) if truth is None else estimate.pose - truth
+        turn_deg = np.rad2deg([abs(float(geometry.wrap_angle(error[2]))), 3 * float(np.sqrt(cov[2, 2]))])
         if not self._stages and stage_ms:
             self._stages = tuple(stage_ms)
-            self._log_series(paths.STAGES, self._stages, palette.STAGES)
-        self._stream.log(paths.STAGES, rr.Scalars([stage_ms.get(stage, np.nan) for stage in self._stages]))
+            self._stream.log(paths.STAGES, series(self._stages, palette.STAGES), static=True)
+        figures: dict[str, Any] = {
+            paths.ERROR: [float(np.hypot(*error[:2])), 3 * float(np.sqrt(np.trace(cov[:2, :2])))],
+            paths.HEADING: turn_deg,
+            paths.P_CORRECT: [located.p_correct],
+            paths.ESS: [located.ess],
+            paths.COUNTS: [len(located.edges), matched],
+            paths.STAGES: [stage_ms.get(stage, np.nan) for stage in self._stages],
+        }
+        for path, values in figures.items():
+            self._stream.log(path, rr.Scalars(values))
 
     # -- once ---------------------------------------------------------------------------------------------------
 
@@ -193,15 +194,16 @@ class Recorder:
         log(paths.CAMERA, world.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         if context.truth is not None:
             log(paths.TRUTH_PATH, world.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
-        errors = (palette.ESTIMATE, palette.UNSEEN)
-        self._log_series(paths.ERROR, ("error", "3σ"), errors)
-        self._log_series(paths.HEADING, ("error", "3σ"), errors)
-        self._log_series(paths.P_CORRECT, ("p correct",), (palette.ESTIMATE,))
-        self._log_series(paths.ESS, ("effective particles",), (palette.ESTIMATE,))
-        self._log_series(paths.COUNTS, ("edges", "matched"), (palette.UNMATCHED, palette.MATCHED))
-
-    def _log_series(self, path: str, names: Sequence[str], colours: Sequence[palette.Colour]) -> None:
-        self._stream.log(path, series(names, colours), static=True)
+        errors = (("error", "3σ"), (palette.ESTIMATE, palette.UNSEEN))
+        lines: dict[str, tuple[Sequence[str], Sequence[palette.Colour]]] = {
+            paths.ERROR: errors,
+            paths.HEADING: errors,
+            paths.P_CORRECT: (("p correct",), (palette.ESTIMATE,)),
+            paths.ESS: (("effective particles",), (palette.ESTIMATE,)),
+            paths.COUNTS: (("edges", "matched"), (palette.UNMATCHED, palette.MATCHED)),
+        }
+        for path, (names, colours) in lines.items():
+            log(path, series(names, colours), static=True)
 
 
 def set_time(stream: rr.RecordingStream, number: int, t_ns: int) -> None:

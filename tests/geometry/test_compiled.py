@@ -222,7 +222,7 @@ BY_SHARE = """
     from localiser.camera import Camera, Mount
     from localiser.edges import Edges
     from localiser.landmarks import LandmarkMap
-    from localiser.observation import EdgeObservation, ObservationParameters
+    from localiser.observation import EdgeObservation, ObservationParameters, Sighting
     from localiser.particles import POSE, Particles
 
     camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
@@ -232,7 +232,7 @@ BY_SHARE = """
     right, ahead = np.array([-0.4, 0.8]), 4.0
     x, z = right * np.cos(0.3) - ahead * np.sin(0.3), -right * np.sin(0.3) - ahead * np.cos(0.3)
     landmark_map = LandmarkMap.from_points(np.column_stack([x, z]))
-    print(EdgeObservation(camera, ObservationParameters()).by_share(particles, edges, landmark_map).sum())
+    print(EdgeObservation(camera, ObservationParameters()).by_rate(particles, Sighting(0, edges), landmark_map).sum())
 """
 
 

@@ -10,13 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 
-from localiser.landmarks import in_camera
-from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.landmarks import field_of_view_rad, half_view_rad, in_camera
+from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.polarity import SAME
 from localiser.relocalisation import Places, view_of
-from localiser.relocalisation.evidence import _arguments, evidence_of, score_by_share, score_loop, score_poses
-from localiser.relocalisation.places import half_view_rad
-from localiser.relocalisation.sectors import CELL_M, HEADINGS, Sectors
+from localiser.relocalisation.evidence import _arguments, evidence_of, score_by_rate, score_loop, score_poses
 
 ROOM = room()
 PLACES = Places.of(ROOM, CAMERA)
@@ -26,28 +24,6 @@ PLACES = Places.of(ROOM, CAMERA)
 def evidence():
     _, frames = drawn_frames(ROOM, 1, seed=2, clutter=8)
     return evidence_of(view_of(CAMERA, frames[0]), PLACES.polarities, 0.01, 0.01)
-
-
-@settings(derandomize=True, deadline=None, max_examples=25)
-@given(seed=st.integers(0, 10_000), half_view=st.floats(0.1, 1.5))
-def test_a_sector_lists_every_landmark_that_can_be_in_view(seed, half_view):
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-4, 4, (30, 2))
-    sectors = Sectors.of(points, np.full(2, -4.0), np.full(2, 4.0), half_view, 5.0)
-    poses = rng.uniform([-4, -4, -np.pi], [4, 4, np.pi], (50, 3))
-    right, ahead = in_camera(poses, points)
-    seen = (np.abs(np.arctan2(right, ahead)) <= half_view) & (np.hypot(right, ahead) <= 5.0)
-    for pose, visible in zip(poses, seen, strict=True):
-        column, row = ((pose[:2] - sectors.corner) / CELL_M).astype(int)
-        turn = int((pose[2] + np.pi) * HEADINGS / (2 * np.pi)) % HEADINGS
-        cell = (column * sectors.shape[1] + row) * HEADINGS + turn
-        listed = sectors.item[sectors.start[cell] : sectors.start[cell + 1]]
-        assert set(np.flatnonzero(visible)) <= set(listed)
-
-
-def test_sectors_leave_most_landmarks_out():
-    sizes = np.diff(PLACES.sectors.start)
-    assert sizes.mean() < 0.6 * len(PLACES)
 
 
 @settings(derandomize=True, deadline=None, max_examples=40)
@@ -83,7 +59,12 @@ def plain_score(evidence, poses):
                 continue
             in_view += 1
             b = np.arctan2(across[k], forward[k])
-            fit = view.span_rad * np.exp(-0.5 * ((b - view.bearing) / sigma_b) ** 2) / np.sqrt(2 * np.pi) / sigma_b
+            fit = (
+                field_of_view_rad(camera)
+                * np.exp(-0.5 * ((b - view.bearing) / sigma_b) ** 2)
+                / np.sqrt(2 * np.pi)
+                / sigma_b
+            )
             at_foot = np.exp(-0.5 * ((foot - view.foot) / sigma_e) ** 2) / np.sqrt(2 * np.pi) / sigma_e
             hanging = 0.6 * at_foot * (e_high - e_low) + np.where(foot < view.foot + sigma_e, 0.4, 0.05)
             cut = np.where(foot < e_low, 1.0, np.where(foot < view.foot + 2 * sigma_e, 0.5, 0.05))
@@ -106,15 +87,15 @@ def test_score_is_that_of_the_plain_formula(evidence):
 
 def test_compiled_score_is_that_of_the_loops(evidence):
     poses = drawn_frames(ROOM, 40, seed=4)[0]
-    loops = score_loop(*_arguments(evidence, PLACES, poses), INLIER_SHARES)
-    np.testing.assert_allclose(score_by_share(evidence, PLACES, poses, INLIER_SHARES), loops, rtol=1e-9, atol=1e-9)
+    loops = score_loop(*_arguments(evidence, PLACES, poses), INLIER_RATES)
+    np.testing.assert_allclose(score_by_rate(evidence, PLACES, poses, INLIER_RATES), loops, rtol=1e-9, atol=1e-9)
 
 
 def test_poses_off_the_map_explain_nothing(evidence):
     """All edges are clutter then, as they are to poses that look away from all landmarks."""
     nowhere = np.array([[100.0, 0.0, 0.0], [0.0, -100.0, 1.0]])
-    expected = len(evidence.view) * np.log1p(-INLIER_SHARES)
-    lost = score_by_share(evidence, PLACES, nowhere, INLIER_SHARES)
+    expected = len(evidence.view) * np.log1p(-INLIER_RATES)
+    lost = score_by_rate(evidence, PLACES, nowhere, INLIER_RATES)
     np.testing.assert_allclose(lost, np.tile(expected[:, None], 2))
 
 

@@ -10,7 +10,7 @@ from localiser import geometry
 from localiser.edges import Edges
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
 from localiser.relocalisation import Places, ProposalParameters, propose, view_of, warm_up
 from localiser.relocalisation.refine import refined
@@ -23,7 +23,9 @@ QUICK = ProposalParameters(hypotheses=8000, refined=60)
 
 def likelihood(edges, landmark_map, kind="line"):
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))
-    return lambda poses: observation.log_likelihood(Particles(POSE, poses.T, np.zeros(len(poses))), edges, landmark_map)
+    return lambda poses: observation.log_likelihood(
+        Particles(POSE, poses.T, np.zeros(len(poses))), Sighting(0, edges), landmark_map
+    )
 
 
 def beside(poses, pose, metres=0.25, degrees=5.0):

@@ -81,10 +81,10 @@ def chain(whole: np.ndarray, rng: np.random.Generator, links: int, backwards: bo
         step[:3, 3] = rng.uniform(-1, 1, 3)
         rest = np.linalg.inv(step) @ rest
         if backwards:
-            tree.add(Stamped(child, parent, np.linalg.inv(step)))
+            tree.add_all([Stamped(child, parent, np.linalg.inv(step))])
         else:
-            tree.add(Stamped(parent, child, step))
-    tree.add(Stamped(names[-2], "optical", rest))
+            tree.add_all([Stamped(parent, child, step)])
+    tree.add_all([Stamped(names[-2], "optical", rest)])
     return tree
 
 
@@ -99,7 +99,7 @@ def test_a_mount_that_was_read_once_stays_the_same_bit_by_bit(mount: Mount) -> N
     def through_transforms(mount: Mount) -> Mount:
         camera = CAMERA.with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))
         tree = FrameTree()
-        tree.add(Stamped("base", "optical", base_from_optical(mount, camera.level_from_camera)))
+        tree.add_all([Stamped("base", "optical", base_from_optical(mount, camera.level_from_camera))])
         return mount_of(tree, "base", "optical")
 
     once = through_transforms(mount)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import tracemalloc
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +16,10 @@ from hypothesis import strategies as st
 from small_log import CAMERA, MAP, START, sightings
 
 from localiser.errors import InputError
-from localiser.filter.frames import LocatedFrame
 from localiser.filter.mcl import FilterState, Mcl, MclParameters, Odometry, Start, step
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.storage.checkpoint import FORMAT, identity_of, load_checkpoint, save_checkpoint
-from localiser.storage.packing import field_types, pack, unpack
+from localiser.storage.packing import decode, encode
 
 IDENTITY = {"map": "house", "mcl.particles": "50"}
 
@@ -73,31 +70,10 @@ def test_state_before_anything_has_happened(tmp_path: Path) -> None:
     assert equal(load_checkpoint(tmp_path / "run", IDENTITY).state, FilterState())
 
 
-def types_in(hint: Any) -> Iterator[Any]:
-    """Yield every type that a type is made of, down to fields of fields."""
-    yield hint
-    inside = field_types(hint).values() if is_dataclass(hint) else get_args(hint)
-    if get_origin(hint) is not np.ndarray:
-        for part in inside:
-            yield from types_in(part)
-
-
-@pytest.mark.parametrize("cls", [FilterState, LocatedFrame])
-def test_every_field_has_a_type_that_can_be_saved(cls: type) -> None:
-    """Whoever adds a field to what changes during a run learns here whether checkpoints hold it."""
-    for hint in types_in(cls):
-        if isinstance(hint, str) or hint is Ellipsis:
-            continue  # one of the values of a Literal; any number of items
-        try:
-            unpack(hint, {}, [], "field")
-        except ValueError:
-            continue  # understood, and refused because nothing fits here
-
-
 def test_every_field_of_the_state_is_in_the_file(tmp_path: Path) -> None:
     """Each field is set in turn, so that none is left out or filled by default."""
     full = filter_state()
-    for name in field_types(FilterState):
+    for name in (field.name for field in fields(FilterState)):
         changed = FilterState()
         setattr(changed, name, getattr(full, name))
         save_checkpoint(tmp_path / "run", changed, np.random.default_rng(0), IDENTITY)
@@ -142,9 +118,9 @@ def test_identity_names_settings_and_parts() -> None:
 
 
 def test_what_is_no_checkpoint(tmp_path: Path) -> None:
-    for content in (b"", b"PK\x03\x04", b"localiser-checkpoint/2\n", b"\n" * 5):
+    for content in (b"", b"PK\x03\x04", b"localiser-checkpoint/1\n", b"\n" * 5):
         (tmp_path / "file").write_bytes(content)
-        with pytest.raises(InputError, match=r"file: expected a checkpoint \(localiser-checkpoint/1\)"):
+        with pytest.raises(InputError, match=r"file: expected a checkpoint \(localiser-checkpoint/2\)"):
             load_checkpoint(tmp_path / "file", IDENTITY)
     with pytest.raises(InputError, match="no such file"):
         load_checkpoint(tmp_path / "missing", IDENTITY)
@@ -164,30 +140,28 @@ def test_any_damage_is_found(saved: Path, tmp_path: Path, data: st.DataObject) -
         load_checkpoint(tmp_path / "file", IDENTITY)
 
 
-def sealed(header: Any, data: bytes) -> bytes:
+def sealed(body: bytes) -> bytes:
     """Return a checkpoint whose sum is right whatever it holds."""
-    body = (header if isinstance(header, bytes) else json.dumps(header).encode()) + b"\n" + data
     return f"{FORMAT}\n{sha256(body).hexdigest()}\n".encode() + body
 
 
-def parts_of(path: Path) -> tuple[Any, bytes]:
-    _, _, header, data = path.read_bytes().split(b"\n", 3)
-    return json.loads(header), data
+def body_of(path: Path) -> bytes:
+    return path.read_bytes().split(b"\n", 2)[2]
 
 
 ODD = st.one_of(
-    st.none(), st.booleans(), st.integers(-3, 2**70), st.floats(), st.text(max_size=5), st.just([]), st.just({}),
-    st.lists(st.integers(-1, 2**40), max_size=4), st.just({"array": 0}), st.just(["<f8", [2**40, 2**40], "C"]),
-    st.just(["|O", [1], "C"]), st.just([["<f8", [-1, 3], "F"]]),
+    st.none(), st.booleans(), st.integers(-3, 2**63), st.floats(), st.text(max_size=5), st.just([]), st.just({}),
+    st.lists(st.integers(-1, 2**40), max_size=4), st.just(["<f8", [2**40, 2**40], "C", b"x"]),
+    st.just(["|O", [1], "C", b"12345678"]), st.just(["<f8", [-1, 3], "F", b""]),
 )  # fmt: skip
 
 
 @settings(derandomize=True, max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_header_that_says_something_else_is_refused(saved: Path, tmp_path: Path, data: st.DataObject) -> None:
-    """Also where the sum is right: any one value of the header is replaced by another."""
-    header, content = parts_of(saved)
-    node: Any = header
+def test_content_that_says_something_else_is_refused(saved: Path, tmp_path: Path, data: st.DataObject) -> None:
+    """Also where the sum is right: any one value is replaced by another."""
+    content = decode(Any, body_of(saved))
+    node: Any = content
     while True:
         keys = list(node) if isinstance(node, dict) else list(range(len(node)))
         key = data.draw(st.sampled_from(keys))
@@ -195,7 +169,7 @@ def test_header_that_says_something_else_is_refused(saved: Path, tmp_path: Path,
             break
         node = node[key]
     node[key] = data.draw(ODD)
-    (tmp_path / "file").write_bytes(sealed(header, content))
+    (tmp_path / "file").write_bytes(sealed(encode(content)))
     try:
         load_checkpoint(tmp_path / "file", IDENTITY)
     except InputError as error:
@@ -203,16 +177,25 @@ def test_header_that_says_something_else_is_refused(saved: Path, tmp_path: Path,
         assert len(str(error)) < 1000
 
 
+def test_state_with_other_fields_is_refused(saved: Path, tmp_path: Path) -> None:
+    """A field that a later version adds would be filled by default, and one that it drops would be passed over."""
+    content = decode(Any, body_of(saved))
+    content[0] = "0" * 16
+    (tmp_path / "file").write_bytes(sealed(encode(content)))
+    with pytest.raises(InputError, match="expected a checkpoint that this version of the program made"):
+        load_checkpoint(tmp_path / "file", IDENTITY)
+
+
 def test_sizes_are_checked_before_memory_is_taken(saved: Path, tmp_path: Path) -> None:
-    header, content = parts_of(saved)
-    header["arrays"][0] = ["<f8", [2**34], "C"]
-    (tmp_path / "file").write_bytes(sealed(header, content))
+    content = decode(Any, body_of(saved))
+    content[3]["particles"]["columns"][1] = [2**34]
+    (tmp_path / "file").write_bytes(sealed(encode(content)))
     tracemalloc.start()
-    with pytest.raises(InputError, match="expected 137438953472 bytes of arrays"):
+    with pytest.raises(InputError, match=r"expected an array of \[17179869184\] <f8, found"):
         load_checkpoint(tmp_path / "file", IDENTITY)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert most < 20 * len(content) + 2**20
+    assert most < 20 * saved.stat().st_size + 2**20
 
 
 def test_interrupted_writing_leaves_the_checkpoint_before(
@@ -235,13 +218,11 @@ def test_kept_things_come_back(tmp_path: Path) -> None:
     kept = {"events": 3, "more": 4}
     save_checkpoint(tmp_path / "run", FilterState(), np.random.default_rng(0), IDENTITY, kept)
     assert load_checkpoint(tmp_path / "run", IDENTITY, dict[str, int]).kept == kept
-    with pytest.raises(InputError, match="kept"):
+    with pytest.raises(InputError, match="Expected `null`, got `object`"):
         load_checkpoint(tmp_path / "run", IDENTITY)
 
 
 def test_start_of_a_state_can_be_told_apart() -> None:
     """A start is a dataclass like any other: what it says is part of a fingerprint."""
     other = Start(START.t_ns, START.mean + 1e-12, START.cov)
-    arrays: list[Any] = []
-    assert pack(START, arrays) == pack(START, [])
     assert identity_of({}, start=START) != identity_of({}, start=other)

@@ -433,13 +433,12 @@ def test_frozen_viewer_holds_up_neither_the_run_nor_the_exit(tmp_path: Path) -> 
         "import test_view as t\n"
         "from localiser.view import live\n"
         "live.CLOSE_WAIT_S = 0.2\n"
-        "sink = t.LiveView('native', t.context(), command=t.viewer('time.sleep(600)'), queue_frames=4)\n"
+        "sink = t.LiveView('native', t.context(), command=t.viewer('time.sleep(40)'), queue_frames=4)\n"
         "t.show(sink, 60)\n"
         "sink.close(True)\n"
         "print('done', sink.is_running, flush=True)\n"
-        "live._stop(sink._viewer)\n"
     )
-    here = Path(__file__).resolve().parents[1] / "support"
+    here = Path(__file__).resolve().parent
     command = [sys.executable, str(script), str(here), str(here.parents[1])]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.split() == ["done", "True"]
@@ -458,15 +457,15 @@ def test_viewer_that_is_gone_ends_the_view_and_not_the_run(command: list[str]) -
 
 @pytest.mark.parametrize("kind", ["native", "web"])
 def test_viewers_listen_on_this_machine_alone(kind: live.Kind) -> None:
-    command, address = live._viewer(kind)
+    command, address = live.viewer_command(kind)
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert (address or "http://127.0.0.1").startswith("http://127.0.0.1")
     assert command[-1] == "-", "the recording comes through standard input"
 
 
 def test_viewers_elsewhere_are_served_where_the_user_says() -> None:
-    command, address = live._viewer("0.0.0.0:9877")
+    command, address = live.viewer_command("0.0.0.0:9877")
     assert command[command.index("--bind") + 1 :][:1] == ["0.0.0.0"] and address == "rerun+http://0.0.0.0:9877/proxy"
     for wrong in ("somewhere", "0.0.0.0", "127.0.0.1:99999", "host name:1"):
         with pytest.raises(InputError, match="IP:PORT"):
-            live._viewer(wrong)
+            live.viewer_command(wrong)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from localiser.calibration import Board
     from localiser.commands.camera.calibrate import Calibration
-    from localiser.replay import Tilt
+    from localiser.commands.camera.tilt import Tilt
 
 _WELL_REACHED = 0.7
 
@@ -69,8 +69,8 @@ def tilt(
     quiet: Quiet = False,
 ) -> None:
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
+    from localiser.commands.camera.tilt import find_tilt, usable_images, write_plot, write_tilt
     from localiser.config import load_config
-    from localiser.replay import find_tilt, usable_images, write_plot, write_tilt
     from localiser.storage import open_log, require_new_file
 
     if plot is not None:

@@ -21,7 +21,7 @@ from localiser.calibration import check_mount
 from localiser.camera import Camera
 from localiser.commands.edges.overlay import save_overlay
 from localiser.config import Config
-from localiser.edges import Edges, find_edges
+from localiser.edges import find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
@@ -73,12 +73,12 @@ def camera_check(address: str, seconds: float) -> tuple[Finding, Image | None]:
     source.start()
     time.sleep(seconds)
     source.close()
-    image = newest[0] if newest else None
-    if image is None or len(times) < 2:
-        return Finding("camera", "warning", f"opened, but {len(times)} frames in {seconds:g} s"), image
-    height, width = image.shape[:2]
+    if len(times) < 2:
+        text = f"opened, but {len(times)} frames in {seconds:g} s"
+        return Finding("camera", "warning", text), newest[0] if newest else None
+    height, width = newest[0].shape[:2]
     rate = (len(times) - 1) / (times[-1] - times[0])
-    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second"), image
+    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second"), newest[0]
 
 
 def save_picture(path: Path, image: Image, camera: Camera | None, config: Config) -> None:
@@ -136,18 +136,16 @@ class Heard:
 def topic_checks(heard: Heard) -> Iterator[Finding]:
     """Yield every topic with its rate, and which are missing."""
     for role, topic in heard.topics.items():
-        if topic not in heard.counts:
+        if topic not in heard.counts and role not in ("initialpose", "groundtruth"):
             state: State = "missing" if role in ("image", "odometry") else "warning"
-            optional = {"initialpose", "groundtruth"}
-            if role not in optional:
-                yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --topic {role}=NAME")
+            yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --topic {role}=NAME")
     roles = {topic: role for role, topic in heard.topics.items()}
     for topic, count in sorted(heard.counts.items()):
-        kind = heard.types.get(topic) or (type_of(roles[topic], topic) if topic in roles else "")
-        rate, size = count / heard.seconds, heard.sizes[topic] / count
-        role_text = f"{roles[topic]}, " if topic in roles else ""
-        text = f"{role_text}{rate:.1f} Hz, {size / 1000:.1f} kB {kind}".rstrip()
-        readable = topic not in roles or any(True for _ in heard.messages(roles[topic]))
+        known = roles.get(topic)
+        kind = heard.types.get(topic) or (type_of(known, topic) if known else "")
+        text = f"{count / heard.seconds:.1f} Hz, {heard.sizes[topic] / count / 1000:.1f} kB {kind}".rstrip()
+        text = f"{known}, {text}" if known else text
+        readable = known is None or any(True for _ in heard.messages(known))
         yield Finding(topic, "ok" if readable else "warning", text if readable else f"{text}; none can be read")
 
 
@@ -156,9 +154,9 @@ def clock_checks(heard: Heard) -> Iterator[Finding]:
     lags = {}
     for role in ("image", "odometry"):
         found = [(arrival.wall_ns - stamp_of(message)) / 1e9 for arrival, message in heard.messages(role)]
-        if found:
-            lags[role] = float(np.median(found))
-    for role, lag in lags.items():
+        if not found:
+            continue
+        lags[role] = lag = float(np.median(found))
         fine = -0.01 <= lag <= CLOCK_S
         hint = "" if fine else "; does the robot's clock agree with this machine's?"
         yield Finding(f"clock of {role}", "ok" if fine else "warning", f"stamps are {lag:.3f} s old on arrival{hint}")
@@ -170,18 +168,14 @@ def clock_checks(heard: Heard) -> Iterator[Finding]:
 def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
     """Return the camera that a file or the robot tells, or why it is not known."""
     finder = CameraFinder(given, heard.topics["image"])
-    takes = {
-        "transforms": finder.take_transforms,
-        "odometry": finder.take_odometry,
-        "image": finder.take_image,
-        "camera_info": finder.take_info,
-    }
-    for role, take in takes.items():
-        for _, message in heard.messages(role):
-            try:
-                take(message)
-            except ValueError as error:
-                return None, str(error)
+    take = {"transforms": finder.take_transforms, "odometry": finder.take_odometry}
+    take |= {"image": finder.take_image, "camera_info": finder.take_info}
+    try:
+        for role in take:
+            for _, message in heard.messages(role):
+                take[role](message)
+    except ValueError as error:
+        return None, str(error)
     return finder.camera, finder.problem
 
 
@@ -191,20 +185,16 @@ def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Findin
     if len(wheels) < 2:
         return
     track = Trajectory(np.array(sorted(wheels)), np.array([wheels[t_ns] for t_ns in sorted(wheels)]))
-    frames: list[Edges] = []
-    times = []
-    for _, message in heard.messages("image"):
-        try:
-            frames.append(find_edges(_grey(message, camera), camera, config.edges))
-            times.append(stamp_of(message))
-        except (ValueError, InputError):
-            continue
-    if not frames or not sum(len(edges) for edges in frames):
+    fits = (camera.height, camera.width)
+    images = [(t_ns, image) for t_ns, image in _images(heard, camera) if image.shape == fits]
+    frames = [find_edges(image, camera, config.edges) for _, image in images]
+    if not any(len(edges) for edges in frames):
         yield Finding("edges", "warning", "no vertical edge in any image")
         return
     yield Finding("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
     believed_rad = np.deg2rad([config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg])
-    check = check_mount(frames, track.sampled(times).poses, camera, believed_rad)
+    poses = track.sampled([t_ns for t_ns, _ in images]).poses
+    check = check_mount(frames, poses, camera, believed_rad)
     stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"
@@ -213,21 +203,22 @@ def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Findin
 
 def newest_image(heard: Heard, camera: Camera) -> Image | None:
     """Return the last image (H, W) that could be read."""
-    newest = None
+    images = _images(heard, camera)
+    return images[-1][1] if images else None
+
+
+def _images(heard: Heard, camera: Camera) -> list[tuple[int, Image]]:
+    """Return stamp and pixels (H, W) of the images that can be read."""
+    size, found = (camera.width, camera.height), []
     for _, message in heard.messages("image"):
         with suppress(ValueError, InputError):
-            newest = _grey(message, camera)
-    return newest
-
-
-def _grey(message: Any, camera: Camera) -> Any:
-    image = grey_image(message)
-    if image is not None:
-        return image
-    size = (camera.width, camera.height)
-    file = image_file(message)
-    check_whole(file, size, path=_SOURCE)
-    return decoded(file, size, path=_SOURCE)
+            image = grey_image(message)
+            if image is None:
+                file = image_file(message)
+                check_whole(file, size, path=_SOURCE)
+                image = decoded(file, size, path=_SOURCE)
+            found.append((stamp_of(message), image))
+    return found
 
 
 def map_check(landmark_map: LandmarkMap, camera: Camera, place: tuple[float, float]) -> Finding:

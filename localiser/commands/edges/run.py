@@ -17,7 +17,7 @@ from localiser.commands.edges.records import COLUMNS, PROFILE, csv_text, mount_b
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import LocaliserError, RunEndedEarlyError
-from localiser.replay import stop_request
+from localiser.replay import asked_to_stop
 from localiser.storage import Image, RunFolder, json_text, output_errors, require_new, save_camera, write_text
 
 FORMAT = "localiser-edges/1"
@@ -60,9 +60,10 @@ class EdgeRun:
         write_text(self.folder / "config.yaml", to_yaml(in_force(self.config)))
         done = 0
         try:
-            with stop_request() as stop_if_asked:
+            with asked_to_stop() as asked:
                 for taken in self.images:
-                    stop_if_asked()
+                    if asked.is_set():
+                        raise KeyboardInterrupt
                     self._one(taken, taken.load())
                     done += 1
                     progress()

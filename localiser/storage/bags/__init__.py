@@ -19,7 +19,7 @@ from localiser.storage.bags.decisions import (
     odometry_decision,
     start_decision,
 )
-from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame
+from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
 from localiser.storage.bags.images import grey_image, image_file, stated_size
 from localiser.storage.bags.label import live_label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
@@ -50,7 +50,6 @@ __all__ = [
     "BagRecorder",
     "FrameTree",
     "Messages",
-    "add_all",
     "anywhere_decision",
     "camera_of",
     "clock_decision",

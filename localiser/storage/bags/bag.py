@@ -5,6 +5,7 @@ Messages are decoded by the definitions that ROS ships, never by those that a ba
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -69,12 +70,15 @@ class Bag:
         is_ros1 = path.suffix == ROS1_SUFFIX
         self._store = typestore(ros1=is_ros1)
         self._decode = self._store.deserialize_ros1 if is_ros1 else self._store.deserialize_cdr
-        self._reader = _reader(path, is_ros1)
-        with bag_errors(path):
-            restore(path)
+        if not path.exists():
+            raise InputError("no such bag", path=path)
+        from rosbags import rosbag1, rosbag2
+
         bounded_decompression()
         check_metadata(path / METADATA_FILE)
         with bag_errors(path):
+            restore(path)
+            self._reader: Any = rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
             self._reader.open()
         try:
             with bag_errors(path):
@@ -99,10 +103,9 @@ class Bag:
     @property
     def topics(self) -> list[Topic]:
         """The topics, by name; a topic that several nodes published on is one."""
-        counts: dict[tuple[str, str], int] = {}
+        counts: Counter[tuple[str, str]] = Counter()
         for found in self._connections:
-            key = (found.topic, found.msgtype)
-            counts[key] = counts.get(key, 0) + found.msgcount
+            counts[found.topic, found.msgtype] += found.msgcount
         return [Topic(*key, count) for key, count in sorted(counts.items())]
 
     def messages(self, topics: Collection[Topic], from_ns: int | None = None) -> Iterator[Message]:
@@ -119,15 +122,6 @@ class Bag:
                 with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
                     content = self._decode(self._unpack(data), connection.msgtype)
                 yield Message(connection.topic, int(t_ns), content)
-
-
-def _reader(path: Path, is_ros1: bool) -> Any:
-    from rosbags import rosbag1, rosbag2
-
-    if not path.exists():
-        raise InputError("no such bag", path=path)
-    with bag_errors(path):
-        return rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
 
 
 def _checked(connection: Connection) -> Connection:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from localiser.camera import Camera, Mount
 from localiser.documents import Document, Place
 from localiser.storage.cameras import camera_from_document
@@ -58,8 +60,8 @@ def info_fields(camera: Camera) -> dict[str, Any]:
         "width": camera.width,
         "height": camera.height,
         "distortion_model": "" if camera.distortion_model == "none" else camera.distortion_model,
-        "d": list(camera.distortion),
-        "k": matrix.ravel().tolist(),
+        "d": np.array(camera.distortion, dtype=np.float64),
+        "k": matrix.ravel(),
         "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         "p": [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0],
     }

@@ -53,7 +53,8 @@ class Decisions:
     """The decisions of a recording, taken in their order.
 
     images, unused_odometry: by number. blind: images that were weighed without wheels. starts: the first is None where
-    the robot was looked for. offset_ns: what to add to the stamps that are read now.
+    the robot was looked for. offset_ns: what to add to the stamps that are read now. any: whether
+    there is any decision at all.
     """
 
     images: set[int] = field(default_factory=set)
@@ -61,9 +62,11 @@ class Decisions:
     unused_odometry: set[int] = field(default_factory=set)
     starts: list[Start | None] = field(default_factory=list)
     offset_ns: int = 0
+    any: bool = False
 
     def take(self, text: str) -> None:
         """Take one decision. Raises ValueError."""
+        self.any = True
         try:
             data = json.loads(text)
         except RecursionError as error:
@@ -87,8 +90,7 @@ class Decisions:
 
 
 def _start(t_ns: int, data: Mapping[str, Any]) -> Start:
-    mean = np.array(data.get("mean"), dtype=np.float64)
-    cov = np.array(data.get("cov"), dtype=np.float64)
+    mean, cov = (np.array(data.get(name), dtype=np.float64) for name in ("mean", "cov"))
     if mean.shape != (3,) or cov.shape != (3, 3) or not (np.isfinite(mean).all() and np.isfinite(cov).all()):
         raise ValueError("expected a start of a pose and its covariance")
     return Start(t_ns, mean, cov)

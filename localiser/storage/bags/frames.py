@@ -28,17 +28,21 @@ class FrameTree:
         """Start with no frame."""
         self._neighbours: dict[str, dict[str, Array]] = {}
 
-    def add(self, stamped: Any) -> None:
-        """Add a geometry_msgs/TransformStamped. Raises ValueError when it is no rigid motion."""
-        parent, child = plain_frame(stamped.header.frame_id), plain_frame(stamped.child_frame_id)
-        moved, turned = stamped.transform.translation, stamped.transform.rotation
-        transform = np.eye(4)
-        transform[:3, :3] = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
-        transform[:3, 3] = moved.x, moved.y, moved.z
-        if not (np.abs(transform[:3, 3]) <= _LARGEST_M).all():
-            raise ValueError(f"expected {child!r} within {_LARGEST_M:g} m of {parent!r}")
-        self._neighbours.setdefault(parent, {})[child] = transform
-        self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform), dtype=np.float64)
+    def add_all(self, transforms: Iterable[Any]) -> None:
+        """Add the transforms of a tf2_msgs/TFMessage, all or none. Raises ValueError when one is no rigid motion."""
+        found = []
+        for stamped in transforms:
+            parent, child = plain_frame(stamped.header.frame_id), plain_frame(stamped.child_frame_id)
+            moved, turned = stamped.transform.translation, stamped.transform.rotation
+            transform: Array = np.eye(4)
+            transform[:3, :3] = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
+            transform[:3, 3] = moved.x, moved.y, moved.z
+            if not (np.abs(transform[:3, 3]) <= _LARGEST_M).all():
+                raise ValueError(f"expected {child!r} within {_LARGEST_M:g} m of {parent!r}")
+            found.append((parent, child, transform))
+        for parent, child, transform in found:
+            self._neighbours.setdefault(parent, {})[child] = transform
+            self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform))
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._neighbours
@@ -69,14 +73,8 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
     length = math.hypot(x, y, z, w)
     if not abs(length - 1) <= 0.01:
         raise ValueError(f"expected a quaternion of length 1, found length {length:.4g}")
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / length
+    return np.asarray(np.eye(3) + 2 * w / length * cross + 2 * cross @ cross)
 
 
 def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, float]:
@@ -84,18 +82,12 @@ def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, floa
 
     The eigenvector of the largest eigenvalue of Bar-Itzhack's matrix, which has no special cases.
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    symmetric = np.array(
-        [
-            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
-            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
-            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
-            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
-        ]
-    )
-    found = np.linalg.eigh(symmetric)[1][:, -1]
-    x, y, z, w = (float(value) for value in (found if found[3] >= 0 else -found))
-    return x, y, z, w
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = rotation + rotation.T - np.trace(rotation) * np.eye(3)
+    matrix[3] = matrix[:, 3] = zy - yz, xz - zx, yx - xy, np.trace(rotation)
+    x, y, z, w = np.linalg.eigh(matrix)[1][:, -1].tolist()
+    return (x, y, z, w) if w >= 0 else (-x, -y, -z, -w)
 
 
 # -- mount ------------------------------------------------------------------------------------------------------------
@@ -143,9 +135,3 @@ def base_from_optical(mount: Mount, level_from_camera: Array) -> Array:
     transform[:3, :3] = _ROBOT_FROM_BASE.T @ turn @ level_from_camera @ _OPTICAL_FROM_CAMERA
     transform[:3, 3] = _ROBOT_FROM_BASE.T @ np.array([mount.right_m, mount.height_m, mount.back_m])
     return transform
-
-
-def add_all(tree: FrameTree, transforms: Iterable[Any]) -> None:
-    """Add the transforms of a tf2_msgs/TFMessage. Raises ValueError."""
-    for stamped in transforms:
-        tree.add(stamped)

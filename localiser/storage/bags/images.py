@@ -11,23 +11,13 @@ from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image, measu
 
 # What a raw image becomes, and the bytes of a pixel. Bayer and YUV become colour.
 _BYTES = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
-_BYTES |= {f"bayer_{pattern}8": 1 for pattern in ("rggb", "bggr", "gbrg", "grbg")}
-_BYTES |= dict.fromkeys(("yuv422", "uyvy", "yuv422_yuy2", "yuyv"), 2)
-_TO_BGR = {
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "rgba8": cv2.COLOR_RGBA2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR,
-    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
-    "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
-    "bayer_gbrg8": cv2.COLOR_BayerGBRG2BGR,
-    "bayer_grbg8": cv2.COLOR_BayerGRBG2BGR,
-    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
-    "uyvy": cv2.COLOR_YUV2BGR_UYVY,
-    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
-    "yuyv": cv2.COLOR_YUV2BGR_YUY2,
-    "nv21": cv2.COLOR_YUV2BGR_NV21,
-    "nv12": cv2.COLOR_YUV2BGR_NV12,
-}
+_TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR}
+_BAYER = ("RGGB", "BGGR", "GBRG", "GRBG")
+_BYTES |= {f"bayer_{pattern.lower()}8": 1 for pattern in _BAYER}
+_TO_BGR |= {f"bayer_{pattern.lower()}8": getattr(cv2, f"COLOR_Bayer{pattern}2BGR") for pattern in _BAYER}
+_YUV = {"yuv422": "UYVY", "uyvy": "UYVY", "yuv422_yuy2": "YUY2", "yuyv": "YUY2", "nv12": "NV12", "nv21": "NV21"}
+_BYTES |= {name: 2 for name, layout in _YUV.items() if not layout.startswith("NV")}
+_TO_BGR |= {name: getattr(cv2, f"COLOR_YUV2BGR_{layout}") for name, layout in _YUV.items()}
 ENCODINGS = (*_BYTES, "nv12", "nv21")
 
 

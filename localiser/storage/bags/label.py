@@ -1,4 +1,4 @@
-"""What a log knows and ROS has no message for: its name, the start, the map; as YAML on topics of std_msgs/String."""
+"""What a log knows and ROS has no message for: its name, the start, the settings; as YAML on a std_msgs/String."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from localiser.camera import Camera
-from localiser.documents import MAX_DOCUMENT_BYTES, dump, parse, validate
-from localiser.landmarks import LandmarkMap
-from localiser.storage.cameras import FileModel, camera_from_document
+from localiser.documents import MAX_DOCUMENT_BYTES, Document, dump, parse
+from localiser.storage.cameras import FileModel
 from localiser.storage.folder import StartFile, start_data
 from localiser.storage.log import Log
-from localiser.storage.maps import map_data, map_from_document
 
 FORMAT: Literal["localiser-bag/1"] = "localiser-bag/1"
 
@@ -31,23 +28,15 @@ class Label(BaseModel):
     settings: dict[str, Any] | None = None  # everything that a live run was set to, by names such as `mcl.particles`
 
 
-def label_of(text: str, source: str) -> Label:
-    """Return the label that the text of a message holds. Raises InputError; ValueError when it is too long."""
-    return validate(parse(_bounded(text), source), Label)
-
-
-def map_of(text: str, source: str) -> LandmarkMap:
-    """Return the map that the text of a message holds. Raises InputError; ValueError when it is too long."""
-    return map_from_document(parse(_bounded(text), source))
-
-
-def camera_of_text(text: str, source: str) -> Camera:
-    """Return the camera whose file the text of a message is. Raises InputError; ValueError when it is too long."""
-    return camera_from_document(parse(_bounded(text), source))
+def document_of(text: str, source: str) -> Document:
+    """Return the YAML document that a message holds. Raises InputError; ValueError when it is too long."""
+    if len(text) > MAX_DOCUMENT_BYTES:
+        raise ValueError(f"expected at most {MAX_DOCUMENT_BYTES} characters, found {len(text)}")
+    return parse(text, source)
 
 
 def label_text(log: Log) -> str:
-    """Return what `label_of` reads."""
+    """Return the label of a log as text."""
     data: dict[str, Any] = {"format": FORMAT, "name": log.name, "camera_name": log.camera.name}
     if log.start is not None:
         data["start"] = start_data(log.start)
@@ -57,21 +46,10 @@ def label_text(log: Log) -> str:
 
 
 def live_label_text(name: str, camera_name: str, settings: Mapping[str, Any]) -> str:
-    """Return what `label_of` reads of a live run: it starts where its decisions say, with these settings."""
+    """Return the label of a live run as text: it starts where its decisions say, with these settings."""
     return dump({"format": FORMAT, "name": name, "camera_name": camera_name, "settings": dict(settings)})
-
-
-def map_text(landmark_map: LandmarkMap) -> str:
-    """Return what `map_of` reads."""
-    return dump(map_data(landmark_map))
 
 
 def motion_settings(log: Log) -> dict[str, Any]:
     """Return what a log says of its robot's odometry, as a log folder names it."""
     return {name.removeprefix("motion."): value for name, value in log.settings.items() if name.startswith("motion.")}
-
-
-def _bounded(text: str) -> str:
-    if len(text) > MAX_DOCUMENT_BYTES:
-        raise ValueError(f"expected at most {MAX_DOCUMENT_BYTES} characters, found {len(text)}")
-    return text

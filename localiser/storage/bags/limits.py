@@ -33,11 +33,15 @@ def check_chunks(reader: Any) -> None:
 @cache
 def bounded_decompression() -> None:
     """Make `rosbags` stop where a compressed chunk grows beyond what is allowed; a few bytes can ask for gigabytes."""
+    from lz4.frame import LZ4FrameDecompressor
     from rosbags.rosbag1 import reader as ros1
     from rosbags.rosbag2 import storage_mcap as mcap
 
-    mcap.DECOMPRESSORS |= {"lz4": lambda data, _: _lz4(data), "zstd": lambda data, _: _zstd(data)}
-    ros1.decompressors |= {"lz4": _lz4, "bz2": _bz2}
+    def lz4(data: bytes, _: int = 0) -> bytes:
+        return _decompressed(LZ4FrameDecompressor(), data)
+
+    mcap.DECOMPRESSORS |= {"lz4": lz4, "zstd": lambda data, _: _zstd(data)}
+    ros1.decompressors |= {"lz4": lz4, "bz2": lambda data: _decompressed(BZ2Decompressor(), data)}
 
 
 def message_unpacker(reader: Any) -> Callable[[bytes], bytes]:
@@ -49,21 +53,11 @@ def message_unpacker(reader: Any) -> Callable[[bytes], bytes]:
     return _zstd
 
 
-def _lz4(data: bytes) -> bytes:
-    from lz4.frame import LZ4FrameDecompressor
-
-    return _decompressed(LZ4FrameDecompressor(), data)
-
-
 def _zstd(data: bytes) -> bytes:
     from rosbags.rosbag2 import storage_mcap
 
     zstd: Any = vars(storage_mcap)["zstd"]  # of Python's library or its backport
     return _decompressed(zstd.ZstdDecompressor(), data)
-
-
-def _bz2(data: bytes) -> bytes:
-    return _decompressed(BZ2Decompressor(), data)
 
 
 def _decompressed(decompressor: Any, data: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""What this program has to say, as ROS messages; on the wire a ROS 2 message is what a bag holds of it."""
+"""Messages of ROS from what this program knows; what is sent over a network is the same bytes as in a ROS 2 bag."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
-from localiser.storage.bags.bag import POSE, TEXT, TRANSFORMS, typestore
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, POSE, TEXT, TRANSFORMS, typestore
 from localiser.storage.bags.cameras import info_fields
 from localiser.storage.bags.frames import base_from_optical, quaternion_from_rotation
+from localiser.storage.bags.poses import FLOOR_ROWS
 from localiser.storage.images import suffix_of
 
 BASE, OPTICAL, ODOM, MAP = "base_link", "camera_optical_frame", "odom", "map"
 _NS = 1_000_000_000
-_FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the turns about them
 
 
 class Messages:
@@ -34,67 +34,50 @@ class Messages:
         return bytes(encode(message, message.__msgtype__))
 
     def make(self, msgtype: str, **fields: Any) -> Any:
-        """Return a message of any type."""
-        return self.store.types[msgtype](**fields)
+        """Return a message of any type. fields: inner messages as mappings; those that are left out are zero."""
+        from rosbags.interfaces import Nodetype
 
-    def header(self, t_ns: int, frame: str) -> Any:
-        """Return a header with a stamp."""
-        seconds, nanoseconds = divmod(t_ns, _NS)
-        stamp = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self.ros1 else {}))
+        values = {}
+        for name, (node, of) in self.store.fielddefs[msgtype][1]:
+            given = fields.get(name)
+            if node == Nodetype.NAME:
+                values[name] = self.make(str(of), **(given or {}))
+            elif node == Nodetype.ARRAY:
+                values[name] = np.zeros(of[1]) if given is None else np.asarray(given, dtype=np.float64)
+            else:
+                values[name] = _ZEROS.get(str(of[0]), 0) if given is None else given
+        return self.store.types[msgtype](**values)
 
     def text(self, text: str) -> Any:
         """Return a std_msgs/String."""
         return self.make(TEXT, data=text)
 
-    # -- images and cameras -----------------------------------------------------------------------------------------
-
     def compressed(self, t_ns: int, data: bytes) -> Any:
         """Return a sensor_msgs/CompressedImage of a JPEG or PNG file."""
-        return self.make(
-            "sensor_msgs/msg/CompressedImage",
-            header=self.header(t_ns, OPTICAL),
-            format="png" if suffix_of(data) == ".png" else "jpeg",
-            data=np.frombuffer(data, dtype=np.uint8),
-        )
+        kind = "png" if suffix_of(data) == ".png" else "jpeg"
+        return self.make(COMPRESSED, header=_header(t_ns, OPTICAL), format=kind, data=np.frombuffer(data, np.uint8))
 
     def camera_info(self, t_ns: int, camera: Camera) -> Any:
         """Return a sensor_msgs/CameraInfo."""
-        region = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
-        fields: dict[str, Any] = {"binning_x": 0, "binning_y": 0, "roi": region}
-        for name, value in info_fields(camera).items():
-            numbers = np.array(value, dtype=np.float64) if isinstance(value, list) else value
-            fields[name.upper() if self.ros1 and len(name) == 1 else name] = numbers
-        return self.make("sensor_msgs/msg/CameraInfo", header=self.header(t_ns, OPTICAL), **fields)
+        fields = info_fields(camera)
+        if self.ros1:
+            fields = {name.upper() if len(name) == 1 else name: value for name, value in fields.items()}
+        return self.make(CAMERA_INFO, header=_header(t_ns, OPTICAL), **fields)
 
     def mount(self, t_ns: int, camera: Camera) -> Any:
         """Return the tf2_msgs/TFMessage that says where the camera sits on the robot."""
         transform = base_from_optical(camera.mount, camera.level_from_camera)
-        turned = quaternion_from_rotation(transform[:3, :3])
-        return self._transforms(t_ns, BASE, OPTICAL, transform[:3, 3].tolist(), turned)
-
-    # -- poses ------------------------------------------------------------------------------------------------------
+        return self._transform(t_ns, BASE, OPTICAL, transform[:3, 3], quaternion_from_rotation(transform[:3, :3]))
 
     def odometry(self, t_ns: int, frame: str, pose: Array) -> Any:
         """Return a nav_msgs/Odometry that says a pose (3,) and no covariance."""
-        zero = self._vector(0.0, 0.0, 0.0)
-        return self.make(
-            "nav_msgs/msg/Odometry",
-            header=self.header(t_ns, frame),
-            child_frame_id=BASE,
-            pose=self._pose(pose, np.zeros((3, 3))),
-            twist=self.make(
-                "geometry_msgs/msg/TwistWithCovariance",
-                twist=self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero),
-                covariance=np.zeros(36),
-            ),
-        )
+        return self.make(ODOMETRY, header=_header(t_ns, frame), child_frame_id=BASE, pose={"pose": _pose(pose)})
 
     def pose_in_map(self, t_ns: int, pose: Array, cov: Array) -> Any:
         """Return a geometry_msgs/PoseWithCovarianceStamped of a pose (3,) in the map and its covariance (3, 3)."""
-        return self.make(POSE, header=self.header(t_ns, MAP), pose=self._pose(pose, cov))
+        covariance = np.zeros((6, 6))
+        covariance[FLOOR_ROWS] = ros_cov_from_cov(cov)
+        return self.make(POSE, header=_header(t_ns, MAP), pose={"pose": _pose(pose), "covariance": covariance.ravel()})
 
     def map_from_odometry(self, t_ns: int, pose: Array, odometry: Array) -> Any:
         """Return the tf2_msgs/TFMessage from the map to the odometry's frame (REP-105), for two poses (3,) of one time.
@@ -104,37 +87,36 @@ class Messages:
         (x, y, yaw), (x_odom, y_odom, yaw_odom) = ros_from_pose(pose), ros_from_pose(odometry)
         turn = float(yaw - yaw_odom)
         cos, sin = math.cos(turn), math.sin(turn)
-        moved = [float(x - cos * x_odom + sin * y_odom), float(y - sin * x_odom - cos * y_odom), 0.0]
-        return self._transforms(t_ns, MAP, ODOM, moved, _about_up(turn))
+        moved = [x - cos * x_odom + sin * y_odom, y - sin * x_odom - cos * y_odom, 0.0]
+        return self._transform(t_ns, MAP, ODOM, moved, _about_up(turn))
 
-    def _pose(self, pose: Array, cov: Array) -> Any:
-        x, y, yaw = (float(value) for value in ros_from_pose(pose))
-        covariance = np.zeros((6, 6))
-        covariance[_FLOOR_ROWS] = ros_cov_from_cov(cov)
-        position = self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
-        return self.make(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=self.make("geometry_msgs/msg/Pose", position=position, orientation=self._quaternion(_about_up(yaw))),
-            covariance=covariance.ravel(),
-        )
-
-    def _transforms(self, t_ns: int, parent: str, child: str, moved: Sequence[float], turned: Sequence[float]) -> Any:
+    def _transform(
+        self, t_ns: int, parent: str, child: str, moved: Sequence[float] | Array, turned: Sequence[float]
+    ) -> Any:
         stamped = self.make(
             "geometry_msgs/msg/TransformStamped",
-            header=self.header(t_ns, parent),
+            header=_header(t_ns, parent),
             child_frame_id=child,
-            transform=self.make(
-                "geometry_msgs/msg/Transform", translation=self._vector(*moved), rotation=self._quaternion(turned)
-            ),
+            transform={"translation": _named("xyz", moved), "rotation": _named("xyzw", turned)},
         )
         return self.make(TRANSFORMS, transforms=[stamped])
 
-    def _vector(self, x: float, y: float, z: float) -> Any:
-        return self.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
-    def _quaternion(self, turned: Sequence[float]) -> Any:
-        x, y, z, w = turned
-        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+_ZEROS: dict[str, Any] = {"string": "", "bool": False, "float64": 0.0}
+
+
+def _header(t_ns: int, frame: str) -> dict[str, Any]:
+    seconds, nanoseconds = divmod(t_ns, _NS)
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
+
+
+def _pose(pose: Array) -> dict[str, Any]:
+    x, y, yaw = (float(value) for value in ros_from_pose(pose))
+    return {"position": _named("xyz", (x, y, 0.0)), "orientation": _named("xyzw", _about_up(yaw))}
+
+
+def _named(names: str, values: Sequence[float] | Array) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
 def _about_up(yaw: float) -> tuple[float, float, float, float]:

@@ -41,27 +41,23 @@ class Playback:
 
     def event(self, place: ImagePlace, *, by_wheels: bool = True) -> ImageEvent:
         """Return the image as an event of a log; by_wheels: see there."""
-        name = f"{self._topic.name}/{place.order:06d}"
-        field = self._field(place)
+        field = f"{self._topic.name} at {place.stamp_ns} ns"
+
+        def file() -> bytes:
+            """Return the image as a JPEG or PNG file that is whole and of the right size."""
+            if self._last is None or self._last[0] != place.order:
+                try:
+                    data = image_file(self._fetch(place).content)
+                except ValueError as error:
+                    raise InputError(str(error), path=self._path, field=field) from None
+                check_whole(data, self._size, path=self._path, field=field)
+                self._last = (place.order, data)
+            return self._last[1]
 
         def load() -> Image:
-            return decoded(self._file(place), self._size, path=self._path, field=field)
+            return decoded(file(), self._size, path=self._path, field=field)
 
-        return ImageEvent(place.stamp_ns, name, load, lambda: self._file(place), by_wheels)
-
-    def _field(self, place: ImagePlace) -> str:
-        return f"{self._topic.name} at {place.stamp_ns} ns"
-
-    def _file(self, place: ImagePlace) -> bytes:
-        """Return the image as a JPEG or PNG file that is whole and of the right size."""
-        if self._last is None or self._last[0] != place.order:
-            try:
-                data = image_file(self._fetch(place).content)
-            except ValueError as error:
-                raise InputError(str(error), path=self._path, field=self._field(place)) from None
-            check_whole(data, self._size, path=self._path, field=self._field(place))
-            self._last = (place.order, data)
-        return self._last[1]
+        return ImageEvent(place.stamp_ns, f"{self._topic.name}/{place.order:06d}", load, file, by_wheels)
 
     def _fetch(self, place: ImagePlace) -> Message:
         if self._bag is None or place.order != self._next:

@@ -11,7 +11,7 @@ from localiser.geometry import Array, pose_from_ros, ros_cov_from_cov, wrap_angl
 from localiser.storage.bags.frames import rotation_from_quaternion
 
 _LARGEST_M = 1e9
-_FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the turns about them
+FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the turns about them
 
 
 def floor_pose(message: Any) -> tuple[float, float, float]:
@@ -32,7 +32,7 @@ def floor_pose(message: Any) -> tuple[float, float, float]:
 
 def floor_cov(message: Any) -> Array:
     """Return the covariance (3, 3) of x, z, heading of such a message. Raises ValueError unless it can be one."""
-    cov = ros_cov_from_cov(np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[_FLOOR_ROWS])
+    cov = ros_cov_from_cov(np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[FLOOR_ROWS])
     if not np.isfinite(cov).all() or not np.allclose(cov, cov.T) or not (np.linalg.eigvalsh(cov) > 0).all():
         raise ValueError("expected a covariance of x, y and yaw that is positive definite")
     return (cov + cov.T) / 2

@@ -3,57 +3,52 @@
 from __future__ import annotations
 
 from base64 import b64decode
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera
+from localiser.documents import validate
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, Topic
 from localiser.storage.bags.cameras import camera_of
 from localiser.storage.bags.decisions import Decisions
-from localiser.storage.bags.frames import FrameTree, add_all, mount_of, plain_frame
+from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
 from localiser.storage.bags.images import stated_size
-from localiser.storage.bags.label import FORMAT, Label, camera_of_text, label_of, map_of
+from localiser.storage.bags.label import FORMAT, Label, document_of
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.poses import floor_pose
-from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, MAP_TOPIC, STATE_TOPIC, Chosen, choose
-from localiser.storage.cameras import load_camera
+from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
+from localiser.storage.cameras import camera_from_document, load_camera
 from localiser.storage.folder import start_from_file
-from localiser.storage.log import Log, require_overlap
+from localiser.storage.images import check_size
+from localiser.storage.log import Log, ReadOptions, require_overlap
+from localiser.storage.maps import map_from_document
 
 _IN_RECTIFIED = "image_rect"  # what image_proc calls images with their lens distortion undone
 
 
-@dataclass(frozen=True, slots=True)
 class BagReader:
-    """Reads ROS bags. topics: names by what they are for. camera: a camera file, used in place of what the bag says."""
+    """Reads ROS bags."""
 
-    topics: Mapping[str, str] = field(default_factory=dict)
-    camera: Path | None = None
-
-    @property
-    def format(self) -> str:
-        """The name of the format."""
-        return "bag"
+    format, looks_like, options = "bag", "a ROS bag", ("topics", "camera")
 
     def recognises(self, path: Path) -> bool:
         """Whether `path` is a bag's file, or the folder of a ROS 2 bag."""
         return path.suffix in SUFFIXES or (path / METADATA_FILE).exists()
 
-    def read(self, path: Path) -> Log:
+    def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; the bag is read once from end to end. Raises InputError."""
         with Bag(path) as bag:
-            chosen = choose(path, bag.topics, self.topics)
-            content = _Content(path, chosen)
+            chosen = choose(path, bag.topics, options.topics)
+            content = _Content(path, chosen.roles)
             for message in bag.messages(chosen.all):
                 content.take(message)
-        return _log(path, content, load_camera(self.camera) if self.camera else None)
+        return _log(content, chosen.image, load_camera(options.camera) if options.camera else None)
 
 
 @dataclass(slots=True, eq=False)
@@ -61,86 +56,76 @@ class _Poses:
     """Poses of one odometry topic. rows: (t_ns, x, z, heading). frame: whose poses they are."""
 
     rows: list[tuple[int, float, float, float]] = field(default_factory=list)
+    topic: str = ""
     frame: str = ""
 
-    def take(self, message: Message, offset_ns: int = 0) -> None:
+    def take(self, message: Message, offset_ns: int) -> None:
         """Add the floor part of a nav_msgs/Odometry. Raises ValueError."""
         self.rows.append((message.stamp_ns + offset_ns, *floor_pose(message.content)))
-        self.frame = plain_frame(message.content.child_frame_id)
+        self.topic, self.frame = message.topic, plain_frame(message.content.child_frame_id)
 
-    def trajectory(self, path: Path, topic: Topic) -> Trajectory:
+    def trajectory(self, path: Path) -> Trajectory:
         """Return the poses in the order of their stamps. Raises InputError when two have the same."""
         rows = sorted(self.rows)
-        times = np.array([row[0] for row in rows], dtype=np.int64)
-        _require_distinct(path, topic, times)
+        times = _distinct([row[0] for row in rows], path, self.topic)
         return Trajectory(times, np.array([row[1:] for row in rows]))
 
 
 @dataclass(slots=True, eq=False)
 class _Content:
-    """What one pass over a bag collects."""
+    """What one pass over a bag collects. roles: what each topic is for, by its name."""
 
     path: Path
-    chosen: Chosen
+    roles: dict[str, str]
     images: list[ImagePlace] = field(default_factory=list)
     size: tuple[int, int] | None = None
     optical_frame: str = ""
     odometry: _Poses = field(default_factory=_Poses)
     groundtruth: _Poses = field(default_factory=_Poses)
-    info: Any = None
+    info: Message | None = None
     tree: FrameTree = field(default_factory=FrameTree)
     label: Label | None = None
     landmark_map: LandmarkMap | None = None
     camera: Camera | None = None
-    decisions: Decisions | None = None
+    decisions: Decisions = field(default_factory=Decisions)
     resumed: bytes = b""
 
     def take(self, message: Message) -> None:
         """Keep what a message says. Raises InputError."""
-        chosen = self.chosen
         try:
-            if message.topic == chosen.image.name:
-                self._take_image(message)
-            elif message.topic == chosen.odometry.name:
-                self.odometry.take(message, self._offset_ns)
-            elif chosen.groundtruth is not None and message.topic == chosen.groundtruth.name:
-                self.groundtruth.take(message, self._offset_ns)
-            elif chosen.camera_info is not None and message.topic == chosen.camera_info.name:
-                self._take_info(message.content)
-            elif message.topic in {topic.name for topic in chosen.transforms}:
-                add_all(self.tree, message.content.transforms)
-            else:
-                self._take_label(message.topic, message.content.data)
+            self._take(self.roles[message.topic], message)
         except ValueError as error:
-            raise self._error(message, error) from None
+            field = f"{message.topic} at {message.t_ns} ns"
+            raise InputError(str(error), path=self.path, field=field) from None
 
-    @property
-    def _offset_ns(self) -> int:
-        return self.decisions.offset_ns if self.decisions is not None else 0
-
-    def _take_label(self, topic: str, text: str) -> None:
-        source = f"{self.path} {topic}"
-        if topic == MAP_TOPIC:
-            self.landmark_map = map_of(text, source)
-        elif topic == CAMERA_TOPIC:
-            self.camera = camera_of_text(text, source)
-        elif topic == DECISIONS_TOPIC:
-            self.decisions = self.decisions or Decisions()
-            self.decisions.take(text)
-        elif topic == STATE_TOPIC:
-            self.resumed = b64decode(text, validate=True)
+    def _take(self, role: str, message: Message) -> None:
+        content, offset_ns = message.content, self.decisions.offset_ns
+        if role == "image":
+            self._take_image(message, offset_ns)
+        elif role == "odometry":
+            self.odometry.take(message, offset_ns)
+        elif role == "groundtruth":
+            self.groundtruth.take(message, offset_ns)
+        elif role == "camera_info":
+            if self.info is not None and _intrinsics(self.info.content) != _intrinsics(content):
+                raise ValueError("expected one camera, found intrinsics that change")
+            self.info = message
+        elif role == "transforms":
+            self.tree.add_all(content.transforms)
+        elif role == DECISIONS_TOPIC:
+            self.decisions.take(content.data)
+        elif role == STATE_TOPIC:
+            self.resumed = b64decode(content.data, validate=True)
         else:
-            self.label = label_of(text, source)
+            document = document_of(content.data, f"{self.path} {role}")
+            if role == LOG_TOPIC:
+                self.label = validate(document, Label)
+            elif role == MAP_TOPIC:
+                self.landmark_map = map_from_document(document)
+            elif role == CAMERA_TOPIC:
+                self.camera = camera_from_document(document)
 
-    def used(self) -> None:
-        """Leave out what a live run did not use, if this is the recording of one."""
-        if self.decisions is None:
-            return
-        rows = self.odometry.rows
-        self.odometry.rows = [row for k, row in enumerate(rows) if k not in self.decisions.unused_odometry]
-        self.images = [place for place in self.images if place.order in self.decisions.images]
-
-    def _take_image(self, message: Message) -> None:
+    def _take_image(self, message: Message, offset_ns: int) -> None:
         size = stated_size(message.content)
         if self.size not in (None, size):
             raise ValueError(f"expected images of one size, found {self.size} and {size} pixels")
@@ -148,16 +133,7 @@ class _Content:
         self.optical_frame = plain_frame(message.content.header.frame_id)
         last = self.images[-1] if self.images else None
         later = last.later + 1 if last is not None and last.recorded_ns == message.t_ns else 0
-        stamp_ns = message.stamp_ns + self._offset_ns
-        self.images.append(ImagePlace(stamp_ns, message.t_ns, len(self.images), later, self._offset_ns))
-
-    def _take_info(self, info: Any) -> None:
-        if self.info is not None and _intrinsics(self.info) != _intrinsics(info):
-            raise ValueError("expected one camera, found intrinsics that change")
-        self.info = info
-
-    def _error(self, message: Message, error: ValueError) -> InputError:
-        return InputError(str(error), path=self.path, field=f"{message.topic} at {message.t_ns} ns")
+        self.images.append(ImagePlace(message.stamp_ns + offset_ns, message.t_ns, len(self.images), later, offset_ns))
 
 
 def _intrinsics(info: Any) -> tuple[bytes, int, int]:
@@ -168,67 +144,59 @@ def _intrinsics(info: Any) -> tuple[bytes, int, int]:
 # -- from what was collected to a log ---------------------------------------------------------------------------------
 
 
-def _log(path: Path, content: _Content, given: Camera | None) -> Log:
-    """Return the log that a bag holds. given: the camera in place of what the bag says of it."""
-    chosen = content.chosen
-    content.used()
-    if not content.images or not content.odometry.rows:
+def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
+    """Return the log that a bag holds. topic: of the images. given: the camera in place of what the bag says of it."""
+    path, decisions = content.path, content.decisions
+    if decisions.any:  # the recording of a live run: what that did not use is left out
+        rows, unused = content.odometry.rows, decisions.unused_odometry
+        content.odometry.rows = [row for k, row in enumerate(rows) if k not in unused]
+        content.images = [place for place in content.images if place.order in decisions.images]
+    if not content.images or not content.odometry.rows or content.size is None:
         raise InputError("expected images and odometry, found a bag that is cut off", path=path)
     places = sorted(content.images, key=lambda place: place.stamp_ns)
-    _require_distinct(path, chosen.image, np.array([place.stamp_ns for place in places]))
-    odometry = content.odometry.trajectory(path, chosen.odometry)
-    first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
+    _distinct([place.stamp_ns for place in places], path, topic.name)
+    odometry = content.odometry.trajectory(path)
     label = content.label or Label(format=FORMAT, name=path.resolve().stem)
-    camera = given or content.camera or _camera(path, content, label.camera_name)
-    starts = content.decisions.starts if content.decisions is not None else []
-    blind = content.decisions.blind if content.decisions is not None else set()
-    start = start_from_file(label.start, first_ns) if label.start else None
+    camera = given or content.camera or _camera(content, topic, label.camera_name)
+    first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
+    starts = decisions.starts or [start_from_file(label.start, first_ns) if label.start else None]
     size = (camera.width, camera.height)
-    if content.size != size:
-        raise InputError(
-            f"expected images of {size[0]}×{size[1]} pixels, as the camera says, found {content.size}",
-            path=path,
-            field=chosen.image.name,
-        )
-    playback = Playback(path, chosen.image, size)
-    truth = chosen.groundtruth
-    return require_overlap(
-        Log(
-            name=label.name,
-            path=path,
-            camera=camera,
-            odometry=odometry,
-            frames=[playback.event(place, by_wheels=place.order not in blind) for place in places],
-            landmark_map=content.landmark_map,
-            start=starts[0] if starts else start,
-            restarts=[start for start in starts[1:] if start is not None],
-            resumed=content.resumed,
-            groundtruth=content.groundtruth.trajectory(path, truth) if truth and content.groundtruth.rows else None,
-            settings={f"motion.{name}": value for name, value in (label.motion or {}).items()} | (label.settings or {}),
-        )
+    check_size(path, content.size, size, topic.name)
+    playback = Playback(path, topic, size)
+    log = Log(
+        name=label.name,
+        path=path,
+        camera=camera,
+        odometry=odometry,
+        frames=[playback.event(place, by_wheels=place.order not in decisions.blind) for place in places],
+        landmark_map=content.landmark_map,
+        start=starts[0],
+        restarts=[start for start in starts[1:] if start is not None],
+        resumed=content.resumed,
+        groundtruth=content.groundtruth.trajectory(path) if content.groundtruth.rows else None,
+        settings={f"motion.{name}": value for name, value in (label.motion or {}).items()} | (label.settings or {}),
     )
+    return require_overlap(log)
 
 
-def _camera(path: Path, content: _Content, name: str) -> Camera:
+def _camera(content: _Content, topic: Topic, name: str) -> Camera:
     """Return the camera by camera_info and transforms. Raises InputError."""
-    topic = content.chosen.camera_info
-    if topic is None or content.info is None:
-        raise InputError(
-            "expected a topic of sensor_msgs/CameraInfo, found none; give the camera with --camera FILE", path=path
-        )
-    rectified = _IN_RECTIFIED in content.chosen.image.name
-    return camera_of(content.info, _mount(path, content), rectified=rectified, name=name, source=f"{path} {topic.name}")
-
-
-def _mount(path: Path, content: _Content) -> Mount:
+    path, info = content.path, content.info
+    if info is None:
+        problem = "expected a topic of sensor_msgs/CameraInfo, found none; give the camera with --camera FILE"
+        raise InputError(problem, path=path)
     try:
-        return mount_of(content.tree, content.odometry.frame, content.optical_frame)
+        mount = mount_of(content.tree, content.odometry.frame, content.optical_frame)
     except ValueError as error:
         raise InputError(f"{error}; give camera and mount with --camera FILE", path=path, field="tf_static") from None
+    rectified = _IN_RECTIFIED in topic.name
+    return camera_of(info.content, mount, rectified=rectified, name=name, source=f"{path} {info.topic}")
 
 
-def _require_distinct(path: Path, topic: Topic, times: np.ndarray[Any, Any]) -> None:
-    """Raise InputError unless times that are sorted differ."""
-    same = np.flatnonzero(np.diff(times) == 0)
+def _distinct(times: list[int], path: Path, topic: str) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Return sorted times as an array. Raises InputError when two are the same."""
+    found = np.array(times, dtype=np.int64)
+    same = np.flatnonzero(np.diff(found) == 0)
     if len(same):
-        raise InputError(f"expected stamps that differ, found {times[same[0]]} ns twice", path=path, field=topic.name)
+        raise InputError(f"expected stamps that differ, found {found[same[0]]} ns twice", path=path, field=topic)
+    return found

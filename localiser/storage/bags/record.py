@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from localiser.errors import InputError, OutputError
 from localiser.storage.bags.bag import typestore
+from localiser.storage.files import output_errors
 
 SUFFIX = ".db3"
 
@@ -43,12 +47,10 @@ class BagRecorder:
         self._path, self._store = path, typestore(ros1=False)
         self._topics: dict[tuple[str, str], int] = {}
         self._last_ns = 0
-        try:
+        with self._errors():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._database.executescript(f"BEGIN;{_TABLES}COMMIT;BEGIN;")
-        except (OSError, sqlite3.Error) as error:
-            raise self._error(error) from None
 
     def write(self, topic: str, msgtype: str, t_ns: int, content: bytes) -> None:
         """Add a message as it came at `t_ns`; recorded times increase, so that a reader has the order of calls.
@@ -56,27 +58,21 @@ class BagRecorder:
         Raises OutputError.
         """
         self._last_ns = max(t_ns, self._last_ns + 1)
-        try:
-            row = (self._topic(topic, msgtype), self._last_ns, content)
-            self._database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", row)
-        except sqlite3.Error as error:
-            raise self._error(error) from None
+        with self._errors():
+            self._insert("messages", topic_id=self._topic(topic, msgtype), timestamp=self._last_ns, data=content)
 
     def commit(self) -> None:
         """Make sure of all that was written. Raises OutputError."""
-        try:
+        with self._errors():
             self._database.execute("COMMIT")
             self._database.execute("BEGIN")
-        except sqlite3.Error as error:
-            raise self._error(error) from None
 
     def close(self) -> None:
         """End the file; what could not be committed is taken back. Raises OutputError."""
         try:
-            if self._database.in_transaction:
-                self._database.execute("COMMIT")
-        except sqlite3.Error as error:
-            raise self._error(error) from None
+            with self._errors():
+                if self._database.in_transaction:
+                    self._database.execute("COMMIT")
         finally:
             self._database.close()
 
@@ -84,19 +80,24 @@ class BagRecorder:
         key = topic, msgtype
         if key not in self._topics:
             digest = self._store.hash_rihs01(msgtype)
-            definition, _ = self._store.generate_msgdef(msgtype, ros_version=2)
-            self._database.execute(
-                "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition,"
-                " type_description_hash) VALUES(?, 'ros2msg', ?, ?)",
-                (msgtype, definition, digest),
-            )
-            cursor = self._database.execute(
-                "INSERT INTO topics(name, type, serialization_format, offered_qos_profiles, type_description_hash)"
-                " VALUES(?, ?, 'cdr', '', ?)",
-                (topic, msgtype, digest),
-            )
-            self._topics[key] = int(cursor.lastrowid or 0)
+            text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
+            hashed: dict[str, Any] = {"type_description_hash": digest}
+            definition = {"topic_type": msgtype, "encoding": "ros2msg", "encoded_message_definition": text}
+            self._insert("message_definitions", **definition, **hashed)
+            row = {"name": topic, "type": msgtype, "serialization_format": "cdr", "offered_qos_profiles": ""}
+            self._topics[key] = self._insert("topics", **row, **hashed)
         return self._topics[key]
 
-    def _error(self, error: Exception) -> OutputError:
-        return OutputError(f"{self._path}: cannot be written: {error}")
+    def _insert(self, table: str, **row: Any) -> int:
+        """Add a row to a table; returns its number."""
+        places = ", ".join("?" * len(row))
+        query = f"INSERT INTO {table}({', '.join(row)}) VALUES({places})"
+        return int(self._database.execute(query, list(row.values())).lastrowid or 0)
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            with output_errors(self._path):
+                yield
+        except sqlite3.Error as error:
+            raise OutputError(f"{self._path}: cannot be written: {error}") from None

@@ -22,6 +22,7 @@ TYPES = {
     "groundtruth": (ODOMETRY,),
 }
 _TRUTH = re.compile(r"ground_?truth", re.IGNORECASE)
+_MOST_LISTED = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +35,14 @@ class Chosen:
     groundtruth: Topic | None
     transforms: tuple[Topic, ...]
     labels: tuple[Topic, ...]
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """What each topic is for, by its name."""
+        single = {name: getattr(self, name) for name in TYPES}
+        found = {topic.name: role for role, topic in single.items() if topic is not None}
+        found |= {topic.name: "transforms" for topic in self.transforms}
+        return found | {topic.name: topic.name for topic in self.labels}
 
     @property
     def all(self) -> list[Topic]:
@@ -51,63 +60,49 @@ def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> Cho
     for role in asked:
         if role not in TYPES:
             raise InputError(f"unknown kind of topic; {nearest(role, list(TYPES))}", field="--topic")
-    image = _required(path, topics, asked, "image", _of_type(topics, "image"))
-    wheels = [topic for topic in _of_type(topics, "odometry") if topic.name != asked.get("groundtruth")]
+    of_type = {
+        role: [topic for topic in topics if topic.msgtype in types and topic.count] for role, types in TYPES.items()
+    }
+
+    def one(role: str, fitting: Sequence[Topic]) -> Topic | None:
+        """Return the topic that was asked for, else the only one that fits, None where none does."""
+        if role in asked:
+            fitting = [topic for topic in of_type[role] if topic.name == asked[role]][:1]
+            if not fitting:
+                found = _listed(of_type[role]) or "none of that type"
+                raise InputError(f"expected one of the topics {found}, found {asked[role]!r}", path=path, field=role)
+        if len(fitting) > 1:
+            advice = f"choose with --topic {role}={fitting[0].name}"
+            raise InputError(f"several topics fit: {_listed(fitting)}; {advice}", path=path)
+        return fitting[0] if fitting else None
+
+    def required(role: str, fitting: Sequence[Topic]) -> Topic:
+        if topic := one(role, fitting):
+            return topic
+        found = _listed(topics) or "no topic at all"
+        raise InputError(f"expected a topic of {' or '.join(TYPES[role])}, found {found}", path=path, field=role)
+
+    image = required("image", of_type["image"])
+    wheels = [topic for topic in of_type["odometry"] if topic.name != asked.get("groundtruth")]
     truths = [topic for topic in wheels if _TRUTH.search(topic.name) and topic.name != asked.get("odometry")]
-    odometry = _required(path, topics, asked, "odometry", [topic for topic in wheels if topic not in truths])
-    cameras = _of_type(topics, "camera_info")
-    beside = [topic for topic in cameras if topic.name in _beside(image.name)]
+    odometry = required("odometry", [topic for topic in wheels if topic not in truths])
+    # Beside the image, or beside what was compressed.
+    parent = image.name.rsplit("/", 1)[0]
+    near = (f"{parent}/camera_info", f"{parent.rsplit('/', 1)[0]}/camera_info")
+    beside = [topic for topic in of_type["camera_info"] if topic.name in near]
+    fixed = [topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf_static"]
     return Chosen(
         image=image,
         odometry=odometry,
-        camera_info=_one(path, topics, asked, "camera_info", beside or cameras),
-        groundtruth=_one(path, topics, asked, "groundtruth", truths),
-        transforms=tuple(
-            topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf_static"
-        ),
+        camera_info=one("camera_info", beside or of_type["camera_info"]),
+        groundtruth=one("groundtruth", truths),
+        transforms=tuple(fixed),
         labels=tuple(topic for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS),
     )
 
 
-def _beside(image: str) -> tuple[str, ...]:
-    """Return what the camera_info of an image topic is called: beside it, or beside what was compressed."""
-    parent = image.rsplit("/", 1)[0]
-    return f"{parent}/camera_info", f"{parent.rsplit('/', 1)[0]}/camera_info"
-
-
-def _of_type(topics: Sequence[Topic], role: str) -> list[Topic]:
-    return [topic for topic in topics if topic.msgtype in TYPES[role] and topic.count]
-
-
-def _required(
-    path: Path, topics: Sequence[Topic], asked: Mapping[str, str], role: str, fitting: Sequence[Topic]
-) -> Topic:
-    topic = _one(path, topics, asked, role, fitting)
-    if topic is None:
-        found = _listed(topics) or "no topic at all"
-        raise InputError(f"expected a topic of {' or '.join(TYPES[role])}, found {found}", path=path, field=role)
-    return topic
-
-
-def _one(
-    path: Path, topics: Sequence[Topic], asked: Mapping[str, str], role: str, fitting: Sequence[Topic]
-) -> Topic | None:
-    """Return the topic that was asked for, else the only one that fits, None where none does."""
-    if role in asked:
-        named = [topic for topic in _of_type(topics, role) if topic.name == asked[role]]
-        if not named:
-            found = _listed(_of_type(topics, role)) or "none of that type"
-            raise InputError(f"expected one of the topics {found}, found {asked[role]!r}", path=path, field=role)
-        return named[0]
-    if len(fitting) > 1:
-        raise InputError(
-            f"several topics fit: {_listed(fitting)}; choose with --topic {role}={fitting[0].name}", path=path
-        )
-    return fitting[0] if fitting else None
-
-
-def _listed(topics: Sequence[Topic], longest: int = 12) -> str:
+def _listed(topics: Sequence[Topic]) -> str:
     """Return names and types for a message, not more than can be read."""
-    shown = [f"{topic.name} ({topic.msgtype.rsplit('/', 1)[-1]}, {topic.count})" for topic in topics[:longest]]
-    more = [f"and {len(topics) - longest} more"] if len(topics) > longest else []
+    shown = [f"{topic.name} ({topic.msgtype.rsplit('/', 1)[-1]}, {topic.count})" for topic in topics[:_MOST_LISTED]]
+    more = [f"and {len(topics) - _MOST_LISTED} more"] if len(topics) > _MOST_LISTED else []
     return ", ".join([*shown, *more])

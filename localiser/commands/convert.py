@@ -1,0 +1,118 @@
+"""`localiser convert`: logs from one format to another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from localiser.commands.options import BagCamera, Quiet, Topics, progress, topics_by_role
+from localiser.errors import InputError
+
+if TYPE_CHECKING:
+    from localiser.storage import Log
+
+EPILOG = """Examples:
+
+`localiser convert drive.bag logs/drive`
+
+`localiser convert drive_bag logs/drive --topic odometry=/wheel/odom --camera camera.yaml`
+
+`localiser convert logs/corridor corridor.mcap`
+
+`localiser convert logs/corridor corridor_bag --to sqlite3`
+
+`localiser convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml`"""
+FOLDER = "folder"
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="LOG", help="ROS bag (ROS 1, ROS 2), log folder, video file.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New log folder, or new bag.")],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="folder|mcap|sqlite3|ros1",
+            help="What OUT becomes; by default what its ending says (.mcap, .db3, .bag), else a folder from a bag and "
+            "MCAP from a folder.",
+        ),
+    ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
+    odometry: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Odometry of a video: CSV t_ns,x,z,heading.")
+    ] = None,
+    start_ns: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="When a video's first frame was taken, by the odometry's clock; by default with its first pose.",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a recorded LOG into another format: ROS bag to log folder, log folder to ROS bag, bag to bag.
+
+    Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --odometry and --camera.
+    """
+    from localiser.storage import open_log, read_video, write_bag
+
+    if odometry is not None:
+        if camera is None or topics:
+            raise InputError("expected a video with --camera FILE and without --topic", field="--odometry")
+        log = read_video(source, odometry, camera, start_ns)
+    elif start_ns is not None:
+        raise InputError("is for a video with --odometry FILE", field="--start-ns")
+    else:
+        log = open_log(source, topics=topics_by_role(topics), camera=camera)
+    target = _target_of(out, log, to)
+    with progress("Converting", len(log.frames), quiet) as advance:
+        if target == FOLDER:
+            _to_folder(log, out, advance)
+        else:
+            write_bag(out, log, target, advance)
+    if not quiet:
+        typer.echo(f"{len(log.frames)} frames and {len(log.odometry)} odometry poses in {out} ({target})")
+
+
+def _target_of(out: Path, log: Log, asked: str | None) -> str:
+    """Return what was asked for, else what the name's ending says, else the other of folder and bag.
+
+    Raises InputError when what was asked for and the ending contradict.
+    """
+    from localiser.storage import KINDS
+    from localiser.storage.bags import FILE_KINDS
+
+    by_name = FILE_KINDS.get(out.suffix)
+    if asked is not None and asked not in (FOLDER, *KINDS):
+        raise InputError(f"expected {', '.join((FOLDER, *KINDS))}, found {asked!r}", field="--to")
+    if asked is not None and by_name is not None and asked != by_name:
+        raise InputError(f"expected a path for {asked}, found one that ends in {out.suffix}", path=out, field="--to")
+    return asked or by_name or ("mcap" if (log.path / "log.yaml").exists() else FOLDER)
+
+
+def _to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
+    """Write a log folder; image files are copied as they are."""
+    from localiser.filter import Sighting
+    from localiser.storage import ImageEvent, motion_settings, write_log
+
+    def images() -> Iterator[tuple[int, bytes]]:
+        for frame in log.frames:
+            if isinstance(frame, ImageEvent):
+                yield frame.t_ns, frame.encoded()
+                advance()
+
+    write_log(
+        out,
+        name=log.name,
+        camera=log.camera,
+        odometry=log.odometry,
+        images=images() if log.has_images else None,
+        sightings=None if log.has_images else [frame for frame in log.frames if isinstance(frame, Sighting)],
+        landmark_map=log.landmark_map,
+        groundtruth=log.groundtruth,
+        start=log.start,
+        motion=motion_settings(log),
+    )

@@ -1,1 +1,0 @@
-"""`localiser convert`: logs to bags and back."""

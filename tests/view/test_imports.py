@@ -1,0 +1,26 @@
+"""Libraries that take long to import are imported by those who use them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+SLOW = {"rosbags", "rerun", "scipy", "matplotlib", "pyarrow", "filterpy", "rich", "lz4"}
+
+
+@pytest.mark.parametrize("package", ["storage", "view", "evaluate", "config", "commands.options"])
+def test_packages_import_no_slow_library(package: str) -> None:
+    code = f"import sys, localiser.{package}; print(*{{name.split('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    allowed = {"rich"} if package.startswith("commands") else set()  # the command line's own
+    assert not set(done.stdout.split()) & (SLOW - allowed)
+
+
+def test_what_draws_a_map_is_there_when_it_is_asked_for() -> None:
+    from localiser import view
+
+    assert callable(view.record_map)
+    with pytest.raises(AttributeError, match=r"'localiser\.view' has no attribute 'nothing'"):
+        view.nothing  # noqa: B018
