@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from localiser.camera import Camera
 from localiser.edges.columns import GradientField, clutter, gradient_field, linked, peaks_of
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
 from localiser.edges.parameters import EdgeParameters
-from localiser.edges.rectify import ROWS_PER_BLOCK, ColumnView, column_view
+from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import Image, half_camera, ideal_camera
 from localiser.geometry import Array
@@ -49,7 +49,21 @@ def _found(image: Image, camera: Camera, min_step: float) -> Segments:
     kept, top, bottom = _significant(fitted, cells, field, min_step)
     if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
         return _found_in_half(image, camera, min_step)
-    return _segments(fitted.take(kept), top[kept], bottom[kept], column_view(camera), camera)
+    fit, view = fitted.fit.take(kept), column_view(camera)
+    reach = np.sqrt(fit.spread / fit.weight)
+    points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
+    column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
+    upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
+    ideal_px = ideal_camera(camera).pixels_from_upright(upright)
+    to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
+    return Segments(
+        ends_px=ideal_px[:, :2],
+        support_px=ideal_px[:, 2:],
+        sigma_px=to_px * np.sqrt(2 / fit.weight),
+        shift_sigma_px=to_px * fitted.shift[kept],
+        offset_sigma_px=to_px * fitted.offset[kept],
+        polarity=rough.polarity[kept],
+    )
 
 
 def _found_in_half(image: Image, camera: Camera, min_step: float) -> Segments:
@@ -57,14 +71,8 @@ def _found_in_half(image: Image, camera: Camera, min_step: float) -> Segments:
     half = half_camera(camera)
     smaller = cv2.resize(image[: 2 * half.height, : 2 * half.width], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     found = _found(np.asarray(smaller, dtype=np.uint8), half, min_step)
-    return replace(
-        found,
-        ends_px=2 * found.ends_px + 0.5,
-        support_px=2 * found.support_px + 0.5,
-        sigma_px=2 * found.sigma_px,
-        shift_sigma_px=2 * found.shift_sigma_px,
-        offset_sigma_px=2 * found.offset_sigma_px,
-    )
+    sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px, 2 * found.offset_sigma_px
+    return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
 
 
 def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
@@ -73,7 +81,7 @@ def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: Gr
     A sharp step is half as steep there. One so wide shows two peaks at the fine scale, at either end of its slope.
     """
     groups = cells.groups
-    at_coarse = sampled(field.coarse, cells, fitted.lines.fit.at(groups.of, cells.row))[0]
+    at_coarse = sampled(field.coarse, cells, fitted.fit.at(groups.of, cells.row))[0]
     coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
     return len(kept) > 0 and float(np.median(coarse / fine)) > _BLURRED_STEEPNESS
 
@@ -85,7 +93,7 @@ def _significant(
     groups, line = cells.groups, cells.groups.of
     faintest = np.maximum(2.0, _SAME_EDGE_SHARE * cells.mean(fitted.height)[line])
     on = cells.in_chain & fitted.on_line & (fitted.height > faintest)
-    column = np.rint(fitted.lines.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
+    column = np.rint(fitted.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
     blocks = groups.sum(on)
     score = groups.sum(on * fitted.height / clutter(field.change[cells.row, column])) / np.sqrt(np.maximum(blocks, 1))
     kept = (blocks >= LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.step >= min_step)
@@ -109,9 +117,7 @@ def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, 
     """
     groups, index = cells.groups, np.arange(len(on))
     first, last = groups.lowest(index, on), groups.highest(index, on)
-    seen = np.isfinite(first)
-    ends = (np.where(seen, end, 0).astype(np.int64) for end in (first, last))
-    first_cell, last_cell = ends
+    first_cell, last_cell = (np.where(np.isfinite(end), end, 0).astype(np.int64) for end in (first, last))
 
     def covered(end: NDArray[np.int64], outwards: int) -> Array:
         inner = np.maximum(_neighbour(height, groups.of, end, -outwards), 1e-6)
@@ -128,22 +134,3 @@ def _neighbour(values: Array, group: NDArray[np.int64], cell: NDArray[np.int64],
     at = cell + by
     inside = at.clip(0, len(values) - 1)
     return np.where((at == inside) & (group[inside] == group[cell]), values[inside], 0.0)
-
-
-def _segments(fitted: Fitted, top: Array, bottom: Array, view: ColumnView, camera: Camera) -> Segments:
-    """Return lines of the rectified image, from block `top` to `bottom`, as segments."""
-    fit = fitted.lines.fit
-    reach = np.sqrt(fit.spread / fit.weight)
-    points = np.stack([bottom - 0.5, top - 0.5, fit.x + reach, fit.x - reach], axis=1)
-    column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
-    upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
-    ideal_px = ideal_camera(camera).pixels_from_upright(upright)
-    to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
-    return Segments(
-        ends_px=ideal_px[:, :2],
-        support_px=ideal_px[:, 2:],
-        sigma_px=to_px * np.sqrt(2 / fit.weight),
-        shift_sigma_px=to_px * fitted.shift,
-        offset_sigma_px=to_px * fitted.offset,
-        polarity=fitted.lines.polarity,
-    )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -63,8 +64,7 @@ class GradientField:
     grey: NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Peaks:
+class Peaks(NamedTuple):
     """Peaks of a gradient field, P of them. row: block. column, position: whole and sub-pixel. polarity: as `Edges`."""
 
     row: NDArray[np.int64]

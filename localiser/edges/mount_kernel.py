@@ -23,7 +23,7 @@ def mount_loop(
     """Return mean (2,) and covariance (2, 2) of tilt and roll that angles (S,) tell, and a factor on crooked_variance.
 
     tukey: where weights end, and the share of a Gaussian's variance that they leave. iterations: with a factor of 1,
-    and with one that is learnt. See `mount_error`, `mount_error_of_pointing`.
+    and with one that is learnt. See `fit_mount`.
     """
     mean, cov, factor = np.zeros(2), np.diag(prior_variance), 1.0
     for iteration in range(iterations[0] + iterations[1]):

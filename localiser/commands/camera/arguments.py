@@ -208,30 +208,20 @@ def _show_calibration(found: Calibration) -> None:
         digits = 2 if name in ("fx", "fy", "cx", "cy") else 5
         values.add_row(f"{name} (px)" if digits == 2 else name, f"{value:.{digits}f}", f"{sigma:.{digits}f}")
     if found.floor is not None:
-        scale = np.array([np.rad2deg(1.0), np.rad2deg(1.0), 1.0])
-        rows = zip(
-            ("tilt (°)", "roll (°)", "height (m)"), found.floor.values * scale, found.floor.sigma * scale, strict=True
-        )
-        for name, value, sigma in rows:
-            values.add_row(name, f"{value:.4f}", f"{sigma:.4f}")
+        for index, (name, unit) in enumerate((("tilt (°)", 180 / np.pi), ("roll (°)", 180 / np.pi), ("height (m)", 1))):
+            values.add_row(name, *(f"{of[index] * unit:.4f}" for of in (found.floor.values, found.floor.sigma)))
     show(values)
-    if outliers:
-        typer.secho(
-            f"Look at {', '.join(outliers)}: blurred, bent or not this board? Leave out what is.", fg="yellow", err=True
-        )
-    if found.without_board:
-        typer.secho(
-            f"No board was found in {', '.join(found.without_board)}: blurred, too small or, a chessboard, cut off?",
-            fg="yellow",
-            err=True,
-        )
-    if intrinsics.reach < _WELL_REACHED:
-        typer.secho(
-            f"Corners were seen up to {intrinsics.reach:.0%} of the way from the centre to the image's corners; "
-            "further out the lens is a guess. Add images with the board there.",
-            fg="yellow",
-            err=True,
-        )
+    doubts = {
+        f"Look at {', '.join(outliers)}: blurred, bent or not this board? Leave out what is.": outliers,
+        f"No board was found in {', '.join(found.without_board)}: blurred, too small or, a chessboard, cut off?": (
+            found.without_board
+        ),
+        f"Corners were seen up to {intrinsics.reach:.0%} of the way from the centre to the image's corners; "
+        "further out the lens is a guess. Add images with the board there.": intrinsics.reach < _WELL_REACHED,
+    }
+    for text, is_so in doubts.items():
+        if is_so:
+            typer.secho(text, fg="yellow", err=True)
 
 
 def _table(*columns: str) -> Table:
