@@ -40,7 +40,7 @@ def plain_score(evidence, poses):
     """The score of `evidence`'s docstring, each landmark given to the edge that fits it best, without tables."""
     view, camera = evidence.view, evidence.view.camera
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-    _, _, e_low, e_high = camera.upright_bounds
+    span, (_, _, e_low, e_high) = field_of_view_rad(camera), camera.upright_bounds
     sigma_b, sigma_e = np.hypot(view.bearing_sigma, 0.01), np.hypot(view.foot_sigma, 0.01)
     right, ahead = in_camera(camera.pose_in_map(poses), PLACES.points)
     scores = []
