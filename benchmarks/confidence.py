@@ -22,12 +22,12 @@ import yaml
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.filter.confidence import beside
-from localiser.filter.mcl import FilterState, Mcl, Odometry, Sighting, Start, step
+from localiser.filter import FilterState, Mcl, Odometry, Sighting, Start, step
+from localiser.filter.confidence import is_near
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.relocalisation.global_localisation import Search
+from localiser.relocalisation.global_localisation import GlobalLocalisation
 from localiser.simulate import EdgeNoise, simulated_edges, structure_of, truth_of, visible_mask, world_of
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
@@ -106,7 +106,10 @@ def run(setting: Setting, scenario: str, seed: int) -> Run:
     parameters = ObservationParameters()
     observation = EdgeObservation(setting.camera, parameters)
     mcl = Mcl(
-        setting.landmark_map, observation, correlation=parameters, search=Search.of(observation, setting.landmark_map)
+        setting.landmark_map,
+        observation,
+        correlation=parameters,
+        search=GlobalLocalisation.of(observation, setting.landmark_map),
     )
     start = Start(0, truth[0] + START_SIGMA * rng.standard_normal(3), np.diag(START_SIGMA**2))
     events = [] if scenario == "global" else [start]
@@ -114,7 +117,7 @@ def run(setting: Setting, scenario: str, seed: int) -> Run:
         events += [Odometry(int(t), pose), Sighting(int(t), seen)]
     state = FilterState()
     located = [found for event in events for found in step(mcl, state, event, rng)]
-    right = [beside(found.estimate.pose[None], pose)[0] for found, pose in zip(located, truth, strict=True)]
+    right = [is_near(found.estimate.pose[None], pose)[0] for found, pose in zip(located, truth, strict=True)]
     return Run(np.array([found.p_correct for found in located]), np.array(right))
 
 

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from localiser.camera import Camera
-from localiser.edges import EdgeParameters, Edges, find_edges
+from localiser.edges import Edges, find_edges
 from localiser.edges.foot import FOOT_SIGMA_PX
 from localiser.geometry import Array, robot_from_map
 from localiser.simulate import simulate_log, world_of
@@ -51,7 +51,7 @@ def simulated_feet(world_file: Path, seed: int, every: int) -> Iterator[Feet]:
     log = simulate_log(world_of(yaml.safe_load(world_file.read_text())), seed=seed)
     poses = log.drive.truth.sampled(log.drive.image_t_ns).poses
     for index in range(0, len(log), every):
-        edges = _seen(find_edges(log.image(index), log.camera, EdgeParameters()))
+        edges = _seen(find_edges(log.image(index), log.camera, with_probabilities=True))
         if len(edges):
             pose = log.camera.pose_in_map(poses[index])
             yield Feet(edges.foot_probability, _below_foot_px(edges, log.camera, pose, log.scene.structure.solids))
@@ -60,7 +60,7 @@ def simulated_feet(world_file: Path, seed: int, every: int) -> Iterator[Feet]:
 def house_feet(folder: Path, every: int) -> Iterator[Feet]:
     """Yield the lower ends in a rendered log, of edges at the bearing of a landmark: of others nothing is known."""
     for view in house_views(folder, every):
-        edges = _seen(find_edges(view.image, view.camera, EdgeParameters()))
+        edges = _seen(find_edges(view.image, view.camera, with_probabilities=True))
         right, back = robot_from_map(view.camera.pose_in_map(view.pose), view.points).T
         bearing = np.arctan2(right, -back)
         foot_px = view.camera.project_level(

@@ -38,7 +38,8 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.find import grey_image
-from localiser.edges.segments import Segments, lsd
+from localiser.edges.line_detectors import lsd
+from localiser.edges.segments import Segments
 from localiser.edges.vertical import vertical_segments
 from localiser.geometry import Array
 
@@ -178,12 +179,12 @@ def main() -> None:
         said: list[Array] = []
         true: list[Mask] = []
         for scene, others_px in kinds[kind]:
-            segments = lsd(grey_image(scene.image, scene.camera), scene.camera, PARAMETERS)
+            segments = lsd(grey_image(scene.image, scene.camera), scene.camera)
             long = np.linalg.norm(segments.ends_px[:, 1] - segments.ends_px[:, 0], axis=1) >= PARAMETERS.min_length_px
             segments = segments.take(long)
             for name, judge in JUDGES.items():
                 counts[name].add(scene, others_px, segments.take(judge(segments, scene.camera)))
-            edges = find_edges(scene.image, scene.camera, PARAMETERS)
+            edges = find_edges(scene.image, scene.camera, PARAMETERS, with_probabilities=True)
             ends = undistorted(edges.ends_px, scene.camera)
             is_true = along(ends, undistorted(scene.truth_px, scene.camera))
             known = is_true | (True if others_px is None else along(ends, others_px))

@@ -11,7 +11,7 @@ from edge_score import undistorted
 
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, find_edges
-from localiser.edges.mount import mount_error, mount_error_of_edges, nadir_miss
+from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.segments import Segments
 from localiser.geometry import Array
 
@@ -66,7 +66,7 @@ def _labelled(scene: Scene) -> Array:
     off = np.zeros(2)
     for _ in range(3):
         camera = _moved(scene.camera, off)
-        off = off + mount_error(nadir_miss(lines, camera), np.deg2rad([5.0, 5.0]), _PLUMB_RAD).mean
+        off = off + fit_mount(nadir_miss(lines, camera, _PLUMB_RAD), np.deg2rad([5.0, 5.0])).mean
     return off
 
 

@@ -27,7 +27,7 @@ from rich.table import Table
 
 from localiser.camera import Camera
 from localiser.edges import DETECTORS, EdgeParameters, find_edges
-from localiser.edges.segments import LSD_SIGMA_PX, on_ideal_image
+from localiser.edges.line_detectors import LSD_SIGMA_PX, on_ideal_image
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
 REFERENCE = "EdgeDrawing"

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from localiser import evaluate, geometry, motion
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.filter.mcl import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
+from localiser.filter import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters

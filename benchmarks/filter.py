@@ -35,14 +35,13 @@ from rich.table import Table
 from localiser.camera import Camera, Mount
 from localiser.config import Config
 from localiser.edges import Edges
-from localiser.filter import mcl
-from localiser.filter.mcl import MclParameters
+from localiser.filter import MclParameters, Sighting
 from localiser.geometry import Array, Increment, Trajectory, compose
 from localiser.landmarks import LandmarkMap, in_camera, sight
-from localiser.localiser import filter_of
+from localiser.localiser import Localiser
 from localiser.motion import MotionParameters, predict
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
+from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
 from localiser.particles import Particles, estimate, from_gaussian, take
 from localiser.particles.resampling import systematic_resample
 from localiser.simulate import EdgeNoise, render, scene_of, simulated_edges, truth_of, world_of
@@ -51,7 +50,7 @@ FOCAL = 554.0
 CAMERA = Camera(640, 480, FOCAL, FOCAL, 319.5, 239.5, Mount(np.radians(20), 0.9))
 CLOUD = np.diag([0.3, 0.3, np.radians(10)]) ** 2
 SIGMA_RAD, LEAN_SIGMA_RAD = np.radians(0.05), np.radians(0.3)
-Frame = tuple[Particles, Edges, LandmarkMap]
+Frame = tuple[Particles, Sighting, LandmarkMap]
 
 
 def world(landmarks: int, edges: int, rng: np.random.Generator) -> tuple[LandmarkMap, Edges]:
@@ -71,9 +70,9 @@ def world(landmarks: int, edges: int, rng: np.random.Generator) -> tuple[Landmar
 
 
 def frame_of(count: int, landmarks: int, edges: int) -> Frame:
-    """Return particles, edges and map."""
+    """Return particles, sighting and map."""
     landmark_map, seen = world(landmarks, edges, np.random.default_rng(0))
-    return from_gaussian(np.zeros(3), CLOUD, count, np.random.default_rng(1)), seen, landmark_map
+    return from_gaussian(np.zeros(3), CLOUD, count, np.random.default_rng(1)), Sighting(0, seen), landmark_map
 
 
 def fastest_ms(
@@ -89,9 +88,9 @@ def fastest_ms(
     return [float(least) for least in taken.min(axis=0)]
 
 
-def direct(observation: EdgeObservation, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
-    """Return roughly what `by_share` does, by a table of all particles × landmarks × edges: bearings alone, no ends."""
-    parts = []
+def direct(observation: EdgeObservation, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
+    """Return roughly what `by_rate` does, by a table of all particles × landmarks × edges: bearings alone, no ends."""
+    parts, edges = [], sighting.edges
     for first in range(0, len(particles), 1000):
         poses = observation.camera.pose_in_map(particles.poses[first : first + 1000])
         right, ahead = in_camera(poses, landmark_map.points)
@@ -101,7 +100,7 @@ def direct(observation: EdgeObservation, particles: Particles, edges: Edges, lan
         variance = edges.bearing_sigma**2 + (0.01**2 / square)[..., None]
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance) * in_view[..., None]
         ratio = density.sum(axis=1) * (1.0 / np.maximum(in_view.sum(axis=1), 1))[:, None]
-        parts.append([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_SHARES])
+        parts.append([np.log1p(share * (ratio - 1.0)).sum(axis=1) for share in INLIER_RATES])
     return np.concatenate(parts, axis=1)
 
 
@@ -117,12 +116,12 @@ def bare_step(
     observation: EdgeObservation,
     rng: np.random.Generator,
     cloud: Particles,
-    edges: Edges,
+    sighting: Sighting,
     landmark_map: LandmarkMap,
 ) -> None:
     """Move, weigh, estimate and resample: the plain particle filter."""
     moved = predict(cloud, Increment.from_mean([0.0, -0.1, 0.02]), MotionParameters(), rng)
-    log_weight = InlierShare.unknown().log_mean(observation.by_share(moved, edges, landmark_map))
+    log_weight = InlierRate.unknown().log_mean(observation.by_rate(moved, sighting, landmark_map))
     weighed = Particles(moved.names, moved.columns, log_weight, moved.circular)
     estimate(weighed)
     take(weighed, systematic_resample(weighed.weight, len(weighed), rng))
@@ -135,20 +134,20 @@ def rows_of(kind: str, counts: Sequence[int], landmarks: Sequence[int], edges: S
     observation.warm_up()
     rows = []
     for count in counts:
-        result = np.zeros((len(INLIER_SHARES), count))
+        result = np.zeros((len(INLIER_RATES), count))
         for some in landmarks:
             for many in edges:
                 frame = frame_of(count, some, many)
                 rounds = max(min(times, round(3e5 / count)), 3)
-                compiled = partial(observation.by_share, *frame)
+                compiled = partial(observation.by_rate, *frame)
                 fast, least = fastest_ms([compiled, partial(streaming, frame[0], result)], rounds)
-                one, two = fastest_ms([compiled, partial(shared.by_share, *frame)], rounds, perf_counter)
+                one, two = fastest_ms([compiled, partial(shared.by_rate, *frame)], rounds, perf_counter)
                 row = {"observation": kind, "particles": count, "landmarks": some, "edges": many, "fast_ms": fast}
                 row |= {"limit": least / fast, "threads": one / two, "oracle": None, "direct": None, "off": None}
                 if count <= 100_000:
-                    plain = partial(observation.by_share_plain, *frame)
+                    plain = partial(observation.by_rate_plain, *frame)
                     slow, again = fastest_ms([plain, compiled], 3)
-                    results = [InlierShare.unknown().log_mean(path()) for path in (compiled, plain)]
+                    results = [InlierRate.unknown().log_mean(path()) for path in (compiled, plain)]
                     row |= {"oracle": slow / again, "off": float(np.abs(results[0] - results[1]).max())}
                 if count == 100_000 and some == 100 and kind == "line":
                     few = frame_of(5000, some, many)  # it costs the same for each particle
@@ -203,13 +202,12 @@ def images_of_a_drive(landmarks: int, edges: int, count: int) -> Iterator[Callab
     frames = simulated_edges(landmark_map, CAMERA, Trajectory(t_ns, np.array(poses)), rng, noise=noise)
 
     config = Config(mcl=MclParameters(particles=5000))
-    filter_ = filter_of(CAMERA, landmark_map, EdgeObservation(CAMERA, config.observation), config)
-    state = mcl.FilterState()
-    list(mcl.step(filter_, state, mcl.Start(0, poses[0], np.diag([0.05, 0.05, np.radians(2)]) ** 2), rng))
+    localiser = Localiser(landmark_map, CAMERA, config, seed=1)
+    localiser.warm_up(images=False)
+    localiser.start(poses[0], np.diag([0.05, 0.05, np.radians(2)]) ** 2, 0)
     for t, pose, seen in zip(t_ns.tolist(), poses, frames, strict=True):
-        list(mcl.step(filter_, state, mcl.Odometry(t, pose), rng))
-        sighting = mcl.Sighting(t, seen.take(rng.permutation(len(seen))[:edges]))
-        yield lambda sighting=sighting: list(mcl.step(filter_, state, sighting, rng))
+        localiser.odometry(t, pose)
+        yield partial(localiser.edges, t, seen.take(rng.permutation(len(seen))[:edges]))
 
 
 def step_and_lsd(images: int) -> dict[str, float]:
@@ -226,8 +224,8 @@ def step_and_lsd(images: int) -> dict[str, float]:
     observation, rng = EdgeObservation(CAMERA, ObservationParameters()), np.random.default_rng(0)
     bare = partial(bare_step, observation, rng, *frame_of(5000, 100, 10))
     taken = []
-    for step in images_of_a_drive(100, 10, images):
-        taken.append([fastest_ms([work], 1)[0] for work in (bare, step, lambda: detector.detect(image))])
+    for shipped in images_of_a_drive(100, 10, images):
+        taken.append([fastest_ms([work], 1)[0] for work in (bare, shipped, lambda: detector.detect(image))])
     bare_ms, step_ms, lsd_ms = np.median(taken[1:], axis=0)  # the first image meets a wide cloud
     return {"bare_ms": float(bare_ms), "step_ms": float(step_ms), "lsd_ms": float(lsd_ms)}
 
@@ -245,7 +243,7 @@ def main() -> None:
     console = Console()
     rows: list[dict] = []
     for kind in arguments.observation:
-        with console.status(f"Weighing by {kind}"):
+        with console.status(f"Tempering by {kind}"):
             rows += rows_of(kind, arguments.particles, arguments.landmarks, arguments.edges, arguments.times)
     with console.status("Following a drive"):
         steps = step_and_lsd(arguments.images)

@@ -24,7 +24,7 @@ from localiser.edges import EdgeParameters, find_edges
 from localiser.geometry import Array, Increment
 from localiser.simulate import Scene, render, scene_of, truth_of, world_of
 from localiser.simulate.solids import clearance_m
-from localiser.visual_odometry import IncrementParameters, Odometer
+from localiser.visual_odometry import Odometer, VisualOdometryParameters
 
 WORLDS = Path(__file__).resolve().parent.parent / "configs" / "worlds"
 SECONDS = 0.2
@@ -54,7 +54,10 @@ def followed_pairs(
 ) -> Iterator[tuple[str, Array, Increment]]:
     """Yield kind, true motion (3,) and what was found, for pairs of images taken beside the world's drive."""
     path = truth_of(scene.world.drive).poses
-    vision, unknown = Odometer(scene.camera, IncrementParameters(source="vision")), Increment.from_mean(np.zeros(3))
+    vision, unknown = (
+        Odometer(scene.camera, VisualOdometryParameters(source="vision")),
+        Increment.from_mean(np.zeros(3)),
+    )
     done = 0
     while done < count:
         kind = kinds[done % len(kinds)]

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from edge_data import HouseView, house_views
 
-from localiser.commands.map.build import build_map
 from localiser.config import load_config
 from localiser.geometry import Array, wrap_angle
+from localiser.mapping import build_map, cache_folder
 from localiser.storage import open_log
 
 IMAGES, PARALLAX_RAD, NEAR_M = 20, np.deg2rad(6.0), 0.05
@@ -55,7 +55,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("log", type=Path)
     log = open_log(parser.parse_args().log)
-    made = build_map(log, "truth", load_config(None, [], log.settings), lambda: None).landmark_map.points
+    made = build_map(log, "truth", load_config(None, [], log.settings), cache=cache_folder()).landmark_map.points
     well, edges = shown_well(house_views(log.path))
     off = np.array([nearest(each, made).min() for each in well])
     print(

@@ -22,14 +22,25 @@ import numpy as np
 
 from localiser import mapping
 from localiser.camera import Camera
-from localiser.commands.map.build import build_map, turn_drift, wheels_of
-from localiser.config import Config, load_config
+from localiser.config import load_config
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import Built, MappingParameters, Sightings
+from localiser.mapping import (
+    Built,
+    MappingParameters,
+    Prior,
+    Sightings,
+    build_map,
+    cache_folder,
+    turn_drift,
+    wheels_of,
+)
+from localiser.motion import MotionParameters
 from localiser.storage import open_log
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
+
+PRIOR = Prior.of(MotionParameters())
 
 
 def known(seeds: range, clutter: float) -> None:
@@ -76,9 +87,9 @@ def two_laps(seeds: range, clutter: float) -> None:
             drive = laps(name, seed)
             edges = with_looks(drive.edges(seed, clutter), len(drive.landmark_map), seed)
             sightings, parameters = Sightings.from_edges(edges, drive.camera), MappingParameters()
-            wheels = wheels_of(drive.odometry, drive.truth.t_ns, Config())
+            wheels = wheels_of(drive.odometry, drive.truth.t_ns, MotionParameters())
             begin = process_time()
-            found = mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, parameters)
+            found = mapping.build_from_log(sightings, wheels, PRIOR, np.zeros(3), drive.camera, parameters)
             seconds = process_time() - begin
             cameras = found.camera.pose_in_map(found.poses)
             made = mapping.landmark_map_of(
@@ -110,7 +121,7 @@ def long() -> None:
         known_s = process_time() - begin
         sightings, wheels = (
             Sightings.from_edges(edges, drive.camera),
-            wheels_of(drive.odometry, drive.truth.t_ns, Config()),
+            wheels_of(drive.odometry, drive.truth.t_ns, MotionParameters()),
         )
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as fresh:
             poses, alone_s, memory_mb = fresh.submit(alone, sightings, wheels, drive.camera).result()
@@ -125,7 +136,7 @@ def long() -> None:
 def alone(sightings: Sightings, wheels: mapping.Wheels, camera: Camera) -> tuple[Array, float, float]:
     """Return the poses (T, 3) that edges and wheels give, seconds of one processor, and MB that this process grew."""
     begin, before = process_time(), most_memory_mb()
-    poses = mapping.build_from_log(sightings, wheels, np.zeros(3), camera, MappingParameters()).poses
+    poses = mapping.build_from_log(sightings, wheels, PRIOR, np.zeros(3), camera, MappingParameters()).poses
     return poses, process_time() - begin, most_memory_mb() - before
 
 
@@ -153,9 +164,9 @@ def slam(logs: list[Path]) -> None:
     for path in logs:
         log = open_log(path)
         config = load_config(None, [], log.settings)
-        build_map(log, "odometry", config, lambda: None)  # so that edges are in the cache
+        build_map(log, "odometry", config, cache=cache_folder())  # so that edges are in the cache
         begin = process_time()
-        built = build_map(log, "slam", config, lambda: None)
+        built = build_map(log, "slam", config, cache=cache_folder())
         seconds = process_time() - begin
         t_ns = built.trajectory.t_ns
         truth = log.groundtruth.sampled(t_ns).poses
@@ -174,7 +185,7 @@ def bearings(logs: list[Path]) -> None:
     for path in logs:
         log = open_log(path)
         begin = process_time()
-        made = build_map(log, "truth", load_config(None, [], log.settings), lambda: None).landmark_map
+        made = build_map(log, "truth", load_config(None, [], log.settings), cache=cache_folder()).landmark_map
         seconds = process_time() - begin
         error = matched(log.landmark_map.points, made.points)
         print(
@@ -192,7 +203,9 @@ def coarse(seeds: range) -> None:
         for seed in seeds:
             drive = coarse_drive(seed, wheel_error)
             begin = process_time()
-            found = mapping.build_from_log(drive.sightings, drive.wheels, np.zeros(3), CAMERA, MappingParameters())
+            found = mapping.build_from_log(
+                drive.sightings, drive.wheels, PRIOR, np.zeros(3), CAMERA, MappingParameters()
+            )
             cameras = found.camera.pose_in_map(found.poses)
             made = mapping.landmark_map_of(
                 drive.sightings, found.built, cameras, found.sigma, found.camera, MappingParameters(), "", ""

@@ -22,8 +22,8 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
-from localiser.observation import EdgeObservation, independent_share
-from localiser.observation.inlier_rate import InlierShare
+from localiser.observation import EdgeObservation, Sighting, novelty_of
+from localiser.observation.inlier_rate import InlierRate
 from localiser.particles import POSE, Particles
 
 LEVELS = 4
@@ -123,7 +123,7 @@ def beliefs(
         if number:
             increment = Increment.from_mean(geometry.between(odometry.poses[number - 1], odometry.poses[number]))
             _, noise_cov = motion.linearised(np.zeros(3), increment, parameters)
-            masses, share = masses.moved(increment, noise_cov), independent_share(increment, observation.parameters)
+            masses, share = masses.moved(increment, noise_cov), novelty_of(increment, observation.parameters)
         masses = _weighed(observation, landmark_map, masses, edges, share)
         yield masses
 
@@ -142,8 +142,8 @@ def _weighed(
     """Return the masses weighed by an image, on cells as fine as their number allows."""
     while True:
         particles = Particles(POSE, masses.poses.T.copy(), np.zeros(len(masses.poses)))
-        by_share = observation.by_share(particles, edges, landmark_map, masses.blur_rad)
-        log_mass = masses.log_mass + share * InlierShare.unknown().log_mean(by_share)
+        by_rate = observation.by_rate(particles, Sighting(0, edges), landmark_map, masses.blur_rad)
+        log_mass = masses.log_mass + share * InlierRate.unknown().log_mean(by_rate)
         if masses.width[0] <= FINEST[0]:
             return masses.only(log_mass > log_mass.max() + np.log(NEGLIGIBLE), log_mass)
         # A blurred likelihood is no bound: it only says which cells to look into, not how much lies in each.

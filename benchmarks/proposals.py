@@ -25,7 +25,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
 from localiser.particles.clusters import find_clusters
 from localiser.relocalisation import Places, propose, view_of, warm_up
@@ -99,10 +99,10 @@ def found(setting: Setting, places: Places, index: int, kind: str) -> Found:
 
     def log_likelihood(poses: Array) -> Array:
         particles = Particles(POSE, poses.T, np.zeros(len(poses)))
-        return observation.log_likelihood(particles, edges, setting.landmark_map)
+        return observation.log_likelihood(particles, Sighting(0, edges), setting.landmark_map)
 
     start = time.process_time()
-    proposals = propose([view_of(setting.camera, edges, kind)], places, log_likelihood, rng)
+    proposals = propose(view_of(setting.camera, edges, kind), places, log_likelihood, rng)
     duration_ms = 1e3 * (time.process_time() - start)
     near = beside(proposals.mean, truth)
     others = proposals.mean[~beside(proposals.mean, truth, metres=0.5, degrees=10.0)]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.filter.mcl import Start
+from localiser.filter import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.simulate import EdgeNoise, odometry_of, simulated_edges, structure_of, truth_of, visible_mask, world_of

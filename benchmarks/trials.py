@@ -12,10 +12,10 @@ from observable import is_observable
 from scenarios import Trial
 
 from localiser.config import Config, load_config
-from localiser.filter.mcl import Event, FilterState, Mcl, Odometry, Sighting, step
+from localiser.filter import Event, FilterState, Mcl, Odometry, Sighting, step
 from localiser.geometry import Array, wrap_angle
 from localiser.observation import EdgeObservation
-from localiser.relocalisation.global_localisation import Search
+from localiser.relocalisation.global_localisation import GlobalLocalisation
 
 CORRECT_M, CORRECT_RAD = 0.5, np.deg2rad(10.0)  # what `Located.p_correct` speaks of
 BACK_M, BACK_FRAMES, BACK_WAY_M, SETTLED_FRAMES = 0.25, 100, 8.0, 5
@@ -109,7 +109,7 @@ def configured(observation: str, settings: tuple[str, ...]) -> Config:
 def told_by(trial: Trial, config: Config, seed: int) -> Told:
     """Return what the filter says along a trial."""
     observation = EdgeObservation(trial.camera, config.observation)
-    search = Search.of(observation, trial.landmark_map, config.search)
+    search = GlobalLocalisation.of(observation, trial.landmark_map, config.search)
     mcl = Mcl(trial.landmark_map, observation, config.mcl, config.motion, config.observation, search=search)
     state, rng = FilterState(), np.random.default_rng([seed, 2])
     located = [result for event in _events(trial) for result in step(mcl, state, event, rng)]

@@ -170,16 +170,16 @@ class Camera:
         a, e = self.image_from_upright(geometry.nadir_point(self.mount.tilt_rad))
         return np.array([self.cx + self.fx * a, self.cy - self.fy * e])
 
+    def border_px(self, count: int = 65, outside_px: float = 0.0) -> Array:
+        """Return pixels (4, count, 2) along the image's top, bottom, left and right border, or so far outside of it."""
+        u, v = (np.linspace(-outside_px, size - 1 + outside_px, count) for size in (self.width, self.height))
+        rows = [np.stack([u, np.full(count, row)], axis=-1) for row in v[[0, -1]]]
+        return np.array(rows + [np.stack([np.full(count, column), v], axis=-1) for column in u[[0, -1]]])
+
     @cached_property
     def upright_bounds(self) -> tuple[float, float, float, float]:
         """The largest upright rectangle (a_left, a_right, e_bottom, e_top) sure to lie inside the image."""
-        steps = np.linspace(0.0, 1.0, 65)
-        u, v = steps * (self.width - 1), steps * (self.height - 1)
-        zero = np.zeros_like(steps)
-        left, right, top, bottom = (
-            self.upright_from_pixels(np.stack(side, axis=-1))
-            for side in ((zero, v), (zero + self.width - 1, v), (u, zero), (u, zero + self.height - 1))
-        )
+        top, bottom, left, right = self.upright_from_pixels(self.border_px())
         return float(left[:, 0].max()), float(right[:, 0].min()), float(bottom[:, 1].max()), float(top[:, 1].min())
 
     # -- the world ----------------------------------------------------------------------------------------------

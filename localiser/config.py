@@ -23,7 +23,7 @@ from localiser.mapping import MappingParameters
 from localiser.motion import MotionParameters
 from localiser.observation import ObservationParameters
 from localiser.relocalisation import SearchParameters
-from localiser.visual_odometry import IncrementParameters
+from localiser.visual_odometry import VisualOdometryParameters
 
 _LIBRARIES = ("numpy", "numba", "scipy", "opencv-python-headless", "pydantic", "rerun-sdk")
 _BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
@@ -38,7 +38,7 @@ class Config(BaseModel):
     mcl: MclParameters = MclParameters()
     search: SearchParameters = SearchParameters()
     motion: MotionParameters = MotionParameters()
-    increments: IncrementParameters = IncrementParameters()
+    increments: VisualOdometryParameters = VisualOdometryParameters()
     observation: ObservationParameters = ObservationParameters()
     edges: EdgeParameters = EdgeParameters()
     sensor: BearingSensor = BearingSensor()

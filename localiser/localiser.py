@@ -1,45 +1,298 @@
-"""The filter that replay and live share, made from the configuration."""
+"""Localises one robot: the one object that replay, live, benchmarks and users of the library drive.
+
+It finds the edges of images, runs the particle filter on them and on the poses of the wheels, and times both. All
+checks of settings are here, so that replay and live refuse the same settings with the same words. The state, with the
+random generator, can be saved and restored to the last bit.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
 
-from localiser.camera import Camera
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from localiser.camera import Camera, Mount
 from localiser.config import Config
-from localiser.filter import Level, Mcl
-from localiser.filter import optimal_proposal as guide
+from localiser.edges import Edges, find_edges
+from localiser.edges import warm_up as warm_up_edges
+from localiser.errors import InputError
+from localiser.filter import (
+    Event,
+    FilterState,
+    Image,
+    Level,
+    Located,
+    LocatedFrame,
+    Mcl,
+    Odometry,
+    Sighting,
+    Start,
+    finish,
+    matched,
+    step,
+)
+from localiser.filter import warm_up as warm_up_filter
+from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation
-from localiser.relocalisation import Search
-from localiser.storage import identity_of
+from localiser.observation import observation_of
+from localiser.relocalisation import GlobalLocalisation
+from localiser.storage import check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
 from localiser.visual_odometry import Odometer
 
-
-def filter_of(camera: Camera, landmark_map: LandmarkMap, observation: EdgeObservation, config: Config) -> Mcl:
-    """Return the filter, all that it needs compiled, so that no frame has to wait for it."""
-    observation.warm_up()
-    guide.warm_up()
-    search = None  # looks for poses by edges that do not say what they are
-    if config.observation.association == "unknown":
-        search = Search.of(observation, landmark_map, config.search)
-        search.warm_up()
-    return Mcl(
-        landmark_map,
-        observation,
-        config.mcl,
-        config.motion,
-        config.observation,
-        odometer=Odometer(camera, config.increments),
-        search=search,
-        level=Level(camera, math.radians(config.edges.plumb_sigma_deg)),
-    )
+_LEAST_SIN = math.sin(math.radians(0.1))  # of a tilt with which slopes tell anything
+_AT_NEXT = -(2**62)  # the time of a start that holds from the next measurement on
 
 
-def identity(config: Config, landmark_map: LandmarkMap, camera: Camera) -> dict[str, str]:
-    """Return what a state belongs to: settings, map and camera."""
-    return identity_of(
-        config.model_dump(exclude={"versions"}),
-        map=replace(landmark_map, frame={}, extra=(), header={}),
-        camera=replace(camera, name=""),
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredImage:
+    """An image whose edges were found. image: pixels or file, as it was given. stage_ms: what each step took."""
+
+    edges: Edges
+    image: Image | None = None
+    stage_ms: dict[str, float] = field(default_factory=lambda: {"load": 0.0, "edges": 0.0})
+
+
+class Localiser:
+    """Monte Carlo localisation of one robot in a known map, by the vertical edges of its images and by its wheels.
+
+    `odometry`, `image` and `edges` take measurements in the order of time, and `start` says where the robot is; without
+    it the robot is looked for on the whole map. Each returns a list of the images that could be located now: an image
+    is weighed once a pose of the wheels at its time or later is known, `finish` weighs the rest. Times are integer
+    nanoseconds; poses are (x, z, heading) in metres and radians.
+
+    config.seed, or `seed` in its place, seeds the one random generator: same seed, same measurements, same results.
+    rng: that generator. state: what changes during a run. Raises InputError for settings that do not fit the camera.
+    """
+
+    def __init__(
+        self, landmark_map: LandmarkMap, camera: Camera, config: Config | None = None, seed: int | None = None
+    ) -> None:
+        config = config or Config()
+        self.landmark_map, self.camera = landmark_map, camera
+        self.config = config if seed is None else config.model_copy(update={"seed": seed})
+        check_settings(config, camera)
+        self.rng = np.random.default_rng(self.config.seed)
+        self.state = FilterState()
+        self.observation = observation_of(camera, config.observation)
+        known = config.observation.association == "known"
+        self._mcl = Mcl(
+            landmark_map,
+            self.observation,
+            config.mcl,
+            config.motion,
+            config.observation,
+            odometer=Odometer(camera, config.increments),
+            search=None if known else GlobalLocalisation.of(self.observation, landmark_map, config.search),
+            level=Level(camera, math.radians(config.edges.plumb_sigma_deg)),
+        )
+        by_edges = Odometer(camera, replace(config.increments, source="vision"))
+        self._mcl_without_wheels = replace(self._mcl, odometer=by_edges)
+        self._measured: dict[int, MeasuredImage] = {}
+
+    @property
+    def needs_wheels(self) -> bool:
+        """Whether an image waits for the wheels."""
+        return self.config.increments.source != "vision"
+
+    def warm_up(self, *, images: bool = True) -> None:
+        """Compile all loops, or load them from the disk, so that no image has to wait; images: those for images too."""
+        self.observation.warm_up()
+        warm_up_filter()
+        if self._mcl.search is not None:
+            self._mcl.search.warm_up()
+        if images:
+            warm_up_edges(self.camera, self.config.edges)
+
+    # -- measurements -------------------------------------------------------------------------------------------------
+
+    def start(self, pose: ArrayLike, cov: ArrayLike, t_ns: int | None = None) -> list[LocatedFrame]:
+        """Take where the robot is said to be: pose (3,) in the map, covariance (3, 3). Raises InputError.
+
+        t_ns: when; None for the time of the next measurement. What was believed before is forgotten.
+        """
+        mean, spread = _numbers("pose", pose, (3,)), _numbers("cov", cov, (3, 3))
+        return self._step(self._mcl, Start(_AT_NEXT if t_ns is None else t_ns, mean, spread))
+
+    def odometry(self, t_ns: int, pose: ArrayLike) -> list[LocatedFrame]:
+        """Take a pose (3,) of the wheels in the odometry's own frame; only increments count. Raises InputError."""
+        wheels = self.state.odometry
+        if wheels and t_ns <= wheels[-1].t_ns:
+            raise InputError(f"expected a time after {wheels[-1].t_ns} ns, found {t_ns} ns", field="odometry")
+        self._begin(t_ns)
+        return self._step(self._mcl, Odometry(t_ns, _numbers("odometry", pose, (3,))))
+
+    def image(
+        self, t_ns: int, image: Image, mount: Mount | None = None, *, by_wheels: bool = True
+    ) -> list[LocatedFrame]:
+        """Take an image: find its edges, then do as `edges`. image: see `measure`."""
+        return self.edges(t_ns, self.measure(image, mount), mount, by_wheels=by_wheels)
+
+    def measure(self, image: Image, mount: Mount | None = None) -> MeasuredImage:
+        """Return the edges of an image, for `edges` to take now or later. Changes nothing.
+
+        image: (H, W) grey or (H, W, 3) BGR uint8, or a JPEG or PNG file's bytes. mount: of the camera at this image;
+        another one than the camera's is not supported yet. Raises InputError when the image is damaged or of another
+        size than the camera's.
+        """
+        check_settings(self.config, images=True)
+        self._require_own(mount)
+        begin = perf_counter()
+        pixels = decoded_file(image, self.camera) if isinstance(image, bytes) else image
+        loaded = perf_counter()
+        edges = find_edges(pixels, self.camera, self.config.edges)
+        found = perf_counter()
+        return MeasuredImage(edges, image, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
+
+    def edges(
+        self, t_ns: int, edges: Edges | MeasuredImage, mount: Mount | None = None, *, by_wheels: bool = True
+    ) -> list[LocatedFrame]:
+        """Take the edges of an image. mount: see `measure`. Raises InputError.
+
+        by_wheels: False where the wheels were silent until this image; then its edges alone tell how the robot moved,
+        and it is located at once.
+        """
+        measured = edges if isinstance(edges, MeasuredImage) else MeasuredImage(edges)
+        has_ends = bool(np.isfinite(measured.edges.ends_px).all())
+        started = self.state.particles is not None
+        check_settings(self.config, images=measured.image is not None, has_ends=has_ends, has_start=started)
+        self._require_own(mount)
+        self._begin(t_ns)
+        self._require_in_order(t_ns)
+        self._measured[t_ns] = measured
+        return self._step(self._mcl if by_wheels else self._mcl_without_wheels, Sighting(t_ns, measured.edges))
+
+    def finish(self) -> list[LocatedFrame]:
+        """Locate the images after the last pose of the wheels; the robot is taken to have stood still since then."""
+        return self._located(finish(self._mcl, self.state, self.rng))
+
+    def forget_wheels(self, t_ns: int) -> None:
+        """Take the robot to stand at `t_ns` where it was believed to be: its wheels begin to count anew."""
+        self.state.odometry.clear()
+        self.state.at_ns, self.state.seen = t_ns, None
+
+    # -- the state ----------------------------------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What a saved state belongs to: every setting by its name, and fingerprints of map and camera."""
+        return identity_of(
+            self.config.model_dump(exclude={"versions"}),
+            map=replace(self.landmark_map, frame={}, extra=(), header={}),  # what nobody reads but people
+            camera=replace(self.camera, name=""),
+        )
+
+    def save(self, shift_ns: int = 0) -> bytes:
+        """Return the state and the generator, to go on with later. shift_ns: what is added to all times.
+
+        Images and their timings are not part of it: of those that wait for the wheels the edges are.
+        """
+        state, identity = self.state, self.identity
+        moved = replace(
+            state,
+            at_ns=state.at_ns + shift_ns,
+            odometry=deque(replace(pose, t_ns=pose.t_ns + shift_ns) for pose in state.odometry),
+            waiting=deque(replace(sighting, t_ns=sighting.t_ns + shift_ns) for sighting in state.waiting),
+        )
+        return checkpoint_bytes(moved, self.rng, identity)
+
+    def restore(self, content: bytes, path: Path | str = "state") -> None:
+        """Go on from what `save` returned. path: what errors name.
+
+        Raises InputError when the content is damaged, or was saved with other settings, another map or camera.
+        """
+        saved = checkpoint_of(content, Path(path), self.identity)
+        self.state, self.rng = saved.state, saved.rng
+        self._measured.clear()
+
+    # -- steps --------------------------------------------------------------------------------------------------------
+
+    def _step(self, mcl: Mcl, event: Event) -> list[LocatedFrame]:
+        return self._located(step(mcl, self.state, event, self.rng))
+
+    def _located(self, results: Iterator[Located]) -> list[LocatedFrame]:
+        """Return what the filter locates, each with its matches, its image and the time that it took."""
+        frames = []
+        begin = perf_counter()
+        for located in results:
+            measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
+            matches = matched(self._mcl, located)
+            stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
+            frames.append(LocatedFrame(located, matches, measured.image, None, stage_ms))
+            begin = perf_counter()
+        return frames
+
+    def _begin(self, t_ns: int) -> None:
+        if self.state.at_ns == _AT_NEXT:
+            self.state.at_ns = t_ns
+
+    def _require_in_order(self, t_ns: int) -> None:
+        state = self.state
+        if (state.waiting and t_ns <= state.waiting[-1].t_ns) or (state.weighed and t_ns <= state.at_ns):
+            raise InputError(f"expected a later time than that of the last image, found {t_ns} ns", field="image")
+        if state.particles is not None and t_ns < state.at_ns:
+            raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field="image")
+
+    def _require_own(self, mount: Mount | None) -> None:
+        if mount is not None and mount != self.camera.mount:
+            raise InputError("an image with a mount of its own is not supported yet", field="mount")
+
+
+# -- settings that cannot work ----------------------------------------------------------------------------------------
+
+
+def check_settings(
+    config: Config,
+    camera: Camera | None = None,
+    *,
+    images: bool | None = None,
+    has_ends: bool = False,
+    has_start: bool = True,
+) -> None:
+    """Raise InputError when settings cannot work with what there is; None where that is not known yet.
+
+    images: whether edges are found in images, or were measured elsewhere; has_ends: whether it is known then where
+    they end in the image. has_start: whether it is known where the robot starts.
+    """
+    known, source = config.observation.association == "known", config.increments.source
+    if known and images:
+        raise InputError(
+            "`known` believes edges that say which landmark they belong to, found images, whose edges do not; use "
+            "--set observation.association=unknown",
+            field="observation.association",
+        )
+    if known and not has_start:
+        raise InputError(
+            "`known` cannot look for a robot on the whole map; say where it starts", field="observation.association"
+        )
+    if source != "wheel" and images is False and not has_ends:
+        raise InputError(
+            f"`{source}` follows edges from image to image, found edges without images: bearings alone tell neither "
+            "how far the robot went nor which edge is which; use --set increments.source=wheel",
+            field="increments.source",
+        )
+    if config.observation.kind == "slope" and camera is not None and abs(math.sin(camera.mount.tilt_rad)) < _LEAST_SIN:
+        raise InputError(
+            f"the observation `slope` needs a tilted camera, found a tilt of {math.degrees(camera.mount.tilt_rad):g}°: "
+            "without tilt every vertical edge is vertical in the image; use --set observation.kind=line",
+            field="mount.tilt_deg",
+        )
+
+
+def decoded_file(data: bytes, camera: Camera) -> NDArray[np.uint8]:
+    """Return a JPEG or PNG file as grey values (H, W). Raises InputError."""
+    size, name = (camera.width, camera.height), Path("image")
+    check_whole(data, size, path=name)
+    return decoded(data, size, path=name)
+
+
+def _numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    found = np.array(values, dtype=np.float64)
+    if found.shape != shape or not np.isfinite(found).all():
+        raise InputError(f"expected {shape} finite numbers, found {values!r}", field=name)
+    return found

@@ -10,6 +10,10 @@ from folders import ROOT
 from hypothesis import settings
 from short_log import Localiser
 
+from localiser.geometry import compiled
+
+compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
+
 settings.register_profile("usual", deadline=None)  # how long an example takes depends on what else the machine does
 settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times the default: see `examples`
 settings.load_profile("usual")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -161,16 +161,21 @@ def _inverse_information(
     information = np.zeros((total, total))
     for index, (view, pose) in enumerate(zip(views, poses, strict=True)):
         theta = np.concatenate([values, pose])
-        steps = _STEP * np.maximum(np.abs(theta), 1.0)
 
         def seen(moved: Array, view: BoardView = view) -> Array:
             return _projected(_camera(moved[:count], size, lens), view, moved[count:]).ravel()
 
-        jacobian = np.stack([(seen(theta + h) - seen(theta - h)) / (2 * h.sum()) for h in np.diag(steps)], axis=-1)
+        jacobian = _jacobian(seen, theta)
         own = np.r_[:count, count + 6 * index : count + 6 * index + 6]
         information[np.ix_(own, own)] += jacobian.T @ jacobian
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     return np.asarray(np.linalg.pinv(information * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale))
+
+
+def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
+    """Return the derivative (F, P) of values (F,) by P parameters, by central differences."""
+    steps = np.diag(_STEP * np.maximum(np.abs(at), 1.0))
+    return np.stack([(function(at + step) - function(at - step)) / (2 * step.sum()) for step in steps], axis=-1)
 
 
 def _reach(views: tuple[BoardView, ...], camera: Camera) -> float:
@@ -200,8 +205,7 @@ def mount_over_board(intrinsics: Intrinsics, view: int) -> FloorMount:
     """
     at = len(intrinsics.parameters) + 6 * view
     pose, cov = intrinsics.poses[view], intrinsics.cov[at : at + 6, at : at + 6]
-    steps = np.diag(_STEP * np.maximum(np.abs(pose), 1.0))
-    jacobian = np.stack([(_over_board(pose + h) - _over_board(pose - h)) / (2 * h.sum()) for h in steps], axis=-1)
+    jacobian = _jacobian(_over_board, pose)
     return FloorMount(_over_board(pose), jacobian @ cov @ jacobian.T)
 
 

@@ -15,7 +15,9 @@ import typer
 from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role
 
 if TYPE_CHECKING:
+    from localiser.filter import Start
     from localiser.live import LiveOptions
+    from localiser.storage import Log
 
 live_app = typer.Typer(
     invoke_without_command=True,
@@ -40,7 +42,7 @@ Listen = Annotated[
     list[str] | None,
     typer.Option("--listen", metavar="ENDPOINT", help="Where others may connect; by default this machine alone."),
 ]
-Start = Annotated[
+GivenStart = Annotated[
     str | None,
     typer.Option(
         metavar="x,z,heading_deg", help="Where the robot is now, to 0.1 m and 3°; by default it is looked for."
@@ -83,7 +85,7 @@ def live(
         str | None,
         typer.Option(metavar="SOURCE", help="A camera's number, a video file or a stream's address, read by OpenCV."),
     ] = None,
-    start: Start = None,
+    start: GivenStart = None,
     record: Record = None,
     json: Json = False,
     view: LiveView = "none",
@@ -105,6 +107,7 @@ def live(
     from localiser.errors import InputError
     from localiser.live import LiveOptions
     from localiser.live.sources import ENDPOINT
+    from localiser.replay import stated_start
 
     if map_file is None:
         raise InputError("expected a map", field="--map")
@@ -119,7 +122,7 @@ def live(
         listen or [],
         camera,
         image,
-        start,
+        stated_start(start) if start else None,
         record,
         sys.stdout.fileno() if json else None,
         view,
@@ -145,12 +148,13 @@ def demo(
     """Show the live mode with no robot: a stand-in sends a log over zenoh, as if it were driving now."""
     from tempfile import TemporaryDirectory
 
+    from localiser.commands.simulate import driven as driven_log
     from localiser.config import load_config
     from localiser.errors import InputError
-    from localiser.live import LiveOptions, drive, start_text
+    from localiser.live import LiveOptions
     from localiser.storage import save_map
 
-    driven = drive(log, 0)
+    driven = driven_log(log, 0)
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")
     settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
@@ -162,13 +166,25 @@ def demo(
             map_file,
             load_config(config, settings, driven.settings),
             connect=[endpoint],
-            start=start_text(driven),
+            start=_start_of(driven),
             record=record,
             json=sys.stdout.fileno() if json else None,
             view=view,
         )
         with _stand_in(log, endpoint):
             _run(options, seconds)
+
+
+def _start_of(log: Log) -> Start:
+    """Return where a log starts: as it states, else by its truth. Raises InputError."""
+    from localiser.errors import InputError
+    from localiser.replay import stated_start
+
+    if log.start is not None:
+        return log.start
+    if log.groundtruth is None:
+        raise InputError("expected a log that states where it starts", path=log.path, field="start")
+    return stated_start(log.groundtruth.at(log.frames[0].t_ns))
 
 
 @contextmanager
@@ -197,10 +213,10 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
     from localiser.live import opened
     from localiser.replay import asked_to_stop
 
-    with asked_to_stop() as stop, opened(options, _say) as live:
+    with asked_to_stop() as stop, opened(options, _say) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
-        live.run.run(lambda: stop.is_set() or time.monotonic() >= end)
-        _say_figures(live.run)
+        run.run(lambda: stop.is_set() or time.monotonic() >= end)
+        _say_figures(run)
 
 
 def _say(text: str, level: str) -> None:

@@ -1,12 +1,15 @@
 """Image → vertical edges: find segments, keep those that meet the nadir point, measure them."""
 
 from localiser.edges.bearings import BearingSensor, complete
-from localiser.edges.find import DETECTORS, find_edges, warm_up
-from localiser.edges.measure import FOOT_SIGMA_PX, foot_of_edges
+from localiser.edges.detectors import DETECTORS, Detector, register
+from localiser.edges.find import find_edges, warm_up
+from localiser.edges.foot import FOOT_SIGMA_PX, foot_of_edges
 from localiser.edges.mount import mount_error_of_edges
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import PROFILE_OFFSETS_PX
+from localiser.edges.segments import Segments
 from localiser.edges.types import CommonError, Edges
+from localiser.edges.undistort import Image
 
 __all__ = [
     "DETECTORS",
@@ -14,11 +17,15 @@ __all__ = [
     "PROFILE_OFFSETS_PX",
     "BearingSensor",
     "CommonError",
+    "Detector",
     "EdgeParameters",
     "Edges",
+    "Image",
+    "Segments",
     "complete",
     "find_edges",
     "foot_of_edges",
     "mount_error_of_edges",
+    "register",
     "warm_up",
 ]

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import links_loop, median_size_loop, peaks_loop
+from localiser.edges.columns_kernel import links_loop, median_size_loop, peaks_loop
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
@@ -63,8 +64,7 @@ class GradientField:
     grey: NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Peaks:
+class Peaks(NamedTuple):
     """Peaks of a gradient field, P of them. row: block. column, position: whole and sub-pixel. polarity: as `Edges`."""
 
     row: NDArray[np.int64]

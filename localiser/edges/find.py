@@ -1,4 +1,4 @@
-"""Image → vertical edges."""
+"""Vertical edges of an image: find segments, keep those that meet the nadir point, join what is one edge, measure."""
 
 from __future__ import annotations
 
@@ -8,43 +8,72 @@ import cv2
 import numpy as np
 
 from localiser.camera import Camera, Mount
+from localiser.edges.column_detector import Columns
+from localiser.edges.detectors import Detector, detector_of, register
+from localiser.edges.foot import foot_probability
+from localiser.edges.line_detectors import hough, lsd
 from localiser.edges.measure import edges_of_segments
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import polarity_of_profiles, profiles
-from localiser.edges.search import columns
-from localiser.edges.segments import Detector, hough, lsd
+from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
 
-DETECTORS: dict[str, Detector] = {"lsd": lsd, "hough": hough, "columns": columns}
+END_SIGMA_PX = 0.5
+"""Error of an end across the line, of lines of which their detector states none."""
+
+register("columns", Columns(EdgeParameters().min_step))
+register("lsd", lsd)
+register("hough", hough)
 
 
-def find_edges(image: Image, camera: Camera, parameters: EdgeParameters) -> Edges:
-    """Return the vertical edges of an image: find segments, keep what meets the nadir point, join what is one edge.
+def find_edges(
+    image: Image,
+    camera: Camera,
+    parameters: EdgeParameters | None = None,
+    *,
+    detector: Detector | None = None,
+    with_probabilities: bool = False,
+) -> Edges:
+    """Return the vertical edges of an image.
 
-    image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. Raises InputError otherwise.
+    image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. detector: what finds segments, by
+    default the one that the parameters name; see `Detector`. with_probabilities: state how likely each edge is vertical
+    and each lower end stands on the floor, to look at; neither localising nor mapping uses them. Raises InputError.
     """
+    parameters = parameters or EdgeParameters()
     grey = grey_image(image, camera)
+    found = (detector or detector_of(parameters))(grey, camera)
+    segments = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
     mount_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
-    segments = DETECTORS[parameters.detector](grey, camera, parameters)
     plumb_sigma_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
     vertical, mount = vertical_segments(segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma)
-    kept = segments.take(vertical)
+    kept, others = segments.take(vertical), segments.take(~vertical)
     if not kept.polarity.all():
         kept = replace(kept, polarity=polarity_of_profiles(profiles(kept.ends_px, grey, camera)))
     edge = same_edge(kept, camera, mount, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
     edges = edges.take(edges.length_px >= parameters.min_length_px)
-    others = segments.take(~vertical)
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
+    edges = replace(edges, rejected_px=camera.pixels_from_image(rejected))
+    if not with_probabilities:
+        return edges
     return replace(
         edges,
         vertical_probability=vertical_probability(edges, others, camera, mount_sigma_rad, plumb_sigma_rad),
-        rejected_px=camera.pixels_from_image(rejected),
+        foot_probability=foot_probability(edges.ends_px[:, 0], edges.foot_range_m, grey, camera),
     )
+
+
+def _segments_of_lines(lines: np.ndarray[tuple[int, ...], np.dtype[np.float64]], camera: Camera) -> Segments:
+    """Return lines (S, 4) of the image as taken as segments. Raises InputError when they have another shape."""
+    if lines.size and (lines.ndim != 2 or lines.shape[1] != 4):
+        raise InputError(f"expected lines (S, 4) of a detector, found an array {lines.shape}", field="detector")
+    ends = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(lines.reshape(-1, 2, 2)))
+    return Segments.of_ends(ends, END_SIGMA_PX)
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.loops import line_loop
+from localiser.edges.columns_kernel import line_loop
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
 Values = Array | NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LineFit:
+class LineFit(NamedTuple):
     """Weighted straight lines y(x), one per group (G,): through (x, y) with `slope`.
 
     weight: Σw. spread: Σw (x - mean x)². With w = 1/σ² the variance of y is 1/weight, that of slope 1/spread.
@@ -33,7 +33,7 @@ class LineFit:
 
     def take(self, index: NDArray[np.int64]) -> LineFit:
         """Return the lines of some groups."""
-        return LineFit(self.x[index], self.y[index], self.slope[index], self.weight[index], self.spread[index])
+        return LineFit._make(column[index] for column in self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,15 +5,15 @@ A line is column = y + slope · (row - x) in blocks and columns of the rectified
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.edges.columns import ALONG, SCALE_PX, GradientField, Peaks, gradient_kernel
+from localiser.edges.columns_kernel import samples_loop
 from localiser.edges.groups import Groups, LineFit
-from localiser.edges.loops import samples_loop
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -50,10 +50,6 @@ class Lines:
     last: NDArray[np.int64]
     polarity: NDArray[np.int8]
 
-    def take(self, index: NDArray[np.int64]) -> Lines:
-        """Return some of the lines."""
-        return Lines(self.fit.take(index), self.first[index], self.last[index], self.polarity[index])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
@@ -83,17 +79,12 @@ class Fitted:
     which all of it may be off.
     """
 
-    lines: Lines
+    fit: LineFit
     height: Array
     on_line: NDArray[np.bool_]
     step: Array
     shift: Array
     offset: Array
-
-    def take(self, index: NDArray[np.int64]) -> Fitted:
-        """Return some of the lines, with the cells of all."""
-        of_lines = {name: getattr(self, name)[index] for name in ("step", "shift", "offset")}
-        return replace(self, lines=self.lines.take(index), **of_lines)
 
 
 def rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> Lines:
@@ -107,7 +98,7 @@ def rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> Lines:
     polarity = np.zeros(groups.count, dtype=np.int8)
     polarity[chain] = peaks.polarity
     long = np.flatnonzero(last - first >= LEAST_BLOCKS - 1)
-    return Lines(fit, first, last, polarity).take(long)
+    return Lines(fit.take(long), first[long], last[long], polarity[long])
 
 
 def cells_of(lines: Lines, field: GradientField) -> Cells:
@@ -118,9 +109,8 @@ def cells_of(lines: Lines, field: GradientField) -> Cells:
     line = np.repeat(np.arange(len(size)), size)
     row = np.arange(len(line)) - (np.cumsum(size) - size - top)[line]
     in_chain = (row >= lines.first[line]) & (row <= lines.last[line])
-    return Cells(
-        Groups(line, len(size)), row, lines.polarity[line], in_chain, (lines.last - lines.first + 1).astype(np.float64)
-    )
+    blocks = (lines.last - lines.first + 1).astype(np.float64)
+    return Cells(Groups(line, len(size)), row, lines.polarity[line], in_chain, blocks)
 
 
 def sampled(values: NDArray[np.float32], cells: Cells, column: Array) -> tuple[Array, Array, Array]:
@@ -158,7 +148,7 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
     )
     return Fitted(
-        lines=replace(lines, fit=fit),
+        fit=fit,
         height=height,
         on_line=np.abs(residual) < 2,
         step=_step_grey(height, curvature, cells, field),
@@ -195,7 +185,7 @@ def _with_scatter(fit: LineFit, normalised: Array, inlier: Array, groups: Groups
     excess = _excess(normalised**2, inlier, groups)
     alike = _correlation(np.sqrt(inlier / excess[groups.of]) * normalised, groups.of)
     scatter = excess * (1 + alike) / (1 - alike)
-    return replace(fit, weight=fit.weight / scatter, spread=fit.spread / scatter)
+    return fit._replace(weight=fit.weight / scatter, spread=fit.spread / scatter)
 
 
 def _excess(squares: Array, inlier: Array, groups: Groups) -> Array:

@@ -6,15 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.foot import FOOT_SIGMA_PX, foot_of_edges, foot_probability
+from localiser.edges.foot import foot_of_edges
 from localiser.edges.groups import Groups
 from localiser.edges.profile import profiles
 from localiser.edges.segments import Segments
 from localiser.edges.types import CommonError, Edges
 from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
-
-__all__ = ["FOOT_SIGMA_PX", "common_error", "edges_of_segments", "foot_of_edges"]
 
 
 def edges_of_segments(
@@ -46,7 +44,6 @@ def edges_of_segments(
         ends_px=ends_px,
         foot_range_m=foot_range,
         foot_range_sigma_m=foot_sigma,
-        foot_probability=foot_probability(ends_px[:, 0], foot_range, image, camera),
         profile=profiles(ideal_px, image, camera),
         common=common_error(bearing, middle_e, camera, mount_sigma_rad),
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.loops import mount_loop
+from localiser.edges.mount_kernel import mount_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import ideal_camera
@@ -23,11 +23,9 @@ _TUKEY_VARIANCE = 0.77
 _STRAIGHT_PX = 0.35
 """Error of an edge's ends across it that is none of measuring: real edges and lenses are no straighter. It turns a
 short edge far and a long one hardly, so that many short edges do not outvote few long ones."""
-
-
 _PRIOR_EDGES = 2.0
 """As how many edges it counts that edges are as crooked as is stated, when an image's own say how crooked they are."""
-_SCATTER_ITERATIONS = 30
+_FIRST_ITERATIONS, _SCATTER_ITERATIONS = 5, 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,12 +45,14 @@ class NadirMiss:
     """The angle between segments (S) and the lines from their middles to the nadir point.
 
     angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 2) its derivative by tilt and roll.
-    sigma: (S,) error of the segments' own directions.
+    sigma: (S,) error of the segments' own directions. crooked: (S,) by how much the edges themselves are stated to be
+    out of plumb, and not straight.
     """
 
     angle: Array
     per_mount: Array
     sigma: Array
+    crooked: Array
 
     def corrected(self, mount: MountError) -> tuple[Array, Array]:
         """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
@@ -61,14 +61,15 @@ class NadirMiss:
 
     def take(self, index: NDArray[np.bool_]) -> NadirMiss:
         """Return the angles of some segments."""
-        return NadirMiss(self.angle[index], self.per_mount[index], self.sigma[index])
+        return NadirMiss(self.angle[index], self.per_mount[index], self.sigma[index], self.crooked[index])
 
 
-def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
+def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float) -> NadirMiss:
     """Return how far segments (S) are from pointing at the nadir point of `camera`.
 
-    The nadir point moves by δθ / s² along e and by δρ c / s along a; seen from (a, e) it turns by a / q² δθ and
-    c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when the tilt is 0.
+    plumb_sigma_rad: how far real edges are from plumb. The nadir point moves by δθ / s² along e and by δρ c / s along
+    a; seen from (a, e) it turns by a / q² δθ and c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when
+    the tilt is 0.
     """
     support = ideal_camera(camera).upright_from_pixels(segments.support_px)
     across, up = (support[:, 1] - support[:, 0]).T
@@ -78,47 +79,39 @@ def nadir_miss(segments: Segments, camera: Camera) -> NadirMiss:
     angle = np.sin(geometry.wrap_half_turn(np.arctan2(across, up) - np.arctan2(a * s, depth)))
     per_mount = np.stack([-a, c * depth], axis=-1) / ((a * s) ** 2 + depth**2)[:, None]
     length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
-    return NadirMiss(angle, per_mount, np.sqrt(2.0) * segments.end_sigma_px / length_px)
+    sigma = np.sqrt(2.0) * segments.end_sigma_px / length_px
+    return NadirMiss(angle, per_mount, sigma, np.full(len(angle), plumb_sigma_rad))
 
 
-def mount_error(miss: NadirMiss, prior_sigma_rad: Array, plumb_sigma_rad: float, iterations: int = 5) -> MountError:
+def nadir_miss_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float) -> NadirMiss:
+    """Return how far edges (E) are from pointing at the nadir point; short ones are stated to be more crooked."""
+    ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad)
+    return replace(miss, sigma=edges.lean_sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
+
+
+def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = False) -> MountError:
     """Return the error of the stated tilt and roll that makes segments (S) point at the nadir point best.
 
-    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll, and `plumb_sigma_rad`
-    for how far real edges are from plumb. Without segments: the prior.
+    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll. Without segments: the
+    prior. learn_crooked: find by expectation maximisation how crooked edges are, as a factor of what is stated: walls
+    that agree to hundredths of a degree tell the tilt as well as that, although none is stated to be built so.
     """
-    variance = miss.sigma**2 + plumb_sigma_rad**2
-    return _fitted(miss, variance, np.zeros(len(variance)), prior_sigma_rad, (iterations, 0))
-
-
-def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
-    """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `mount_error`.
-
-    `plumb_sigma_rad` is the same for edges of any length; that they are not straight counts for more in shorter ones.
-    How large both are is learnt with the mount, by expectation maximisation: walls that agree to hundredths of a degree
-    tell the tilt as well as that, although none is stated to be built so.
-    """
-    return mount_error_of_pointing(*pointing_of_edges(edges, camera, plumb_sigma_rad), prior_sigma_rad)
-
-
-def mount_error_of_pointing(pointing: NadirMiss, crooked_rad: Array, prior_sigma_rad: Array) -> MountError:
-    """Return what `mount_error_of_edges` does, of edges (E) by what `pointing_of_edges` returns of them."""
-    return _fitted(pointing, pointing.sigma**2, crooked_rad**2, prior_sigma_rad, (5, _SCATTER_ITERATIONS))
-
-
-def pointing_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float) -> tuple[NadirMiss, Array]:
-    """Return how far edges (E) are from pointing at the nadir point, and how crooked (E,) rad they are stated to be."""
-    ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
-    pointing = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera)
-    return replace(pointing, sigma=edges.lean_sigma), np.hypot(pointing.sigma, plumb_sigma_rad)
-
-
-def _fitted(
-    miss: NadirMiss, variance: Array, crooked_variance: Array, prior_sigma_rad: Array, iterations: tuple[int, int]
-) -> MountError:
+    variance, crooked_variance = miss.sigma**2, miss.crooked**2
+    if not learn_crooked:
+        variance, crooked_variance = variance + crooked_variance, np.zeros(len(variance))
     prior_variance = np.maximum(prior_sigma_rad, 1e-9) ** 2
     tukey = (_TUKEY, _TUKEY_VARIANCE)
+    iterations = (_FIRST_ITERATIONS, _SCATTER_ITERATIONS if learn_crooked else 0)
     mean, cov, factor = compiled(mount_loop)(
         miss.angle, miss.per_mount, variance, crooked_variance, prior_variance, tukey, _PRIOR_EDGES, iterations
     )
     return MountError(mean, cov, float(np.sqrt(factor)))
+
+
+def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
+    """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `fit_mount`.
+
+    `plumb_sigma_rad` is the same for edges of any length; that they are not straight counts for more in shorter ones.
+    """
+    return fit_mount(nadir_miss_of_edges(edges, camera, plumb_sigma_rad), prior_sigma_rad, learn_crooked=True)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-DetectorName = Literal["columns", "lsd", "hough"]
+from localiser.edges.detectors import DETECTORS, registered
+
+DetectorName = Annotated[
+    str, AfterValidator(registered), Field(json_schema_extra=lambda schema: schema.update(enum=list(DETECTORS)))
+]
 
 
 @dataclass(frozen=True, slots=True)

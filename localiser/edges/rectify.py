@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import blocks_loop, pairs_loop
-from localiser.edges.undistort import Image, image_border, remap_tables
+from localiser.edges.columns_kernel import blocks_loop, pairs_loop
+from localiser.edges.undistort import Image, remap_tables
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -28,8 +29,7 @@ _LEAST_DEPTH = 0.05
 """Least c + e s: nearer to the nadir point all bearings meet."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class Table(NamedTuple):
     """Between which four pixels of an image of paired rows each pixel (H, W) of a view lies.
 
     corner: (H, W) flat index of the upper left of them. right, down: (H, W) how far on from it, in 1/32 px.
@@ -42,35 +42,31 @@ class Table:
     first: NDArray[np.int64]
     last: NDArray[np.int64]
 
-    @classmethod
-    def of(
-        cls, map_1: NDArray[np.int16], map_2: NDArray[np.uint16], unseen: NDArray[np.bool_], shape: tuple[int, int]
-    ) -> Table:
-        """Return the table of maps of `cv2.remap` for images of `shape`; outside, the border goes on."""
-        whole, share = map_1[..., ::-1].astype(np.int64), np.stack([map_2 >> 5, map_2 & 31], axis=-1)
-        most = np.array(shape) - 2
-        row, column = np.moveaxis(whole.clip(0, most), -1, 0)
-        down, right = np.moveaxis(np.where(whole < 0, 0, np.where(whole > most, 32, share)).astype(np.uint8), -1, 0)
-        seen: NDArray[np.bool_] = ~np.all(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1)
-        first, last = seen.argmax(axis=1), seen.shape[1] - seen[:, ::-1].argmax(axis=1)
-        return cls(
-            (row * shape[1] + column).astype(np.int32),
-            np.ascontiguousarray(right),
-            np.ascontiguousarray(down),
-            np.maximum(first - _AROUND_COLUMNS, 0),
-            np.where(np.any(seen, axis=1), np.minimum(last + _AROUND_COLUMNS, seen.shape[1]), 0),
-        )
+
+def _table_of(
+    map_1: NDArray[np.int16], map_2: NDArray[np.uint16], unseen: NDArray[np.bool_], shape: tuple[int, int]
+) -> Table:
+    """Return the table of maps of `cv2.remap` for images of `shape`; outside, the border goes on."""
+    whole, share = map_1[..., ::-1].astype(np.int64), np.stack([map_2 >> 5, map_2 & 31], axis=-1)
+    most = np.array(shape) - 2
+    row, column = np.moveaxis(whole.clip(0, most), -1, 0)
+    down, right = np.moveaxis(np.where(whole < 0, 0, np.where(whole > most, 32, share)).astype(np.uint8), -1, 0)
+    seen: NDArray[np.bool_] = ~np.all(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1)
+    first, last = seen.argmax(axis=1), seen.shape[1] - seen[:, ::-1].argmax(axis=1)
+    first = np.maximum(first - _AROUND_COLUMNS, 0)
+    last = np.where(np.any(seen, axis=1), np.minimum(last + _AROUND_COLUMNS, seen.shape[1]), 0)
+    corner = (row * shape[1] + column).astype(np.int32)
+    return Table(corner, np.ascontiguousarray(right), np.ascontiguousarray(down), first, last)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ColumnView:
-    """A remap of the taken image in which the column is tan(bearing) and the row the height e in the upright image.
+class ColumnGrid:
+    """Pixels of a remap of the taken image: the column is tan(bearing), the row the height e in the upright image.
 
     A vertical edge a = tan b (c + e s) is a column, whatever the tilt. Rows are half as dense as in the image, columns
     as dense as at the image's centre for a tilt of 0.
 
     first_tangent, first_height: of the top-left pixel. columns_per_tangent, rows_per_height: pixels per unit.
-    unseen: (H, W) where the taken image has nothing to show. table: where each pixel (H, W) is looked up.
     """
 
     tilt_rad: float
@@ -78,16 +74,6 @@ class ColumnView:
     first_height: float
     columns_per_tangent: float
     rows_per_height: float
-    unseen: NDArray[np.bool_]
-    table: Table
-
-    def blocks(self, image: Image) -> NDArray[np.float32]:
-        """Return the rectified image of a taken one (H, W), averaged over blocks of rows: (B, W) grey levels."""
-        paired = compiled(pairs_loop)(image)
-        table = self.table
-        return compiled(blocks_loop)(
-            paired, table.corner, table.right, table.down, table.first, table.last, ROWS_PER_BLOCK
-        )
 
     def upright(self, column: Array, row: Array) -> Array:
         """Return upright image coordinates (a, e) (..., 2) of pixels of the rectified image."""
@@ -110,10 +96,25 @@ class ColumnView:
         return np.asarray(per_tangent / self.columns_per_tangent)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ColumnView(ColumnGrid):
+    """The remap of the image of a camera.
+
+    unseen: (H, W) where the taken image has nothing to show. table: where each pixel (H, W) is looked up.
+    """
+
+    unseen: NDArray[np.bool_]
+    table: Table
+
+    def blocks(self, image: Image) -> NDArray[np.float32]:
+        """Return the rectified image of a taken one (H, W), averaged over blocks of rows: (B, W) grey levels."""
+        return compiled(blocks_loop)(compiled(pairs_loop)(image), *self.table, ROWS_PER_BLOCK)
+
+
 @lru_cache(maxsize=8)
 def column_view(camera: Camera) -> ColumnView:
     """Return the cached view of `camera` that holds all vertical edges ahead."""
-    border = camera.upright_from_pixels(image_border(camera))
+    border = camera.upright_from_pixels(camera.border_px().reshape(-1, 2))
     tilt, focal = camera.mount.tilt_rad, camera.focal_px
     depth = np.cos(tilt) + border[:, 1] * np.sin(tilt)
     border, depth = border[depth > _LEAST_DEPTH], depth[depth > _LEAST_DEPTH]
@@ -122,16 +123,14 @@ def column_view(camera: Camera) -> ColumnView:
     width = int(np.ceil(np.ptp(tangent) * density)) + 1
     height = ROWS_PER_BLOCK * int(np.ceil(np.ptp(border[:, 1]) * focal / ROWS_AT_ONCE / ROWS_PER_BLOCK))
     first_height = float(border[:, 1].max()) - (ROWS_AT_ONCE - 1) / 2 / focal
-    nothing = np.ones((ROWS_PER_BLOCK, 1), dtype=np.bool_)
-    no_table = Table.of(np.zeros((ROWS_PER_BLOCK, 1, 2), np.int16), nothing.astype(np.uint16), nothing, (2, 2))
-    view = ColumnView(tilt, float(tangent.min()), first_height, density, focal / ROWS_AT_ONCE, nothing, no_table)
+    grid = ColumnGrid(tilt, float(tangent.min()), first_height, density, focal / ROWS_AT_ONCE)
     map_1, map_2, unseen = remap_tables(
-        lambda pixels: camera.image_from_upright(view.upright(pixels[..., 0], pixels[..., 1])),
+        lambda pixels: camera.image_from_upright(grid.upright(pixels[..., 0], pixels[..., 1])),
         (width, height),
         camera,
         rows_at_once=ROWS_AT_ONCE,
     )
-    beyond_nadir = view.depth(np.arange(float(height))) < _LEAST_DEPTH
+    beyond_nadir = grid.depth(np.arange(float(height))) < _LEAST_DEPTH
     unseen |= beyond_nadir[:, None]
     paired_shape = (camera.height // ROWS_AT_ONCE, camera.width)
-    return replace(view, unseen=unseen, table=Table.of(map_1, map_2, unseen, paired_shape))
+    return ColumnView(**asdict(grid), unseen=unseen, table=_table_of(map_1, map_2, unseen, paired_shape))

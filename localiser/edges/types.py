@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,12 @@ class CommonError:
     bearing_from_lean: Array
     bearing_from_line: Array
 
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> CommonError:
+        """Return what is common to the edges at `index`."""
+        return replace(
+            self, bearing_from_lean=self.bearing_from_lean[index], bearing_from_line=self.bearing_from_line[index]
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
@@ -32,12 +39,12 @@ class Edges:
         nadir point (observation `line`).
     lean, lean_sigma: (E,) rad, of the free line in the upright image (observation `slope`).
     vertical_probability: (E,) how likely this is a vertical edge of the scene, and no other line that happens to point
-        at the nadir point.
+        at the nadir point; to look at, see `find_edges`.
     length_px: (E,) visible length. polarity: (E,) +1 dark to light from left to right, -1 light to dark, 0 unknown.
     ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included.
     foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
         where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
-    foot_probability: (E,) how likely the lower end stands on the floor; 0 where foot_range_m is nan.
+    foot_probability: (E,) how likely the lower end stands on the floor; 0 where foot_range_m is nan. To look at too.
     profile: (E, P) grey values across the edge from left to right, P may be 0.
     clutter: (E,) how much denser clutter is expected where this edge is than anywhere in the image; 1 unless known.
     landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
@@ -66,48 +73,25 @@ class Edges:
         return len(self.bearing)
 
     @classmethod
-    def from_columns(
-        cls,
-        bearing: Array,
-        bearing_sigma: Array,
-        lean: Array,
-        lean_sigma: Array,
-        *,
-        vertical_probability: Array | None = None,
-        length_px: Array | None = None,
-        polarity: NDArray[np.int8] | None = None,
-        ends_px: Array | None = None,
-        foot_range_m: Array | None = None,
-        foot_range_sigma_m: Array | None = None,
-        foot_probability: Array | None = None,
-        profile: Array | None = None,
-        clutter: Array | None = None,
-        landmark_id: NDArray[np.int64] | None = None,
-        common: CommonError | None = None,
-        rejected_px: Array | None = None,
-    ) -> Edges:
-        """Return edges with what is given; the rest is unknown."""
+    def from_columns(cls, bearing: Array, bearing_sigma: Array, lean: Array, lean_sigma: Array, **known: Any) -> Edges:
+        """Return edges (E) with what is given; other columns, by their names, are unknown when left out or None."""
         count = len(bearing)
         unknown = np.full(count, np.nan)
-        nothing_common = CommonError((), np.zeros((0, 0)), np.zeros((count, 0)), np.zeros((count, 0)))
-        return cls(
-            bearing=bearing,
-            bearing_sigma=bearing_sigma,
-            lean=lean,
-            lean_sigma=lean_sigma,
-            vertical_probability=unknown if vertical_probability is None else vertical_probability,
-            length_px=unknown if length_px is None else length_px,
-            polarity=np.zeros(count, dtype=np.int8) if polarity is None else polarity,
-            ends_px=np.full((count, 2, 2), np.nan) if ends_px is None else ends_px,
-            foot_range_m=unknown if foot_range_m is None else foot_range_m,
-            foot_range_sigma_m=unknown if foot_range_sigma_m is None else foot_range_sigma_m,
-            foot_probability=unknown if foot_probability is None else foot_probability,
-            profile=np.zeros((count, 0)) if profile is None else profile,
-            clutter=np.ones(count) if clutter is None else clutter,
-            landmark_id=np.full(count, -1, dtype=np.int64) if landmark_id is None else landmark_id,
-            common=nothing_common if common is None else common,
-            rejected_px=np.zeros((0, 2, 2)) if rejected_px is None else rejected_px,
-        )
+        columns = {
+            "vertical_probability": unknown,
+            "length_px": unknown,
+            "polarity": np.zeros(count, dtype=np.int8),
+            "ends_px": np.full((count, 2, 2), np.nan),
+            "foot_range_m": unknown,
+            "foot_range_sigma_m": unknown,
+            "foot_probability": unknown,
+            "profile": np.zeros((count, 0)),
+            "clutter": np.ones(count),
+            "landmark_id": np.full(count, -1, dtype=np.int64),
+            "common": CommonError((), np.zeros((0, 0)), np.zeros((count, 0)), np.zeros((count, 0))),
+        }
+        columns |= {name: value for name, value in known.items() if value is not None}
+        return cls(bearing, bearing_sigma, lean, lean_sigma, **columns)  # type: ignore[arg-type]
 
     @classmethod
     def none(cls) -> Edges:
@@ -117,13 +101,6 @@ class Edges:
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Edges:
         """Return the edges at `index` (indices or mask (E,)), in that order."""
-        columns = {f.name: getattr(self, f.name) for f in fields(self)}
-        common = columns.pop("common")
-        rejected = columns.pop("rejected_px")
-        return Edges(
-            **{name: column[index] for name, column in columns.items()},
-            common=CommonError(
-                common.names, common.cov, common.bearing_from_lean[index], common.bearing_from_line[index]
-            ),
-            rejected_px=rejected,
-        )
+        whole = {"common": self.common.take(index), "rejected_px": self.rejected_px}
+        columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in whole}
+        return Edges(**columns, **whole)  # type: ignore[arg-type]

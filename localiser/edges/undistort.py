@@ -68,11 +68,9 @@ def bend_px(camera: Camera) -> float:
     """
     if not camera.is_distorted:
         return 0.0
-    steps = np.linspace(0.0, 1.0, 33)
-    u, v = steps * (camera.width - 1), steps * (camera.height - 1)
-    lines = [np.stack([u, np.full_like(u, row)], axis=-1) for row in (v[0], v[16], v[-1])]
-    lines += [np.stack([np.full_like(v, column), v], axis=-1) for column in (u[0], u[16], u[-1])]
-    straight = camera.undistorted().pixels_from_image(camera.image_from_pixels(np.array(lines)))
+    top, bottom, left, right = camera.border_px(33)
+    lines = np.array([top, (top + bottom) / 2, bottom, left, (left + right) / 2, right])
+    straight = camera.undistorted().pixels_from_image(camera.image_from_pixels(lines))
     chord = straight[:, -1] - straight[:, 0]
     offset = straight - straight[:, :1]
     across = offset[..., 0] * chord[:, None, 1] - offset[..., 1] * chord[:, None, 0]
@@ -133,20 +131,15 @@ def _furthest(camera: Camera) -> float:
     Far outside the field of view a distortion polynomial turns back and would show the image's inside once more; the
     corners of the image bound what it was fitted for.
     """
-    return float(np.linalg.norm(camera.image_from_pixels(image_border(camera)), axis=-1).max()) + 1 / camera.focal_px
-
-
-def image_border(camera: Camera) -> Array:
-    """Return pixels (P, 2) along the border of the taken image."""
-    u, v = np.linspace(0, camera.width - 1, 65), np.linspace(0, camera.height - 1, 65)
-    rows = [np.stack([u, np.full_like(u, row)], axis=-1) for row in (0.0, camera.height - 1.0)]
-    columns = [np.stack([np.full_like(v, column), v], axis=-1) for column in (0.0, camera.width - 1.0)]
-    return np.concatenate(rows + columns)
+    return (
+        float(np.linalg.norm(camera.image_from_pixels(camera.border_px().reshape(-1, 2)), axis=-1).max())
+        + 1 / camera.focal_px
+    )
 
 
 def _ideal_extent(camera: Camera) -> tuple[int, int, int, int]:
     """Return (left, top, width, height) px of the ideal image that holds the border of the taken one."""
-    ideal = camera.undistorted().pixels_from_image(camera.image_from_pixels(image_border(camera)))
+    ideal = camera.undistorted().pixels_from_image(camera.image_from_pixels(camera.border_px().reshape(-1, 2)))
     size = np.array([camera.width, camera.height])
     slack = (_LARGEST_GROWTH - 1) / 2 * size
     low = np.floor(np.maximum(ideal.min(axis=0), -slack)).astype(int)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.loops import same_edge_loop
-from localiser.edges.mount import MountError, NadirMiss, mount_error, nadir_miss
+from localiser.edges.mount import MountError, NadirMiss, fit_mount, nadir_miss
+from localiser.edges.mount_kernel import same_edge_loop
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
@@ -31,11 +31,11 @@ def vertical_segments(
     The stated tilt and roll, uncertain by `mount_sigma_rad` (2,), say which segments may be vertical. Those agree on a
     better tilt and roll, which then decide. Plumb: how far real edges are from vertical.
     """
-    miss = nadir_miss(segments, camera)
+    miss = nadir_miss(segments, camera, plumb_sigma_rad)
     prior = MountError(np.zeros(2), np.diag(mount_sigma_rad**2))
-    candidates = _above_nadir(segments, camera) & _is_met(miss, prior, plumb_sigma_rad, gate_sigma)
-    posterior = mount_error(miss.take(candidates), mount_sigma_rad, plumb_sigma_rad)
-    return candidates & _is_met(miss, posterior, plumb_sigma_rad, gate_sigma), posterior
+    candidates = _above_nadir(segments, camera) & _is_met(miss, prior, gate_sigma)
+    posterior = fit_mount(miss.take(candidates), mount_sigma_rad)
+    return candidates & _is_met(miss, posterior, gate_sigma), posterior
 
 
 def _above_nadir(segments: Segments, camera: Camera) -> NDArray[np.bool_]:
@@ -43,10 +43,10 @@ def _above_nadir(segments: Segments, camera: Camera) -> NDArray[np.bool_]:
     return np.asarray((np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad)).min(axis=1) > _ABOVE_NADIR)
 
 
-def _is_met(miss: NadirMiss, mount: MountError, plumb_sigma_rad: float, gate_sigma: float) -> NDArray[np.bool_]:
+def _is_met(miss: NadirMiss, mount: MountError, gate_sigma: float) -> NDArray[np.bool_]:
     """Return (S,) whether segments point at the nadir point as well as a vertical edge would."""
     angle, by_mount = miss.corrected(mount)
-    allowed = gate_sigma * np.sqrt(miss.sigma**2 + plumb_sigma_rad**2 + by_mount)
+    allowed = gate_sigma * np.sqrt(miss.sigma**2 + miss.crooked**2 + by_mount)
     return np.asarray((np.abs(angle) <= allowed) & (allowed < _VAGUE_RAD))
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.edges.loops import vertical_loop
-from localiser.edges.mount import mount_error_of_pointing, nadir_miss, pointing_of_edges
+from localiser.edges.mount import fit_mount, nadir_miss, nadir_miss_of_edges
+from localiser.edges.mount_kernel import vertical_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.geometry import Array
@@ -34,15 +34,15 @@ def vertical_probability(
     """
     if len(edges) == 0:
         return np.zeros(0)
-    pointing, crooked_rad = pointing_of_edges(edges, camera, plumb_sigma_rad)
-    mount = mount_error_of_pointing(pointing, crooked_rad, mount_sigma_rad)
-    others = nadir_miss(rejected, camera)
+    pointing = nadir_miss_of_edges(edges, camera, plumb_sigma_rad)
+    mount = fit_mount(pointing, mount_sigma_rad, learn_crooked=True)
+    others = nadir_miss(rejected, camera, plumb_sigma_rad)
     others = others.take(np.abs(others.corrected(mount)[0]) < REACH_RAD)
     misses, by_mount = zip(pointing.corrected(mount), others.corrected(mount), strict=True)
     probability = compiled(vertical_loop)(
         np.concatenate(misses),
         np.concatenate([pointing.sigma, others.sigma]) ** 2 + np.concatenate(by_mount),
-        np.concatenate([crooked_rad, np.full(len(others.sigma), plumb_sigma_rad)]) ** 2 + _LEAST_RAD**2,
+        np.concatenate([pointing.crooked, others.crooked]) ** 2 + _LEAST_RAD**2,
         REACH_RAD,
         _PRIOR_LINES,
         _ITERATIONS,

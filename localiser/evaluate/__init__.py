@@ -7,7 +7,7 @@ from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
 from localiser.evaluate.report import save_report
 from localiser.evaluate.table import errors_table
-from localiser.evaluate.wheels import bias_figures, fit_wheels, mount_figures
+from localiser.evaluate.wheels import bias_figures, fit_wheels
 
 __all__ = [
     "Efficiency",
@@ -20,7 +20,6 @@ __all__ = [
     "errors_table",
     "fit_wheels",
     "metrics",
-    "mount_figures",
     "nees",
     "nees_band",
     "posterior_bound",

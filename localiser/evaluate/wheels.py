@@ -1,4 +1,4 @@
-"""Constants of wheels and mount: what a run has learnt of them, beside least squares against the truth.
+"""Constants of the wheels: what a run has learnt of them, beside least squares against the truth.
 
     true distance = (1 + distance_scale) · distance,    true turn = (1 + turn_scale) · turn + veer · distance
 
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from localiser.filter import MOUNT, Attitude
 from localiser.geometry import Array, Trajectory, between
 from localiser.particles import POSE, Estimate
 
@@ -48,17 +47,6 @@ def bias_figures(estimate: Estimate, fit: dict[str, float]) -> dict[str, Any]:
         | ({"least_squares": _figure(fit[name])} if name in fit else {})
         for name, value, sigma in learnt
         if sigma > 1e-9  # of what can be wrong
-    }
-
-
-def mount_figures(attitude: Attitude | None) -> dict[str, Any]:
-    """Return by how much tilt and roll (rad) differ from what is stated, with their sigmas; nothing where unknown."""
-    if attitude is None:
-        return {}
-    sigma = np.sqrt(np.diag(attitude.cov))
-    return {
-        name: {"value": _figure(value), "sigma": _figure(one)}
-        for name, value, one in zip(MOUNT, attitude.mean, sigma, strict=True)
     }
 
 

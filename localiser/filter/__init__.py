@@ -2,19 +2,11 @@
 
 from localiser.filter.attitude import MOUNT, Attitude, Level
 from localiser.filter.confidence import CORRECT_M, CORRECT_RAD, SURE
-from localiser.filter.frames import Image, LocatedFrame
-from localiser.filter.mcl import (
-    Event,
-    FilterState,
-    Located,
-    Mcl,
-    MclParameters,
-    Odometry,
-    Sighting,
-    Start,
-    finish,
-    step,
-)
+from localiser.filter.events import Event, Located, Odometry, Start
+from localiser.filter.frames import Image, LocatedFrame, matched
+from localiser.filter.mcl import FilterState, Mcl, MclParameters, finish, step
+from localiser.filter.optimal_proposal import warm_up
+from localiser.observation import Sighting
 
 __all__ = [
     "CORRECT_M",
@@ -34,5 +26,7 @@ __all__ = [
     "Sighting",
     "Start",
     "finish",
+    "matched",
     "step",
+    "warm_up",
 ]

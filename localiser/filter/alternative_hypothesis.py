@@ -1,13 +1,13 @@
-"""Another place where the robot may be, followed beside the one where it is believed to be.
+"""An alternative hypothesis: another place where the robot may be, followed beside the one where it is believed to be.
 
-While the robot may be lost, a second cloud of particles follows the images from poses that these proposed, with the
-odds that it is right and the first one wrong:
+While the robot may be lost, a second cloud of particles follows the images from poses that these proposed. It carries
+the odds that it is right and the first cloud is wrong:
 
     odds = odds of being lost · mean of prior/q · p(edges | pose) / p(edges | particles),  at the image that began it,
-    then times p(edges | rival) / max(p(edges | particles), p(edges | clutter)) at every further image.
+    then times p(edges | alternative) / max(p(edges | particles), p(edges | clutter)) at every further image.
 
-The first cloud is not touched by this, so a robot that is well localised comes to no harm; a rival that explains the
-edges less well dies out, and one that explains them better wins, however many images it takes.
+The first cloud is not touched by this, so a robot that is well localised comes to no harm. An alternative that explains
+the edges less well dies out. One that explains them better wins, however many images it takes.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from localiser.filter.confidence import beside
+from localiser.filter.confidence import is_near
 from localiser.geometry import Array
-from localiser.observation import InlierShare
-from localiser.particles import Particles, find_clusters
-from localiser.relocalisation import Clues, Doubt, Search, only, resampled
+from localiser.observation import InlierRate
+from localiser.particles import Particles, find_clusters, only
+from localiser.relocalisation import Clues, GlobalLocalisation, LostProbability, resampled
 
-WON = float(np.log(1000.0))  # odds from which on the rival takes over
-MOST = 0.8  # of a rival's weight that one place must have
+WON = float(np.log(1000.0))  # odds from which on the alternative takes over
+MOST = 0.8  # of its weight that one place must have
 DEAD = -20.0  # log-odds below which it is given up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rival:
-    """particles: where else the robot may be. doubt: whether it is at none of these either.
+class AlternativeHypothesis:
+    """particles: where else the robot may be. lost: whether it is at none of these either.
 
     log_odds: logarithm of the odds that it is there, against where it is believed to be.
     """
 
     particles: Particles
-    doubt: Doubt
+    lost: LostProbability
     log_odds: float
 
     @property
@@ -52,47 +52,51 @@ class Rival:
 
     @classmethod
     def begun(
-        cls, search: Search, like: Particles, doubt: Doubt, log_odds: float, clues: Clues, rng: np.random.Generator
-    ) -> Rival | None:
+        cls,
+        search: GlobalLocalisation,
+        like: Particles,
+        inliers: InlierRate,
+        log_odds: float,
+        clues: Clues,
+        rng: np.random.Generator,
+    ) -> AlternativeHypothesis | None:
         """Return the places that an image proposes, None where they are not worth following.
 
         like: the particles that are believed. log_odds: of their being wrong, all of the image weighed against them.
         """
-        fresh, log_evidence = search.fresh(like, clues, doubt.inliers, search.parameters.fresh, rng)
-        return cls(fresh, Doubt.of_anywhere(doubt.inliers), log_odds + log_evidence)._alive()
+        fresh, log_evidence = search.fresh(like, clues, inliers, search.parameters.fresh, rng)
+        return cls(fresh, LostProbability.of_anywhere(inliers), log_odds + log_evidence)._alive()
 
     def followed(
         self,
-        search: Search,
+        search: GlobalLocalisation,
         moved: Particles,
         clues: Clues,
-        share: float,
+        novelty: float,
         log_evidence: float,
-        inliers: InlierShare,
+        inliers: InlierRate,
         rng: np.random.Generator,
-    ) -> Rival | None:
-        """Return the rival after an image of which `share` is new, None when it is given up.
+    ) -> AlternativeHypothesis | None:
+        """Return the alternative after an image of this novelty, None when it is given up.
 
         moved: its particles, moved since the last image. log_evidence: what the believed particles gave the image.
-        inliers: how much is clutter, the same for both.
+        inliers: the inlier rate, the same for both.
         """
-        doubt = replace(self.doubt, inliers=inliers)
-        weighed, doubt, own_evidence = search.followed(moved, doubt, clues, share, rng)
+        weighed, lost, own = search.followed(moved, replace(self.lost, inliers=inliers), clues, novelty, rng)
         # It wins by what it explains, not by what the others leave unexplained: that may be new to the map.
-        return Rival(weighed, doubt, self.log_odds + own_evidence - max(log_evidence, 0.0))._alive()
+        return AlternativeHypothesis(weighed, lost, self.log_odds + own - max(log_evidence, 0.0))._alive()
 
-    def elsewhere(self, pose: Array) -> Rival | None:
-        """Return the rival without what is beside the believed pose (3,), None where nothing else is left."""
-        far = ~beside(self.particles.poses, pose)
-        weight = self.particles.weight
-        left = float(weight[far].sum())
+    def elsewhere(self, pose: Array) -> AlternativeHypothesis | None:
+        """Return the alternative without what is near the believed pose (3,), None where nothing else is left."""
+        far = ~is_near(self.particles.poses, pose)
+        left = float(self.particles.weight[far].sum())
         if left <= 0:
             return None
-        return Rival(only(self.particles, far), self.doubt, self.log_odds + float(np.log(left)))._alive()
+        return AlternativeHypothesis(only(self.particles, far), self.lost, self.log_odds + float(np.log(left)))._alive()
 
-    def resampled(self, fewest: int, most: int, rng: np.random.Generator) -> Rival:
-        """Return the rival with equally weighted particles."""
-        return Rival(resampled(self.particles, fewest, most, rng), self.doubt, self.log_odds)
+    def resampled(self, fewest: int, most: int, rng: np.random.Generator) -> AlternativeHypothesis:
+        """Return the alternative with equally weighted particles."""
+        return replace(self, particles=resampled(self.particles, fewest, most, rng))
 
-    def _alive(self) -> Rival | None:
+    def _alive(self) -> AlternativeHypothesis | None:
         return self if self.log_odds > DEAD else None

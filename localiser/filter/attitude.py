@@ -45,8 +45,8 @@ class Attitude:
         kept = float(np.exp(-path_m / MEMORY_M))
         return Attitude(kept * self.mean, kept**2 * self.cov + (1 - kept**2) * stated_cov)
 
-    def given(self, edges: Edges, camera: Camera, plumb_sigma_rad: float, share: float) -> Attitude:
-        """Return what is known after an image, of whose evidence a share is new.
+    def given(self, edges: Edges, camera: Camera, plumb_sigma_rad: float, novelty: float) -> Attitude:
+        """Return what is known after an image. novelty: how much of its evidence is new, 0 … 1.
 
         plumb_sigma_rad: how far real edges are from plumb.
         """
@@ -54,7 +54,7 @@ class Attitude:
         image = mount_error_of_edges(edges, camera, prior_sigma, plumb_sigma_rad)
         # What the image tells beside the prior, which counts once and not with every image.
         certain = np.linalg.inv(image.cov)
-        information, pull = share * (certain - np.diag(prior_sigma**-2.0)), share * certain @ image.mean
+        information, pull = novelty * (certain - np.diag(prior_sigma**-2.0)), novelty * certain @ image.mean
         cov = self.cov @ np.linalg.inv(np.eye(2) + information @ self.cov)  # also right where nothing is in doubt
         cov = (cov + cov.T) / 2
         return Attitude(self.mean + cov @ (pull - information @ self.mean), cov)
@@ -93,7 +93,7 @@ class Level:
     plumb_sigma_rad: float
 
     def levelled(
-        self, attitude: Attitude | None, edges: Edges, path_m: float, share: float
+        self, attitude: Attitude | None, edges: Edges, path_m: float, novelty: float
     ) -> tuple[Edges, Attitude | None]:
         """Return the edges corrected by what they and those before tell of tilt and roll, and what that is.
 
@@ -104,5 +104,5 @@ class Level:
             return edges, attitude
         stated_cov = edges.common.cov
         before = Attitude.stated(stated_cov) if attitude is None else attitude.after(path_m, stated_cov)
-        now = before.given(edges, self.camera, self.plumb_sigma_rad, share)
+        now = before.given(edges, self.camera, self.plumb_sigma_rad, novelty)
         return now.levelled(edges, self.camera), now

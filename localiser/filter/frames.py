@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.filter.mcl import Located
+from localiser.filter.events import Located
+from localiser.filter.mcl import Mcl
 from localiser.geometry import Array
-from localiser.observation import Matches
+from localiser.observation import Matches, Sighting, matches_of
 
 Image = NDArray[np.uint8] | bytes
 """Pixels (height, width) grey or (height, width, 3) BGR as OpenCV has them, or the bytes of a JPEG or PNG file."""
@@ -29,3 +30,9 @@ class LocatedFrame:
     image: Image | None
     truth: Array | None
     stage_ms: Mapping[str, float]
+
+
+def matched(mcl: Mcl, located: Located) -> Matches:
+    """Return which landmark each of the edges that particles were weighed by shows, seen from the estimate."""
+    sighting = located.sighting or Sighting(located.t_ns, located.edges)
+    return matches_of(mcl.observation, located.estimate.pose_as_seen, sighting, mcl.landmark_map)

@@ -1,17 +1,19 @@
-"""Move particles to where the edges say that they will weigh something.
+"""The optimal proposal: draw the steps of particles from odometry and edges together.
 
-Wheels know a step far less well than edges do: of particles that are moved blindly, one in a hundred or fewer explains
-the next image, and each resampling that follows forgets a little of what all images before had told. So a step is
-drawn from what odometry *and* edges say of it, and the particle's weight is corrected by the ratio of the two:
+Odometry knows a step far less well than edges do. Of particles that are moved by odometry alone, one in a hundred or
+fewer explains the next image, and each resampling that follows forgets a little of what all images before had told. So
+a step is drawn from what odometry *and* edges say of it, and the particle's weight is corrected by the ratio of both:
 
     step ~ q(step | particle, edges),    weight · p(step | particle) / q(step | particle, edges)
 
 [Doucet, Godsill, Andrieu 2000]. q is the normal density that follows from p and from the edges, linearised about where
-odometry alone would bring the particle. The same gives ψ, how well the edges fit wherever the particle may go:
-particles that differ much in ψ are resampled by it before they move [Pitt, Shephard 1999].
+odometry alone would bring the particle. The same gives ψ, how well the edges fit wherever the particle may go.
+Particles that differ much in ψ are resampled by it before they move: the auxiliary particle filter [Pitt, Shephard
+1999].
 
-Only edges guide whose landmark is in no doubt (`EdgeObservation.targets`). Where this or the line is wrong, the weights
-put it right: they come from the observation as always, and a share of the steps is drawn blindly.
+Only edges whose landmark is in no doubt take part (`EdgeObservation.targets`). Where one of them or the linearisation
+is wrong, the weights put it right: they come from the observation as always, and some of the steps are drawn from
+odometry alone.
 """
 
 from __future__ import annotations
@@ -23,36 +25,36 @@ import numpy as np
 from localiser import particles
 from localiser.camera import Camera
 from localiser.geometry import MANY, Array, Increment, cos_sin
-from localiser.motion import MotionParameters, Step, expected_step, stepped
+from localiser.motion import LinearisedMotion, Step
 from localiser.observation import Targets
 from localiser.particles import MOST_STAGES, Particles, systematic_resample
 
-BLIND = 0.1  # share of steps drawn from odometry alone, and of particles resampled by what they weighed before
+BLIND = 0.1  # fraction of steps drawn from odometry alone, and of particles resampled by what they weighed before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guide:
+class OptimalProposal:
     """What the edges of an image say, and how particles are resampled by it.
 
-    share: how much of the edges' evidence is new. stage_below: share of effective samples that each stage leaves.
-    resample_below: of which as many are good enough.
+    novelty: how much of the edges' evidence is new, 0 … 1. stage_below: fraction of effective samples that each stage
+    leaves. resample_below: the fraction from which on nothing needs to be resampled.
     """
 
     camera: Camera
     targets: Targets
-    share: float
+    novelty: float
     stage_below: float
     resample_below: float
 
     def moved(
-        self, cloud: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
+        self, cloud: Particles, increment: Increment, motion: LinearisedMotion, rng: np.random.Generator
     ) -> Particles:
         """Return the particles moved by `increment` to where the edges say, with weights that take that back."""
         count, left = len(cloud), 1.0
         for stage in range(MOST_STAGES + 1):
-            step = expected_step(cloud, increment, parameters)
-            what = told(step, self.camera, self.targets, self.share)
-            ahead = flattened(what.log_evidence, cloud.log_weight)
+            step = motion.expected_step(cloud, increment)
+            density = step_density(step, self.camera, self.targets, self.novelty)
+            ahead = flattened(density.log_evidence, cloud.log_weight)
             weight = particles.normalised(cloud.log_weight + left * ahead)
             if stage == MOST_STAGES or particles.effective_sample_size(weight) >= self.resample_below * count:
                 break
@@ -61,14 +63,14 @@ class Guide:
             cloud, left = particles.take(cloud, systematic_resample(weight, count, rng)), left - taken
             if left > 0:
                 cloud = particles.spread(cloud, rng)
-        normal, log_ratio = what.draw(rng)
-        moved = stepped(cloud, step, normal, increment, parameters)
+        normal, log_ratio = density.draw(rng)
+        moved = motion.stepped(cloud, step, normal, increment)
         return replace(moved, log_weight=cloud.log_weight + log_ratio - (1 - left) * ahead)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Told:
-    """What edges tell of the standardised steps of N particles: q = N(A⁻¹ b, A⁻¹), A = L Lᵀ.
+class StepDensity:
+    """The optimal proposal of the standardised steps of N particles: q = N(A⁻¹ b, A⁻¹), A = L Lᵀ.
 
     root: L (6, N), its rows 00, 10, 11, 20, 21, 22. explained: L⁻¹ b (3, N). log_evidence: ψ (N,), the log of the mean
     of the edges' likelihood over all steps that odometry allows.
@@ -80,39 +82,39 @@ class Told:
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return standardised steps (3, N), and log p/q (N,) of having drawn them."""
-        from localiser.filter import optimal_proposal_kernel as loops
+        from localiser.filter import optimal_proposal_kernel as kernel
 
         normal = rng.standard_normal((3, len(self.log_evidence)))
         blind = rng.random(len(self.log_evidence)) < BLIND
-        step, log_density = loops.drawn(self.root, self.explained, normal, blind)
+        step, log_density = kernel.drawn(self.root, self.explained, normal, blind)
         return step, -_log_mixed(log_density)
 
 
-def told(step: Step, camera: Camera, targets: Targets, share: float) -> Told:
-    """Return what `share` of the edges' evidence tells of the steps of particles."""
-    from localiser.filter import optimal_proposal_kernel as loops
+def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -> StepDensity:
+    """Return the optimal proposal of the steps of particles, from odometry and the new part of the edges' evidence."""
+    from localiser.filter import optimal_proposal_kernel as kernel
 
     mount, angle, heading = camera.mount, targets.angle, step.poses[2]
-    table = np.column_stack([targets.points, np.cos(angle), np.sin(angle), share / targets.variance])
+    table = np.column_stack([targets.points, np.cos(angle), np.sin(angle), novelty / targets.variance])
     offset = (mount.right_m, mount.back_m, float(np.cos(mount.yaw_rad)), float(np.sin(mount.yaw_rad)))
     steps = np.concatenate([step.poses[:2], cos_sin(heading), step.axes.reshape(9, -1)])
-    found = loops.told(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
+    found = kernel.linearised(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
     root = found[:6]
-    return Told(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))
+    return StepDensity(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))
 
 
 def warm_up() -> None:
     """Compile the loops, or load them from the disk."""
-    from localiser.filter import optimal_proposal_kernel as loops
+    from localiser.filter import optimal_proposal_kernel as kernel
 
     cos_sin(np.zeros(MANY))
     for is_slope in (False, True):
-        found = loops.told(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
-    loops.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))
+        found = kernel.linearised(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
+    kernel.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))
 
 
 def flattened(log_evidence: Array, log_weight: Array) -> Array:
-    """Return log (N,) of ψ with a share of its mean in its place, so that no particle is given up for ψ's sake."""
+    """Return log (N,) of ψ with a fraction of its mean in its place, so that no particle is given up for ψ's sake."""
     mean = particles.log_sum(log_weight + log_evidence) - particles.log_sum(log_weight)
     return mean + _log_mixed(log_evidence - mean)
 

@@ -1,4 +1,4 @@
-"""The loop of `guide`, compiled by numba when this module is imported and its function is first called.
+"""The loop of `optimal_proposal`, compiled by numba when this module is imported and its function is first called.
 
 Blocks of particles look at one target at a time, along rows of one array of constant shape: only so does the compiler
 know that rows do not overlap, and turns the loop into vector instructions.
@@ -104,7 +104,7 @@ def _factor(block: Array) -> None:
 
 
 @entry
-def told(
+def linearised(
     steps: Array,
     targets: Array,
     offset: tuple[float, float, float, float],

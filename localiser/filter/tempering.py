@@ -1,8 +1,8 @@
-"""Weigh particles by the edges of one image, in stages where the edges are much sharper than the cloud.
+"""Tempering: weigh particles by the edges of one image in stages, where the edges are much sharper than the cloud.
 
 Edges much sharper than the cloud would leave all weight on the few particles that happen to lie nearest. So only as
-much of the evidence is taken at once as leaves a share of them effective; these are resampled and spread by a small
-kernel, and the rest is weighed on the new, denser cloud [Musso, Oudjane, Le Gland 2001].
+much of the evidence is taken at once as leaves enough particles effective. These are resampled and spread by a small
+kernel, and the rest of the evidence is weighed on the new, denser cloud [Musso, Oudjane, Le Gland 2001].
 """
 
 from __future__ import annotations
@@ -12,74 +12,77 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from localiser import particles
-from localiser.edges import Edges
+from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import InlierShare, Observation
+from localiser.observation import InlierRate, Observation, Sighting, TempersByScale, likelihood_by_rate
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighing:
-    """How particles are weighed. stage_below: share of effective samples that each stage leaves; 0: one stage."""
+class Tempering:
+    """How particles are weighed by one sighting.
+
+    inliers: what is known of the inlier rate. novelty: 0 … 1, how much of the log-likelihood is new and is weighed.
+    stage_below: fraction of effective samples that each stage leaves; 0: one stage.
+    """
 
     observation: Observation
     landmark_map: LandmarkMap
+    sighting: Sighting
+    inliers: InlierRate
+    novelty: float
     stage_below: float
 
-    def weigh(
-        self,
-        moved: Particles,
-        edges: Edges,
-        inliers: InlierShare,
-        share: float,
-        blurred: bool,
-        rng: np.random.Generator,
-    ) -> tuple[Particles, InlierShare]:
-        """Return the particles with `share` of the edges' log-likelihood weighed, and what that tells of clutter.
+    def at_once(self, moved: Particles) -> tuple[Particles, InlierRate] | None:
+        """Return what `in_stages` does, in one stage; None where that would leave too few effective samples."""
+        by_rate = self._by_rate(moved)
+        weighed = replace(moved, log_weight=moved.log_weight + self.novelty * self.inliers.log_mean(by_rate))
+        if particles.effective_sample_size(weighed.weight) < self.stage_below * len(moved):
+            return None
+        return weighed, self.inliers.given(by_rate, weighed.weight, self.novelty)
 
-        blurred: perhaps no particle fits at all, as at a start; then edges are blurred first and sharpened from stage
-        to stage.
+    def in_stages(self, moved: Particles, is_first: bool, rng: np.random.Generator) -> tuple[Particles, InlierRate]:
+        """Return the weighed particles, and what is then known of the inlier rate.
+
+        is_first: whether perhaps no particle fits at all, as at a start. Then edges are blurred first and sharpened
+        from stage to stage.
         """
-        fewest = self.stage_below * len(moved)
         coarser_rad: float | None = None
-        for blur_rad in self._blurs(moved, edges) if blurred else [0.0]:
-            left = share
+        for blur_rad in self._blurs(moved) if is_first else [0.0]:
+            left = self.novelty
             for stage in range(MOST_STAGES):
-                by_share = self.observation.by_share(moved, edges, self.landmark_map, blur_rad)
-                log_likelihood = inliers.log_mean(by_share)
+                by_rate = self._by_rate(moved, blur_rad)
+                log_likelihood = self.inliers.log_mean(by_rate)
                 if coarser_rad is not None:  # which the particles have been weighed by already
-                    known = self.observation.by_share(moved, edges, self.landmark_map, coarser_rad)
-                    log_likelihood = log_likelihood - inliers.log_mean(known)
-                last = stage == MOST_STAGES - 1
-                taken = left if last else particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
+                    log_likelihood = log_likelihood - self.inliers.log_mean(self._by_rate(moved, coarser_rad))
+                taken = left
+                if stage < MOST_STAGES - 1:
+                    fewest = self.stage_below * len(moved)
+                    taken = particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
                 weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
                 left -= taken
                 if left <= 0 and blur_rad == 0:
                     break
-                index = systematic_resample(weighed.weight, len(weighed), rng)
-                moved = particles.spread(particles.take(weighed, index), rng)
+                moved = particles.spread(
+                    particles.take(weighed, systematic_resample(weighed.weight, len(weighed), rng)), rng
+                )
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        return weighed, inliers.given(by_share, weighed.weight, share)
+        return weighed, self.inliers.given(by_rate, weighed.weight, self.novelty)
 
-    def at_once(
-        self, moved: Particles, edges: Edges, inliers: InlierShare, share: float
-    ) -> tuple[Particles, InlierShare] | None:
-        """Return what `weigh` does, in one stage; None where that would leave too few effective samples."""
-        by_share = self.observation.by_share(moved, edges, self.landmark_map)
-        weighed = replace(moved, log_weight=moved.log_weight + share * inliers.log_mean(by_share))
-        if particles.effective_sample_size(weighed.weight) < self.stage_below * len(moved):
-            return None
-        return weighed, inliers.given(by_share, weighed.weight, share)
+    def _by_rate(self, moved: Particles, blur_rad: float = 0.0) -> Array:
+        return likelihood_by_rate(self.observation, moved, self.sighting, self.landmark_map, blur_rad)
 
-    def _blurs(self, moved: Particles, edges: Edges) -> list[float]:
+    def _blurs(self, moved: Particles) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
 
         Only 0 where at least one particle is expected within an edge's sigma of the truth in every dimension. Else
         from twice the spread of the particles' predictions, halved until it is below the edges' sigma.
         """
-        spread_rad, sigma_rad = self.observation.scales(moved, edges, self.landmark_map)
+        if not isinstance(self.observation, TempersByScale):
+            return [0.0]
+        spread_rad, sigma_rad = self.observation.scales(moved, self.sighting, self.landmark_map)
         if len(moved) * sigma_rad ** len(POSE) >= spread_rad ** len(POSE):
             return [0.0]
         return [*(b for b in 2.0 * spread_rad * 0.5 ** np.arange(MOST_STAGES) if b > sigma_rad), 0.0]

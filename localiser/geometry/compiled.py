@@ -11,7 +11,6 @@ numba takes long to import, so it is imported when the first loop is compiled.
 
 from __future__ import annotations
 
-import dis
 import hashlib
 import os
 import pickle
@@ -276,8 +275,10 @@ def _told_loop(loop: Any, met: dict[int, int]) -> tuple[object, ...]:
 
 
 def _told_code(code: CodeType, module: dict[str, Any], met: dict[int, int]) -> tuple[object, ...]:
-    """Return what a function does: its instructions, and the content of constants and globals that they use."""
-    names = {each.argval for each in dis.get_instructions(code) if each.opname == "LOAD_GLOBAL"}
+    """Return what a function does: its instructions, and the content of constants and globals that they use.
+
+    Globals that only share the name of an attribute are among them: that costs less than to tell them apart.
+    """
     return (
         code.co_code,
         (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags),
@@ -285,5 +286,5 @@ def _told_code(code: CodeType, module: dict[str, Any], met: dict[int, int]) -> t
         tuple(
             _told_code(each, module, met) if isinstance(each, CodeType) else _told(each, met) for each in code.co_consts
         ),
-        tuple((name, _told(module[name], met)) for name in sorted(names & module.keys())),
+        tuple((name, _told(module[name], met)) for name in sorted(module.keys() & code.co_names)),
     )

@@ -3,7 +3,7 @@
 from localiser.live.inbound import TOPICS, CameraFinder, message_of, type_of
 from localiser.live.prepare import LiveOptions, opened
 from localiser.live.send_pose import send_pose
-from localiser.live.stand_in import Passage, StandIn, drive, start_text
+from localiser.live.stand_in import Passage, StandIn
 
 __all__ = [
     "TOPICS",
@@ -11,10 +11,8 @@ __all__ = [
     "LiveOptions",
     "Passage",
     "StandIn",
-    "drive",
     "message_of",
     "opened",
     "send_pose",
-    "start_text",
     "type_of",
 ]

@@ -18,7 +18,6 @@ from localiser.documents import nearest, read_text
 from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.live.inbound import TOPICS, CameraFinder, type_of
-from localiser.live.located import Filter
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, PosePublisher, Published
 from localiser.live.recording import Recording
@@ -26,8 +25,8 @@ from localiser.live.run import LiveRun
 from localiser.live.sources import ENDPOINT, Arrival, CameraSource, Inbox, Network
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.warm_up import warm_up
-from localiser.observation import EdgeObservation
-from localiser.replay import START_SIGMA, Sink, close_all, given_pose
+from localiser.localiser import Localiser, check_settings
+from localiser.replay import close_all
 from localiser.storage import encode_image, load_camera, load_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, TEXT, Messages, live_label_text
 
@@ -39,8 +38,9 @@ class LiveOptions:
     """What a live run is asked to do.
 
     topics: names by what they are for, in place of `TOPICS`. image: a camera or stream that OpenCV reads, in place of a
-    topic. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
-    resume: whether to go on from there, if it is there.
+    topic. start: where the robot is at the first image, None where that is not known. json: a file descriptor for lines
+    of JSON. view: where it is shown. checkpoint: where the state is saved. resume: whether to go on from there, if it
+    is there.
     """
 
     map_file: Path
@@ -50,7 +50,7 @@ class LiveOptions:
     listen: Sequence[str] = ()
     camera: Path | None = None
     image: str | None = None
-    start: str | None = None
+    start: Start | None = None
     record: Path | None = None
     json: int | None = None
     view: str = "none"
@@ -58,47 +58,30 @@ class LiveOptions:
     resume: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Live:
-    """A live run that is ready. address: of the page, when it is watched in a browser."""
-
-    run: LiveRun
-    viewers: list[view.LiveView]
-
-    @property
-    def address(self) -> str | None:
-        """Where the run can be watched, once the camera is known."""
-        return self.viewers[0].address if self.viewers else None
-
-
 @contextmanager
-def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Live]:
+def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
     landmark_map = load_map(options.map_file)
     given = load_camera(options.camera) if options.camera else None
+    check_settings(options.config, given, images=True)
     topics = _topics(options.topics)
-    start = Start(0, given_pose(options.start), np.diag(START_SIGMA**2)) if options.start else None
     viewers: list[view.LiveView] = []
-    sinks: list[Sink] = []
 
     def tell(text: str, level: str) -> None:
         say(text, level)
         for viewer in viewers:
             viewer.message(time.time_ns(), text, level)
 
-    def filter_of(camera: Camera) -> Filter:
-        observation = EdgeObservation(camera, options.config.observation)
+    def localiser_of(camera: Camera) -> Localiser:
+        localiser = Localiser(landmark_map, camera, options.config)
+        localiser.measure(np.zeros((camera.height, camera.width), dtype=np.uint8))  # makes the tables of its lens
         if options.view != "none":
             viewers.append(view.LiveView(options.view, view.Context("live", camera, landmark_map)))
-            sinks.append(viewers[0])
             if viewers[0].address:
                 how = "Watch with `rerun {}`" if options.view != "web" else "Watch at {}"
                 say(how.format(viewers[0].address), "INFO")
-        rng = np.random.default_rng(options.config.seed)
-        filter_ = Filter(camera, landmark_map, options.config, sinks, rng, observation)
-        filter_.warm_up()
-        return filter_
+        return localiser
 
     with ExitStack() as stack:
         inbox, monitor = Inbox(), Monitor(tell)
@@ -111,10 +94,10 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
             lines = JsonLines(options.json)
             stack.callback(lines.close)
             publish.append(lambda published: lines.put(published.line()))
-        stack.callback(lambda: close_all(sinks, complete=True))
+        stack.callback(lambda: close_all(viewers, complete=True))
         warm_up(landmark_map, options.config)
         finder = CameraFinder(given, topics["image"])
-        run = LiveRun(inbox, finder, filter_of, monitor, publish, recording, start)
+        run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         if options.checkpoint is not None:
             run.checkpoints = Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why))
             if options.resume and options.checkpoint.exists():
@@ -124,7 +107,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
                 network.subscribe(role, topic, type_of(role, topic), inbox)
         if options.image is not None:
             stack.callback(read_camera(options.image, topics["image"], inbox).close)
-        yield Live(run, viewers)
+        yield run
 
 
 def _topics(asked: Mapping[str, str]) -> dict[str, str]:

@@ -12,18 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from localiser.camera import Camera
 from localiser.errors import InputError
-from localiser.filter import Located, Start
+from localiser.filter import LocatedFrame, Start
 from localiser.geometry import Array, Trajectory
 from localiser.live.clock import LATE_NS, RobotClock
 from localiser.live.inbound import CameraFinder, message_of, type_of
-from localiser.live.located import Filter
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import POSE_TOPIC, Published, pose_now
 from localiser.live.recording import Recording
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Frame, Timeline
+from localiser.localiser import Localiser
+from localiser.replay import Sink
 from localiser.storage.bags import (
     DECISIONS_TOPIC,
     POSE,
@@ -34,6 +36,8 @@ from localiser.storage.bags import (
     clock_decision,
     floor_cov,
     floor_pose,
+    grey_image,
+    image_file,
     stamp_of,
     start_decision,
 )
@@ -45,22 +49,24 @@ Publish = Callable[[Published], bytes | None]
 
 @dataclass(slots=True, eq=False)
 class LiveRun:
-    """A live run. publish: sends a result, returns its message. filter_of: makes the filter once the camera is known.
+    """A live run. publish: sends a result, returns its message. localiser_of: is called once the camera is known.
 
-    start: given by the user, without its time; None looks for the robot everywhere. now_ns: the clock of arrivals.
+    start: given by the user, without its time; None looks for the robot everywhere. sinks: get every located image.
+    now_ns: the clock of arrivals.
     """
 
     inbox: Inbox
     finder: CameraFinder
-    filter_of: Callable[[Any], Filter]
+    localiser_of: Callable[[Camera], Localiser]
     monitor: Monitor
     publish: Sequence[Publish]
     recording: Recording | None = None
     start: Start | None = None
     resumed: Resumed | None = None
     checkpoints: Checkpoints | None = None
+    sinks: Sequence[Sink] = ()
     now_ns: Callable[[], int] = time.monotonic_ns
-    filter: Filter | None = None
+    localiser: Localiser | None = None
     clock: RobotClock = field(default_factory=RobotClock)
     timeline: Timeline = field(init=False)
     _counts: Counter[str] = field(default_factory=Counter)
@@ -82,7 +88,7 @@ class LiveRun:
             self._weigh_next()
 
         if self.checkpoints is not None:
-            self.checkpoints.close(self.filter, self.clock.offset_ns)
+            self.checkpoints.close(self.localiser, self.clock.offset_ns)
 
     def turn(self, arrivals: Iterable[Arrival]) -> None:
         """Take in what has arrived, then weigh one image, or find the edges of one that waits for the wheels."""
@@ -91,7 +97,7 @@ class LiveRun:
 
     def _is_idle(self) -> bool:
         waiting = self.timeline.waiting
-        return waiting is None or waiting.edges is not None or self.filter is None
+        return waiting is None or waiting.measured is not None or self.localiser is None
 
     # -- in ---------------------------------------------------------------------------------------------------------
 
@@ -153,7 +159,7 @@ class LiveRun:
         mean, cov = np.array(floor_pose(message)), floor_cov(message)
         self._stated = arrival.content
         self._record(arrival)
-        if self.filter is None:
+        if self.localiser is None:
             self.start = Start(0, mean, cov)
         else:
             newest_ns = max(self.timeline.newest_ns, self.timeline.weighed_ns)
@@ -194,42 +200,44 @@ class LiveRun:
         if self.recording is not None:
             self.recording.write(topic, TEXT, time.time_ns(), self._messages.encode(self._messages.text(text)))
 
-    # -- the filter ---------------------------------------------------------------------------------------------------
+    # -- the localiser ------------------------------------------------------------------------------------------------
 
     def _begin(self, t_ns: int) -> None:
-        """Make the filter with the first image since the camera is known, and start it if it is known where."""
-        if self.filter is None and self.finder.camera is not None:
-            self.filter = self.filter_of(self.finder.camera)
-            self.timeline.needs_wheels = self.filter.needs_wheels
-            self.monitor.inform("the camera is known")
-            if self.resumed is not None:
-                self._decide(start_decision(self.resumed.begin(self.filter, self.timeline, t_ns)))
-                self._tell(STATE_TOPIC, b64encode(self.resumed.content).decode())
-                self.monitor.inform(self.resumed.text)
-            elif self.start is not None:
-                self._restart(replace(self.start, t_ns=t_ns))
-            else:
-                self._decide(anywhere_decision())
-                self.monitor.inform("no start is known: the robot is looked for on the whole map")
+        """Make the localiser with the first image since the camera is known, and start it if it is known where."""
+        if self.localiser is not None or self.finder.camera is None:
+            return
+        self.localiser = self.localiser_of(self.finder.camera)
+        self.timeline.needs_wheels = self.localiser.needs_wheels
+        self.monitor.inform("the camera is known")
+        if self.resumed is not None:
+            self._decide(start_decision(self.resumed.begin(self.localiser, self.timeline, t_ns)))
+            self._tell(STATE_TOPIC, b64encode(self.resumed.content).decode())
+            self.monitor.inform(self.resumed.text)
+        elif self.start is not None:
+            self._restart(replace(self.start, t_ns=t_ns))
+        else:
+            self._decide(anywhere_decision())
+            self.monitor.inform("no start is known: the robot is looked for on the whole map")
 
     def _restart(self, start: Start) -> None:
-        assert self.filter is not None
-        begun = Start(self.timeline.restart(start.t_ns), start.mean, start.cov)
-        self.filter.start(begun)
+        assert self.localiser is not None
+        begun = replace(start, t_ns=self.timeline.restart(start.t_ns))
+        self.localiser.start(begun.mean, begun.cov, begun.t_ns)
         self._decide(start_decision(begun))
         x, z, heading = begun.mean
         self.monitor.inform(f"started at x = {x:.2f} m, z = {z:.2f} m, heading = {np.rad2deg(heading):.1f}°")
 
     def _weigh_next(self) -> None:
-        if self.filter is None:
+        """Weigh one image, or find the edges of one that waits for the wheels."""
+        if self.localiser is None:
             return
         frame = self.timeline.next(self._affordable(), self.now_ns())
         if frame is not None:
-            self._weigh(frame)
+            self._weigh(self.localiser, frame)
             return
         waiting = self.timeline.waiting
-        if waiting is not None and waiting.edges is None:
-            self._find_edges(waiting)
+        if waiting is not None and waiting.measured is None:
+            self._find_edges(self.localiser, waiting)
 
     def _affordable(self) -> int:
         """Return how many images there is time for until the wheels report again."""
@@ -237,51 +245,52 @@ class LiveRun:
             return 1
         return int(median(self._intervals_s) / median(self._costs_s))
 
-    def _find_edges(self, frame: Frame) -> bool:
+    def _find_edges(self, localiser: Localiser, frame: Frame) -> None:
         """Find the edges of an image; an image that is damaged is left out."""
-        assert self.filter is not None
         try:
-            self.filter.find_edges(frame)
+            pixels = grey_image(frame.message)
+            frame.measured = localiser.measure(image_file(frame.message) if pixels is None else pixels)
         except (InputError, ValueError) as error:
             self.monitor.warn("bad image", f"left out an image: {error}")
             self.timeline.discard(frame, "damaged")
-            return False
-        return True
 
-    def _weigh(self, frame: Frame) -> None:
-        assert self.filter is not None
+    def _weigh(self, localiser: Localiser, frame: Frame) -> None:
         begin = time.perf_counter()
-        if frame.edges is None and not self._find_edges(frame):
+        if frame.measured is None:
+            self._find_edges(localiser, frame)
+        if frame.measured is None:
             return
-        located = self.filter.weigh(frame, self.timeline.release(frame))
-        self._hand_out(frame, located)
-        self.filter.show(frame, located, self._true_pose(frame.t_ns))
+        for pose in self.timeline.release(frame):
+            localiser.odometry(pose.t_ns, pose.pose)
+        (found,) = localiser.edges(frame.t_ns, frame.measured, by_wheels=frame.by_wheels)
+        found = replace(found, truth=self._true_pose(frame.t_ns))
+        self._hand_out(frame, found)
+        for sink in self.sinks:
+            sink.frame(found)
         self._costs_s.append(time.perf_counter() - begin)
         if self.checkpoints is not None:
-            self.checkpoints.save_if_due(self.filter, self.clock.offset_ns)
+            self.checkpoints.save_if_due(localiser, self.clock.offset_ns)
 
-    def _hand_out(self, frame: Frame, located: Located) -> None:
-        offset_ns = self.clock.offset_ns
+    def _hand_out(self, frame: Frame, found: LocatedFrame) -> None:
+        located, truth = found.located, found.truth
         now_ns, odometry_now = self._newest_odometry or (frame.t_ns, located.odometry)
         if now_ns < frame.t_ns:
             now_ns, odometry_now = frame.t_ns, located.odometry
-        truth = self._true_pose(frame.t_ns)
-        error_m = None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2]))
         published = Published(
             located,
             frame.stamp_ns,
-            now_ns - offset_ns,
+            now_ns - self.clock.offset_ns,
             pose_now(located, odometry_now),
             self._newest_odometry is not None,
             (time.time_ns() - frame.stamp_ns) / 1e6,
-            error_m,
+            None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2])),
         )
         for publish in self.publish:
             content = publish(published)
             if content is not None and self.recording is not None:
                 self.recording.write(POSE_TOPIC, POSE, time.time_ns(), content)
-        work_ms = frame.stage_ms["edges"] + frame.stage_ms["filter"]
-        self.monitor.located(published.latency_ms, work_ms, error_m)
+        work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]
+        self.monitor.located(published.latency_ms, work_ms, published.error_m)
 
     def _true_pose(self, t_ns: int) -> Array | None:
         if len(self._truth) < 2 or not self._truth[0][0] <= t_ns <= self._truth[-1][0]:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Event
 
 import numpy as np
@@ -16,8 +14,7 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.live.sources import Network
-from localiser.replay import simulated as simulate
-from localiser.storage import ImageEvent, Log, open_log
+from localiser.storage import ImageEvent, Log
 from localiser.storage.bags import MAP, ODOM, Messages
 
 IMAGE, INFO = "/camera/image_raw/compressed", "/camera/camera_info"
@@ -59,36 +56,6 @@ class Passage:
         else:  # where it turns, the robot has just been
             back = heapq.merge(wheels[-2::-1], images[::-1], key=lambda message: -message[0])
             yield from ((end_ns - t_ns, topic, k) for t_ns, topic, k in back if self.begin_ns < t_ns < end_ns)
-
-
-def drive(world_or_log: Path, seed: int, progress: Callable[[], None] = lambda: None) -> Log:
-    """Return the log of a path: a log that was recorded, or the drive through a world file, rendered now.
-
-    The rendered images stay in memory. Raises InputError.
-    """
-    if world_or_log.suffix not in (".yaml", ".yml") or world_or_log.name == "log.yaml":
-        return open_log(world_or_log)
-    with TemporaryDirectory() as folder:
-        simulate.write(simulate.simulated(world_or_log, seed), Path(folder) / "log", progress)
-        log = open_log(Path(folder) / "log")
-        kept = [_kept(frame) for frame in log.frames if isinstance(frame, ImageEvent)]
-    return Log(log.name, world_or_log, log.camera, log.odometry, kept, log.landmark_map, log.start, log.groundtruth)
-
-
-def start_text(log: Log) -> str:
-    """Return where a log starts, as --start takes it. Raises InputError."""
-    start = log.start.mean if log.start is not None else None
-    if start is None and log.groundtruth is not None:
-        start = log.groundtruth.at(log.frames[0].t_ns)
-    if start is None:
-        raise InputError("expected a log that states where it starts", path=log.path, field="start")
-    return f"{start[0]},{start[1]},{np.rad2deg(start[2])}"
-
-
-def _kept(event: ImageEvent) -> ImageEvent:
-    """Return the image with its file in memory."""
-    data = event.encoded()
-    return ImageEvent(event.t_ns, event.name, event.load, lambda: data)
 
 
 class StandIn:

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import copy
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
 
-import numpy as np
-
 from localiser import particles
+from localiser.documents import read_bytes
 from localiser.errors import OutputError
-from localiser.filter import FilterState, Start
-from localiser.live.located import Filter
+from localiser.filter import Start
 from localiser.live.timeline import Timeline, is_driven
-from localiser.localiser import identity
-from localiser.storage import checkpoint_bytes, load_checkpoint, save_checkpoint
+from localiser.localiser import Localiser
+from localiser.storage import write_bytes
 
 EVERY_S = 3.0
-
-
-def _identity(filter_: Filter) -> dict[str, str]:
-    return identity(filter_.config, filter_.landmark_map, filter_.camera)
+MAX_BYTES = 2**30  # a state of ten million particles with five constant errors
 
 
 @dataclass(slots=True, eq=False)
@@ -36,30 +29,23 @@ class Checkpoints:
     _due: float = 0.0
     _thread: Thread | None = None
 
-    def save_if_due(self, filter_: Filter, offset_ns: int) -> None:
+    def save_if_due(self, localiser: Localiser, offset_ns: int) -> None:
         """Save every few seconds, unless the last one is still being written. offset_ns: of the robot's clock."""
         if time.monotonic() >= self._due and (self._thread is None or not self._thread.is_alive()):
             self._due = time.monotonic() + EVERY_S
-            self._thread = Thread(target=self._save, args=self._moment(filter_, offset_ns), name="checkpoint")
+            self._thread = Thread(target=self._write, args=(localiser.save(-offset_ns),), name="checkpoint")
             self._thread.start()
 
-    def close(self, filter_: Filter | None, offset_ns: int) -> None:
+    def close(self, localiser: Localiser | None, offset_ns: int) -> None:
         """Save how the run ended."""
         if self._thread is not None:
             self._thread.join()
-        if filter_ is not None and filter_.state.particles is not None:
-            self._save(*self._moment(filter_, offset_ns))
+        if localiser is not None and localiser.state.particles is not None:
+            self._write(localiser.save(-offset_ns))
 
-    def _moment(self, filter_: Filter, offset_ns: int) -> tuple[FilterState, np.random.Generator, dict[str, str]]:
-        """Return the state by the robot's clock, and what goes with it; arrays are never changed in place."""
-        state = filter_.state
-        wheels = deque(replace(pose, t_ns=pose.t_ns - offset_ns) for pose in state.odometry)
-        moment = replace(state, at_ns=state.at_ns - offset_ns, odometry=wheels, waiting=deque())
-        return moment, copy.deepcopy(filter_.rng), _identity(filter_)
-
-    def _save(self, state: FilterState, rng: np.random.Generator, belongs_to: dict[str, str]) -> None:
+    def _write(self, content: bytes) -> None:
         try:
-            save_checkpoint(self.path, state, rng, belongs_to)
+            write_bytes(self.path, content, durably=True)
         except OutputError as error:
             self.failed(f"The state is not saved: {error}")
 
@@ -72,23 +58,21 @@ class Resumed:
     text: str = field(default="", init=False)
     content: bytes = field(default=b"", init=False)
 
-    def begin(self, filter_: Filter, timeline: Timeline, t_ns: int) -> Start:
-        """Put the saved state into a filter whose first image is at `t_ns`; return about where that is.
+    def begin(self, localiser: Localiser, timeline: Timeline, t_ns: int) -> Start:
+        """Restore the saved state before the first image, which is at `t_ns`; return about where that is.
 
         Wheels that have gone on counting tell what happened in between; those that begin anew do not, and the robot
         is taken to be where it was. Raises InputError when the state belongs to another map, camera or setting.
         """
-        saved = load_checkpoint(self.path, _identity(filter_))
-        state, first = saved.state, timeline.first_odometry
+        localiser.restore(read_bytes(self.path, MAX_BYTES), self.path)
+        state, first = localiser.state, timeline.first_odometry
         if state.odometry and first is not None and is_driven(state.odometry[-1], first):
             timeline.resume(state.odometry[-1])
             self.text = "resumed; the wheels tell what happened in between"
         else:
-            state.odometry.clear()
-            state.at_ns, state.seen = t_ns if first is None else min(first.t_ns, t_ns), None
+            localiser.forget_wheels(t_ns if first is None else min(first.t_ns, t_ns))
             self.text = "resumed; the wheels begin anew, so the robot is taken to be where it was"
-        filter_.state, filter_.rng = state, saved.rng
-        self.content = checkpoint_bytes(state, saved.rng, saved.identity)
+        self.content = localiser.save()
         assert state.particles is not None
         found = particles.estimate(state.particles)
         return Start(state.at_ns, found.pose, found.pose_cov)

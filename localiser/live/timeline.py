@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from localiser.edges import Edges
-from localiser.filter import Image, Odometry
+from localiser.filter import Odometry
 from localiser.geometry import Array
+from localiser.localiser import MeasuredImage
 from localiser.storage.bags import image_decision, odometry_decision
 
 MOST_WAITING = 8
@@ -32,8 +32,7 @@ MOST_SPEED_M_S = 5.0
 class Frame:
     """An image on its way. number: how many came before it. stamp_ns: by the robot's clock. at_ns: when it came.
 
-    file: JPEG or PNG, or pixels: (H, W) grey, once they are known. edges: once they are found. stage_ms: what that
-    took. by_wheels: whether the wheels tell how the robot came there.
+    measured: once its edges are found. by_wheels: whether the wheels tell how the robot came there.
     """
 
     number: int
@@ -41,10 +40,7 @@ class Frame:
     stamp_ns: int
     at_ns: int
     message: Any
-    file: bytes = b""
-    pixels: Image | None = None
-    edges: Edges | None = None
-    stage_ms: dict[str, float] = field(default_factory=dict)
+    measured: MeasuredImage | None = None
     by_wheels: bool = True
 
 

@@ -2,42 +2,69 @@
 
 from localiser.mapping.align import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, ambiguity, best_spots
-from localiser.mapping.check import ENOUGH, LogFit, doubtful, duplicates, in_view, log_fit
-from localiser.mapping.factors import CONSTANTS, Wheels
+from localiser.mapping.build import BuildParameters, MapBuilt, build_map, require_association, turn_drift
+from localiser.mapping.check import (
+    ENOUGH,
+    Coverage,
+    LogFit,
+    coverage,
+    doubtful,
+    duplicates,
+    fit_to_log,
+    in_view,
+    log_fit,
+)
+from localiser.mapping.edit import BY_HAND, added, moved, removed
+from localiser.mapping.factors import CONSTANTS, Prior, Wheels
 from localiser.mapping.known import build_from_poses, build_from_votes
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.live_map import Followed, LiveMap
-from localiser.mapping.merge import agreeing, fused, joined_maps
+from localiser.mapping.log_edges import cache_folder, edges_of_log
+from localiser.mapping.lookalikes import Lookalikes, lookalikes
+from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks
 from localiser.mapping.quality import landmark_map_of
+from localiser.mapping.recorded import ODOMETRY, SLAM, TRUTH, RecordedLog, known_poses, wheels_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import TrackParameters, follow
-from localiser.mapping.update import existence_after, with_existence
+from localiser.mapping.update import Updated, existence_after, updated, with_existence
 from localiser.mapping.votes import COARSE_RAD, landmarks_by_votes
 
 __all__ = [
     "ALIKE",
+    "BY_HAND",
     "COARSE_RAD",
     "CONSTANTS",
     "ENOUGH",
     "MOST_CELLS",
+    "ODOMETRY",
+    "SLAM",
+    "TRUTH",
     "Alignment",
     "Ambiguity",
+    "BuildParameters",
     "Built",
+    "Coverage",
     "FloorPlan",
     "Followed",
     "LiveMap",
     "LogFit",
+    "Lookalikes",
+    "MapBuilt",
     "MappingParameters",
     "Mask",
+    "Prior",
+    "RecordedLog",
     "Sightings",
     "Slam",
     "Spot",
     "TrackParameters",
+    "Updated",
     "Wheels",
+    "added",
     "agreeing",
     "align",
     "ambiguity",
@@ -45,22 +72,36 @@ __all__ = [
     "build_from_log",
     "build_from_poses",
     "build_from_votes",
+    "build_map",
+    "cache_folder",
     "cells_from_map",
+    "coverage",
     "direction_of",
     "doubtful",
     "duplicates",
+    "edges_of_log",
     "existence_after",
+    "fit_to_log",
     "follow",
     "fused",
     "in_view",
     "joined_maps",
+    "known_poses",
     "landmark_map_of",
     "landmarks_by_votes",
     "log_fit",
+    "lookalikes",
     "map_from_cells",
     "matches",
     "measured_sigma",
+    "moved",
     "parallax",
     "plan_landmarks",
+    "removed",
+    "require_association",
+    "same_in_both",
+    "turn_drift",
+    "updated",
+    "wheels_of",
     "with_existence",
 ]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, map_from_robot, wrap_angle
+from localiser.landmarks import LandmarkMap
 
 _BIN_M = 0.3  # places of votes for a shift
 _TURN_STEP_RAD = np.deg2rad(1.5)
@@ -25,19 +26,24 @@ class Alignment:
     """How a second map lies in a first: point = map_from_robot(pose, scale * second point).
 
     pose: (3,) x, z, heading. pairs: (K, 2) landmarks of the first and the second that are one. residual_m: (K,).
-    rival: matches of the next best alignment that is another one, as a share of K; near 1 nobody can tell which is
-    right.
+    alternative: matches of the next best alignment that is another one, as a share of K; near 1 nobody can tell which
+    is right.
     """
 
     pose: Array
     scale: float
     pairs: NDArray[np.int64]
     residual_m: Array
-    rival: float
+    alternative: float
 
     def apply(self, points: Array) -> Array:
         """Return points (K, 2) of the second map in the first."""
         return map_from_robot(self.pose, self.scale * points)
+
+    def moved(self, second: LandmarkMap) -> LandmarkMap:
+        """Return the second map in the frame of the first; heights are left as they are."""
+        turn = map_from_robot(np.array([0.0, 0.0, self.pose[2]]), self.scale * np.eye(2)).T
+        return replace(second, points=self.apply(second.points), cov=turn @ second.cov @ turn.T)
 
 
 def align(first: Array, second: Array, within_m: float, *, similarity: bool = False) -> Alignment:

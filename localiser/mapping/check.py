@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.geometry import Array
+from localiser.edges import EdgeParameters
+from localiser.errors import InputError
+from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
+from localiser.mapping.log_edges import edges_of_log
 from localiser.mapping.merge import agreeing
+from localiser.mapping.recorded import RecordedLog
 from localiser.mapping.sightings import Index, Sightings
 
 TWICE_M = 0.02
@@ -19,6 +25,7 @@ ENOUGH = 3
 """Landmarks in view that fix a pose: two leave an arc of places."""
 _NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
 _MATCH_RAD = np.deg2rad(1.5)  # an edge farther from where a landmark should be seen is another's
+_STEP_M, _MOST_STEPS = 0.25, 60  # between places; along the longer side of the building
 _AT_ONCE = 4096  # poses whose views are worked out together
 
 
@@ -35,6 +42,36 @@ class LogFit:
     found: Index
     rms_rad: Array
     explained: float
+
+    def text(self) -> str:
+        """Return how well the whole map fits a log."""
+        found = self.found > 0
+        rms = np.rad2deg(np.median(self.rms_rad[found])) if found.any() else np.nan
+        return (
+            f"{found.sum()} of {len(found)} landmarks were seen; "
+            f"{100 * self.explained:.0f} % of the log's edges are theirs, "
+            f"{rms:.2f}° (median) from where they should be"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """Landmarks in view from places: x (C,), z (R,) m, every `step_m`.
+
+    share: (R, C) of headings from which too few are in view.
+    """
+
+    x: Array
+    z: Array
+    step_m: float
+    share: Array
+
+    def text(self) -> str:
+        """Return how much of the building has too few landmarks."""
+        return (
+            f"Fewer than {ENOUGH} landmarks in view: {100 * self.share.mean():.0f} % of all places and headings; "
+            f"walls, which hide more, are not counted"
+        )
 
 
 def duplicates(landmark_map: LandmarkMap) -> Index:
@@ -107,3 +144,33 @@ def _nearest(
     row = np.flatnonzero(apart.argmin(axis=0)[column] == np.arange(len(predicted)))
     distance = apart[row, column[row]]
     return row[distance < _MATCH_RAD], distance[distance < _MATCH_RAD]
+
+
+def coverage(landmark_map: LandmarkMap, camera: Camera) -> Coverage:
+    """Return from where, all over the building, fewer than three landmarks are in view."""
+    low, high = landmark_map.points.min(axis=0), landmark_map.points.max(axis=0)
+    step = max(_STEP_M, float((high - low).max()) / _MOST_STEPS)
+    count = np.ceil((high - low) / step + 2).astype(int)
+    middle = (low + high) / 2
+    x, z = (middle[axis] + step * (np.arange(count[axis]) - (count[axis] - 1) / 2) for axis in (0, 1))
+    places = np.stack([part.ravel() for part in np.meshgrid(x, z)], axis=-1)
+    few = in_view(landmark_map, camera, places) < ENOUGH
+    return Coverage(x, z, step, few.mean(axis=1).reshape(len(z), len(x)))
+
+
+def fit_to_log(
+    landmark_map: LandmarkMap,
+    log: RecordedLog,
+    trajectory: Trajectory,
+    parameters: EdgeParameters,
+    progress: Callable[[], None],
+    cache: Path | None = None,
+) -> LogFit:
+    """Return how the map fits the edges of a log with known poses, see `edges_of_log`. Raises InputError for none."""
+    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
+    inside = np.flatnonzero((t_ns >= trajectory.t_ns[0]) & (t_ns <= trajectory.t_ns[-1]))
+    if not len(inside):
+        raise InputError("expected poses at the times of images, found none", path=log.path, field="--poses")
+    edges = edges_of_log(log, parameters, lambda *_: progress(), cache)
+    sightings = Sightings.from_edges([edges[k] for k in inside], log.camera)
+    return log_fit(landmark_map, sightings, log.camera, trajectory.sampled(t_ns[inside]).poses)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.mapping.factors import Problem, State, bearing_block
+from localiser.mapping.factors import Problem, State, bearing_block, variables
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed
 
@@ -77,17 +77,20 @@ def contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Ind
 
 def _pulls(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> tuple[Array, Array]:
     """Return the pull (V, 2) of the bearings of each visit on its landmark, and its information (V, 2, 2)."""
+    from scipy.sparse import csc_array
+
     state = State(smoothed.poses, smoothed.points, smoothed.constants, smoothed.points)
     bearing = bearing_block(problem, state)
-    number = np.full(int(visit.max(initial=-1)) + 1, len(asked))
+    number = np.full(int(visit.max(initial=-1)) + 1, -1)
     number[asked] = np.arange(len(asked))
-    order = np.argsort(number[visit], kind="stable")
-    first = np.searchsorted(number[visit][order], np.arange(len(asked) + 1))
-    kept = order[: first[-1]]
-    shift = bearing.value[kept, 3:5]
+    kept = np.flatnonzero(number[visit] >= 0)
+    own, shift = number[visit[kept]], bearing.value[kept, 3:5]
     weighted = bearing.weight[kept, None] * shift
-    pull = np.add.reduceat(weighted * bearing.residual[kept, None], first[:-1])
-    own = np.add.reduceat(weighted[:, :, None] * shift[:, None], first[:-1])
-    columns = (bearing.value[kept, :, None] * weighted[:, None]).reshape(-1, 2)
-    width = bearing.column.shape[1]
-    return pull, own - smoothed.factor.taken_up(width * first, bearing.column[kept].ravel(), columns)
+    pull, information = np.zeros((len(asked), 2)), np.zeros((len(asked), 2, 2))
+    np.add.at(pull, own, weighted * bearing.residual[kept, None])
+    np.add.at(information, own, weighted[:, :, None] * shift[:, None])
+    # Moving a visit's landmark, (K, 2 V), and what that asks of all variables of the problem.
+    entries = weighted.ravel(), (np.repeat(np.arange(len(kept)), 2), (2 * own[:, None] + np.arange(2)).ravel())
+    by_visit = csc_array(entries, shape=(len(kept), 2 * len(asked)))
+    asks = bearing.jacobian(variables(state))[kept].T @ by_visit
+    return pull, information - smoothed.factor.projected(asks.tocsc())

@@ -6,33 +6,19 @@ Every residual is measured minus predicted, in sigmas. Variables: poses but the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from localiser.camera import Camera
 from localiser.geometry import Array, between, robot_from_map, wrap_angle
-from localiser.mapping.dissection import dissected
 from localiser.mapping.sightings import Index
-from localiser.mapping.sparse import Rows
+from localiser.mapping.sparse import Block, Linearised
+from localiser.motion import MotionParameters
 
 CONSTANTS = ("distance scale", "rotation scale", "veer", "mount yaw")
 _CAUCHY = 2.0
 _PLACE_SIGMA_M = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class SmoothParameters:
-    """How far the constants may be from what is stated (one sigma each)."""
-
-    scale_sigma: Annotated[
-        float, Field(gt=0, le=1, description="constant error of the wheels' distance and rotation, as a share")
-    ] = 0.03
-    veer_sigma_deg_per_m: Annotated[
-        float, Field(gt=0, description="constant turn of the robot while the wheels say straight ahead (degrees/m)")
-    ] = 0.5
-    yaw_sigma_deg: Annotated[float, Field(gt=0, description="error of the camera's stated yaw (degrees)")] = 1.0
+_LEAST_SIGMA = 1e-6  # of a constant that is stated to be exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,22 +29,34 @@ class Prior:
     sigma: Array
 
     @classmethod
-    def of(cls, p: SmoothParameters) -> Prior:
-        """Return the prior that the parameters state."""
-        sigma = [p.scale_sigma, p.scale_sigma, np.deg2rad(p.veer_sigma_deg_per_m), np.deg2rad(p.yaw_sigma_deg)]
-        return cls(np.zeros(len(CONSTANTS)), np.array(sigma))
+    def of(cls, motion: MotionParameters) -> Prior:
+        """Return the prior that the motion model states, the same as in the filter."""
+        stated = motion.bias
+        veer, yaw = np.deg2rad([stated.veer_sigma_deg_per_m, stated.yaw_sigma_deg])
+        sigma = np.array([stated.distance_sigma, stated.turn_sigma, veer, yaw])
+        return cls(np.zeros(len(CONSTANTS)), np.maximum(sigma, _LEAST_SIGMA))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wheels:
     """Odometry between consecutive frames: motion (T - 1, 3) in the robot frame, and the path driven (T - 1,).
 
-    path_m: negative for driving backwards. sigma: (T - 1, 3) of each component.
+    path_m: negative for driving backwards. cov: (T - 1, 3, 3) of the noise of each motion.
     """
 
     motion: Array
     path_m: Array
-    sigma: Array
+    cov: Array
+
+    @property
+    def whitening(self) -> Array:
+        """W (T - 1, 3, 3) with W cov Wᵀ = 1: residuals times W are in sigmas, and independent."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.cov)))
+
+    @property
+    def turn_sigma(self) -> Array:
+        """The sigma (T - 1,) rad of each turn."""
+        return np.sqrt(self.cov[:, 2, 2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +111,7 @@ def _wheel_residual(problem: Problem, state: State) -> Array:
     moved = between(state.poses[:-1], state.poses[1:]) * _scales(constants)
     residual = wheels.motion - moved
     residual[:, 2] = wrap_angle(residual[:, 2] - wheels.path_m * constants[2])
-    return np.asarray(residual / wheels.sigma)
+    return np.asarray(np.einsum("tij,tj->ti", wheels.whitening, residual))
 
 
 def _scales(constants: Array) -> Array:
@@ -149,32 +147,18 @@ def cost_of(problem: Problem, state: State) -> float:
 # -- linearisation ----------------------------------------------------------------------------------------------------
 
 
-def linearise(problem: Problem, state: State) -> Rows:
+def linearise(problem: Problem, state: State) -> Linearised:
     """Return residuals, robust weights and derivatives of the predictions: bearings first, in their order.
 
     Variables: poses but the first, constants, landmarks. The gradient step solves (JᵀWJ) step = JᵀW r.
     """
-    parts = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
-    parts.append(_place_block(state))
-    width = np.repeat([part.column.shape[1] for part in parts], [len(part.residual) for part in parts])
-    return Rows(
-        start=np.concatenate([[0], np.cumsum(width)]),
-        column=np.concatenate([part.column.ravel() for part in parts]),
-        value=np.concatenate([part.value.ravel() for part in parts]),
-        residual=np.concatenate([part.residual for part in parts]),
-        weight=np.concatenate([part.weight for part in parts]),
-    )
+    blocks = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
+    return Linearised.of([*blocks, _place_block(state)], variables(state))
 
 
-def elimination_order(problem: Problem, landmarks: int) -> Index:
-    """Return the variables (V,) in the order in which they are eliminated: constants, which all involve, last."""
-    b, frames = problem.bearings, len(problem.wheels.motion) + 1
-    order = dissected(frames, b.frame, b.landmark, landmarks)
-    is_pose = order < frames
-    first = np.where(is_pose, 3 * (order - 1), _first_landmark(frames) + 2 * (order - frames))
-    size = np.where(is_pose, 3, 2)
-    each = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-    return np.concatenate([np.repeat(first, size) + each, 3 * (frames - 1) + np.arange(len(CONSTANTS))])
+def variables(state: State) -> int:
+    """Return the number of variables: poses but the first, constants, landmarks."""
+    return _first_landmark(len(state.poses)) + state.points.size
 
 
 def landmark_columns(frames: int, landmark: Index) -> Index:
@@ -184,16 +168,6 @@ def landmark_columns(frames: int, landmark: Index) -> Index:
 
 def _first_landmark(frames: int) -> int:
     return 3 * (frames - 1) + len(CONSTANTS)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """K measurements that involve C variables each: column, value (K, C), residual, weight (K,); see `Rows`."""
-
-    column: Index
-    value: Array
-    residual: Array
-    weight: Array
 
 
 def _block(columns: list[Index], values: list[Array], sigma: Array, residual: Array) -> Block:
@@ -223,8 +197,9 @@ def _wheel_block(problem: Problem, state: State) -> Block:
     frame = np.repeat(np.arange(steps), 3)
     constant = np.tile(3 * steps + np.arange(3), (3 * steps, 1))
     columns = [_pose_columns(frame), _pose_columns(frame + 1), constant]
-    values = [(scales * start).reshape(-1, 3), (scales * end).reshape(-1, 3), by_constant.reshape(-1, 3)]
-    return _block(columns, values, wheels.sigma.ravel(), _wheel_residual(problem, state).ravel())
+    by_all = wheels.whitening @ np.concatenate([scales * start, scales * end, by_constant], axis=2)
+    residual = _wheel_residual(problem, state).ravel()
+    return _block(columns, [by_all.reshape(-1, 9)], np.ones(3 * steps), residual)
 
 
 def _prior_block(problem: Problem, state: State) -> Block:

@@ -28,7 +28,6 @@ _NARROWEST_SPAN_RAD = np.deg2rad(20.0)
 _MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
 _UNLIKE = -3.0  # log-likelihood ratio of looks below which two features are not one edge
 _ONE_SIGN = 0.6  # four of five sightings show an edge that has a polarity with that one
-_ON_FLOOR = 0.9  # probability of standing on the floor from which a lower end tells a distance
 _WELL_INSIDE = 0.9  # share of the image's width in which an edge is expected to be found
 
 
@@ -172,7 +171,7 @@ class LiveMap:
         edges = view.edges
         feature.last, feature.side, feature.polarity = self._frame, view.side[edge], edges.polarity[edge]
         feature.signs += int(edges.polarity[edge])
-        if edges.foot_probability[edge] > _ON_FLOOR:
+        if np.isfinite(edges.foot_range_m[edge]):
             feature.see_foot(view.camera, float(edges.foot_range_m[edge]), float(edges.foot_range_sigma_m[edge]))
 
     def _promoted(self) -> dict[int, LiveFeature]:

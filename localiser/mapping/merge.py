@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping.align import matches
 
 Mask = NDArray[np.bool_]
 
@@ -75,6 +76,15 @@ def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> t
     points[both] = first[both] + np.einsum("kij,kj->ki", gain, second[both] - first[both])
     result[both] = cov[both] - gain @ cov[both]
     return points, result
+
+
+def same_in_both(first: LandmarkMap, second: LandmarkMap, within_m: float) -> NDArray[np.int64]:
+    """Return the landmarks (K, 2) of two maps in one frame that are one.
+
+    They are each other's nearest, within `within_m`, and do not contradict each other.
+    """
+    pairs = matches(first.points, second.points, within_m)
+    return pairs[agreeing(first, second, pairs, within_m)]
 
 
 def agreeing(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64], least_m: float) -> Mask:

@@ -7,7 +7,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from localiser.mapping.factors import SmoothParameters
 from localiser.mapping.tracks import TrackParameters
 
 
@@ -30,4 +29,3 @@ class MappingParameters:
         float, Field(ge=0, description="how far apart two sightings of one edge may stand, beside noise (m)")
     ] = 0.003
     tracks: TrackParameters = field(default_factory=TrackParameters)
-    smooth: SmoothParameters = field(default_factory=SmoothParameters)

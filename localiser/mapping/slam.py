@@ -60,16 +60,35 @@ class Slam:
     built: Built
     sigma: Array
 
+    def text(self) -> str:
+        """Return in words what was found out about the robot."""
+        scale, rotation, veer, yaw = self.constants
+        moved = np.hypot(*(self.poses - self.before)[:, :2].T).max()
+        return (
+            f"Wheels say {100 * scale:+.1f} % of the distance and {100 * rotation:+.1f} % of the turns, "
+            f"and {np.rad2deg(veer):+.2f}° of turn a metre that is none; "
+            f"the camera's yaw is {np.rad2deg(yaw):+.2f}° from what is stated.\n"
+            f"Closing loops moved the robot's path by up to {moved:.2f} m."
+        )
+
 
 def build_from_log(
-    sightings: Sightings, wheels: Wheels, first_pose: Array, camera: Camera, parameters: MappingParameters
+    sightings: Sightings,
+    wheels: Wheels,
+    prior: Prior,
+    first_pose: Array,
+    camera: Camera,
+    parameters: MappingParameters,
 ) -> Slam:
-    """Return poses and landmarks of T frames from their edges and the wheels' motion between them."""
+    """Return poses and landmarks of T frames from their edges and the wheels' motion between them.
+
+    prior: of the constant errors of wheels and mount. first_pose: (3,) where the robot began.
+    """
     sigma = _REPEATED * measured_sigma(sightings, camera.focal_px, parameters)
-    solver = _Solver(sightings, wheels, camera, parameters, sigma)
+    solver = _Solver(sightings, wheels, prior, camera, parameters, sigma)
     nowhere = np.full((len(sightings), 2), np.nan)
-    state = _Estimate(dead_reckoned(wheels), np.zeros(4), Prior.of(parameters.smooth), camera, nowhere)
-    turn = np.concatenate([[_TRUE_TURN_RAD], wheels.sigma[:, 2]])
+    state = _Estimate(dead_reckoned(wheels), np.zeros(4), prior, camera, nowhere)
+    turn = np.concatenate([[_TRUE_TURN_RAD], wheels.turn_sigma])
     noise = _FIRST_BEARING_RAD
     for narrowing in _NARROWING:
         track = solver.follow(state, np.maximum(narrowing * turn, _TRUE_TURN_RAD))
@@ -121,6 +140,7 @@ class _Solver:
 
     sightings: Sightings
     wheels: Wheels
+    prior: Prior
     camera: Camera
     parameters: MappingParameters
     sigma: Array
@@ -203,17 +223,16 @@ class _Solver:
 
     def _prior(self, state: _Estimate, built: Built, smoothed: Smoothed) -> Prior:
         """Return the prior of the constants with what feet say of the scale."""
-        stated = Prior.of(self.parameters.smooth)
         present = np.log1p(state.constants[0])
         # Distances that grow by a factor make the wheels' scale fall by it; the wheels are taken to be about right.
-        known = Scale(float(present), self.parameters.smooth.scale_sigma)
+        known = Scale(float(present), float(self.prior.sigma[0]))
         # A foot tells the scale only where the distance is known beside.
         placed = built.parallax >= np.deg2rad(self.parameters.parallax_min_deg)
         of = np.where((built.of >= 0) & placed[built.of], built.of, -1)
         scale = scale_by_feet(self.sightings, of, smoothed.points, state.cameras, known)
         if not np.isfinite(scale.sigma):
-            return stated
-        mean, sigma = stated.mean.copy(), stated.sigma.copy()
+            return self.prior
+        mean, sigma = self.prior.mean.copy(), self.prior.sigma.copy()
         mean[0], sigma[0] = np.expm1(present - scale.log), scale.sigma
         return Prior(mean, sigma)
 

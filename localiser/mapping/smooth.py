@@ -8,16 +8,16 @@ Levenberg-Marquardt over a sparse factorisation [Dellaert, Kaess 2006], robust b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from localiser.geometry import Array, compose
-from localiser.mapping.factors import Problem, State, Wheels, cost_of, elimination_order, landmark_columns, linearise
+from localiser.mapping.factors import Problem, State, Wheels, cost_of, landmark_columns, linearise
 from localiser.mapping.sightings import Index
-from localiser.mapping.sparse import Factor, Pattern
+from localiser.mapping.sparse import Factor
 
 _ITERATIONS = 25
-_REGULAR = 1e-9
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
 CONVERGED = 1e-4
 """Relative fall of the cost below which nothing changes any more."""
@@ -40,15 +40,19 @@ class Smoothed:
 
     def landmark_cov(self) -> Array:
         """Return the covariance (L, 2, 2) m² of each landmark, in the frame of the first pose."""
-        variable = landmark_columns(len(self.poses), np.arange(len(self.points))).ravel()
-        value = np.tile(np.eye(2), (len(self.points), 1))
-        return self.factor.taken_up(2 * np.arange(len(self.points) + 1), variable, value)
+        return self.factor.projected(self._columns(np.arange(len(self.points))))
 
     def difference_cov(self, one: Index, other: Index) -> Array:
         """Return the covariance (P, 2, 2) m² of the differences of pairs of landmarks."""
-        variable = landmark_columns(len(self.poses), np.stack([one, other], axis=-1).ravel()).ravel()
-        value = np.tile(np.concatenate([np.eye(2), -np.eye(2)]), (len(one), 1))
-        return self.factor.taken_up(4 * np.arange(len(one) + 1), variable, value)
+        return self.factor.projected(self._columns(one) - self._columns(other))
+
+    def _columns(self, landmark: Index) -> Any:
+        """Return the sparse columns (V, 2 P) that pick x and z of landmarks (P,) out of the variables."""
+        from scipy.sparse import csc_array
+
+        row = landmark_columns(len(self.poses), landmark).ravel()
+        size = int(landmark_columns(len(self.poses), np.array([len(self.points)]))[0, 0])
+        return csc_array((np.ones(len(row)), (row, np.arange(len(row)))), shape=(size, len(row)))
 
 
 def smooth(
@@ -65,15 +69,13 @@ def smooth(
     how much of the fall that the linear problem promised came true [Nielsen 1999].
     """
     state = State(poses, points, constants, points)
-    rows, cost = linearise(problem, state), cost_of(problem, state)
-    pattern = Pattern.of(rows, elimination_order(problem, len(points)))
-    damping, harder = 1e-4, 2.0
+    linear, cost = linearise(problem, state), cost_of(problem, state)
+    factor, damping, harder = Factor(), 1e-4, 2.0
     for _ in range(iterations):
-        matrix, gradient = pattern.normal(rows)
-        diagonal = matrix[pattern.diagonal]
+        normal, gradient = linear.normal()
         while True:
-            matrix[pattern.diagonal] = diagonal * (1 + damping) + _REGULAR
-            step = pattern.factor(matrix).solve(gradient)
+            factor.update(normal, damping)
+            step = factor.solve(gradient)
             moved = state.moved(step)
             new_cost = cost_of(problem, moved)
             if new_cost < cost or damping > _MOST_DAMPING:
@@ -82,25 +84,22 @@ def smooth(
         fell = cost - new_cost
         if not fell > 0:
             break
-        eliminated = step[pattern.order]
-        promised = float(eliminated @ (gradient + damping * diagonal * eliminated))
+        promised = float(step @ (gradient + damping * normal.diagonal() * step))
         easier = 1 - (2 * min(fell / promised, 1.0) - 1) ** 3
         damping, harder = max(damping * max(easier, 0.1), _LEAST_DAMPING), 2.0
-        state, cost = moved, new_cost
-        rows = linearise(problem, state)
+        state, cost, linear = moved, new_cost, linearise(problem, moved)
         if max(fell, promised) < converged * cost:
             break
-    matrix, _ = pattern.normal(rows)
-    matrix[pattern.diagonal] += _REGULAR
+    factor.update(linear.normal()[0])
     count = len(problem.bearings.bearing)
     return Smoothed(
         state.poses,
         state.points,
         state.constants,
-        rows.residual[:count] * problem.bearings.sigma,
-        rows.weight[:count],
+        linear.residual[:count] * problem.bearings.sigma,
+        linear.weight[:count],
         cost,
-        pattern.factor(matrix),
+        factor,
     )
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from localiser.camera import Camera
+from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality, Sight, SightParameters, sight
+from localiser.mapping.build import MapBuilt
 from localiser.mapping.landmarks import Built
+from localiser.mapping.merge import fused, same_in_both
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 
 _BESIDE_RAD = np.deg2rad(2.0)  # what was seen so near to a direction,
@@ -18,6 +21,44 @@ _POSE_RAD = np.deg2rad(0.2)  # error of the camera's direction
 _GATE_SIGMA = 3.0
 _UNKNOWN = 0.95  # existence of a landmark of which the map does not say it
 _MOST_ODDS = 12.0
+
+
+_GONE = 0.1
+"""Probability of existence below which a landmark leaves the map: one miss or two only make it less certain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Updated:
+    """A map after an update; gone, new: ids of landmarks that went and came. again: how many were seen again."""
+
+    landmark_map: LandmarkMap
+    gone: tuple[int | str, ...]
+    new: tuple[int | str, ...]
+    again: int
+
+
+def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, within_m: float) -> Updated:
+    """Return the map with what a build of a log in its frame says: fused, lost, added.
+
+    found: chance that an edge that is there is found in an image. Raises InputError when hardly
+    any landmark is found again: then the poses are not in the map's frame.
+    """
+    new = built.landmark_map
+    pairs = same_in_both(old, new, within_m)
+    if len(pairs) < max(3, len(new) // 10):
+        raise InputError(
+            f"expected landmarks of the map in the log, found {len(pairs)} of the {len(new)} that it shows: "
+            "are its poses in the map's frame?",
+            field="--poses",
+        )
+    cameras = (built.slam.camera if built.slam else camera).pose_in_map(built.trajectory.poses)
+    existence = existence_after(old, built.sightings, built.built, camera, cameras, found)
+    existence[pairs[:, 0]] = np.nan  # what the log says of those it shows counts
+    whole = fused(with_existence(old, existence), new, pairs)
+    assert whole.quality is not None
+    gone = np.flatnonzero(whole.quality.existence[: len(old)] < _GONE)
+    kept = np.setdiff1d(np.arange(len(whole)), gone)
+    return Updated(whole.take(kept), tuple(old.ids[k] for k in gone), whole.ids[len(old) :], len(pairs))
 
 
 def existence_after(

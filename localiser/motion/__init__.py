@@ -1,17 +1,6 @@
-"""Predict particles from odometry, with its noise and its constant errors."""
+"""Motion models: predict particles from odometry, with its noise and its constant errors."""
 
-from localiser.motion.constant_errors import (
-    BIASES,
-    EXACT,
-    BiasParameters,
-    StepSpread,
-    at_start,
-    forgotten,
-    learnt,
-    projected,
-    sensitivity,
-    with_biases,
-)
+from localiser.motion.constant_errors import CONSTANT_ERRORS, EXACT, ConstantErrorParameters
 from localiser.motion.odometry_model import (
     SLIP,
     MotionParameters,
@@ -25,27 +14,34 @@ from localiser.motion.odometry_model import (
     stepped,
     wheel_cov,
 )
+from localiser.motion.protocols import (
+    MOTION_MODELS,
+    EstimatesConstantErrors,
+    LinearisedMotion,
+    MotionCovariance,
+    MotionModel,
+    covariance_of,
+)
 
 __all__ = [
-    "BIASES",
+    "CONSTANT_ERRORS",
     "EXACT",
+    "MOTION_MODELS",
     "SLIP",
-    "BiasParameters",
+    "ConstantErrorParameters",
+    "EstimatesConstantErrors",
+    "LinearisedMotion",
+    "MotionCovariance",
+    "MotionModel",
     "MotionParameters",
     "Step",
-    "StepSpread",
-    "at_start",
+    "covariance_of",
     "direction_of_travel",
     "expected_step",
-    "forgotten",
-    "learnt",
     "linearised",
     "noise_variances",
     "predict",
-    "projected",
-    "sensitivity",
     "step_noise",
     "stepped",
     "wheel_cov",
-    "with_biases",
 ]

@@ -23,12 +23,12 @@ from pydantic import Field
 from localiser.geometry import Array, wrap_angle
 from localiser.particles import CAMERA_YAW, Particles, centred, estimate
 
-BIASES = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
+CONSTANT_ERRORS = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
 
 
 @dataclass(frozen=True, slots=True)
-class BiasParameters:
-    """How far wheels and mount may be wrong for good (one sigma each); 0: not at all."""
+class ConstantErrorParameters:
+    """How far wheels and mount may be wrong all the time (one sigma each); 0: not at all."""
 
     distance_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' distance, as a share")] = 0.02
     turn_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' turn, as a share")] = 0.03
@@ -45,34 +45,36 @@ class BiasParameters:
 
     @property
     def cov(self) -> Array:
-        """Prior covariance (5, 5) of `BIASES`: shares, rad/m, s, rad."""
+        """Prior covariance (5, 5) of `CONSTANT_ERRORS`: shares, rad/m, s, rad."""
         veer, yaw = np.deg2rad([self.veer_sigma_deg_per_m, self.yaw_sigma_deg])
         return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, self.delay_sigma_s, yaw]))
 
 
-EXACT = BiasParameters(0.0, 0.0, 0.0, 0.0, 0.0)
+EXACT = ConstantErrorParameters(0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a robot without constant errors."""
 
 
-def with_biases(particles: Particles, parameters: BiasParameters) -> Particles:
-    """Return particles of poses alone, found by what a camera sees, with columns of `BIASES` as the prior has them."""
-    columns = np.concatenate([particles.columns, np.zeros((len(BIASES), len(particles)))])
-    return replace(particles, names=(*particles.names, *BIASES), columns=columns, bias_cov=parameters.cov)
+def with_constant_errors(particles: Particles, parameters: ConstantErrorParameters) -> Particles:
+    """Return particles of poses that a camera was found at, with columns of `CONSTANT_ERRORS` as the prior has them."""
+    columns = np.concatenate([particles.columns, np.zeros((len(CONSTANT_ERRORS), len(particles)))])
+    return replace(
+        particles, names=(*particles.names, *CONSTANT_ERRORS), columns=columns, constant_error_cov=parameters.cov
+    )
 
 
-def at_start(particles: Particles, parameters: BiasParameters, rng: np.random.Generator) -> Particles:
-    """Return particles of poses alone, stated for the robot, with columns of `BIASES` as the prior has them.
+def at_start(particles: Particles, parameters: ConstantErrorParameters, rng: np.random.Generator) -> Particles:
+    """Return particles of stated robot poses, with columns of `CONSTANT_ERRORS` as the prior has them.
 
     Each pose becomes one of the camera by a draw of the yaw. What is then known of the yaw follows from how wide the
     headings were: all where they are certain, nothing where they go all around.
     """
-    found, cloud = with_biases(particles, parameters), estimate(particles)
+    found, cloud = with_constant_errors(particles, parameters), estimate(particles)
     yaw_var = parameters.cov[-1, -1]
     share = yaw_var / max(yaw_var + cloud.cov[2, 2], 1e-300)
     camera_heading = particles["heading"] + np.sqrt(yaw_var) * rng.standard_normal(len(particles))
     found.columns[-1] = share * wrap_angle(camera_heading - cloud.mean[2])
     found.columns[2] = wrap_angle(camera_heading - found.columns[-1])
-    found.bias_cov[-1, -1] *= 1 - share
+    found.constant_error_cov[-1, -1] *= 1 - share
     return found
 
 
@@ -84,9 +86,9 @@ class StepSpread:
     variance: Array
 
     @classmethod
-    def of(cls, particles: Particles, by_bias: Array, noise: Array) -> StepSpread:
-        """Return the spread of a step that depends on biases by H (3, B), with noise of covariance (3, 3)."""
-        variance, axes = np.linalg.eigh(by_bias @ particles.bias_cov @ by_bias.T + noise)
+    def of(cls, particles: Particles, by_constant_error: Array, noise: Array) -> StepSpread:
+        """Return the spread of a step that depends on constant errors by H (3, B), with noise of covariance (3, 3)."""
+        variance, axes = np.linalg.eigh(by_constant_error @ particles.constant_error_cov @ by_constant_error.T + noise)
         return cls(axes, variance)
 
     @property
@@ -101,21 +103,22 @@ class StepSpread:
         return np.asarray(self.axes / np.sqrt(np.where(self.variance > floor, self.variance, np.inf)))
 
 
-def learnt(particles: Particles, by_bias: Array, spread: StepSpread, normal: Array) -> Particles:
-    """Return the particles with what their steps told them of the biases, the camera's heading being as it was.
+def learnt(particles: Particles, by_constant_error: Array, spread: StepSpread, normal: Array) -> Particles:
+    """Return the particles with what their steps told of their constant errors; the camera's heading stays.
 
-    normal: (3, N) how each step was drawn, standardised: S^(-½) (step - H m), m being the particle's mean of the biases
-    and S = H P Hᵀ + noise. Both mean and P are updated by it as by a measurement.
+    normal: (3, N) how each step was drawn, standardised: S^(-½) (step - H m), m being the particle's mean of the
+    constant errors and S = H P Hᵀ + noise. Both mean and P are updated by it as by a measurement.
     """
-    gain = particles.bias_cov @ by_bias.T @ spread.whitened
-    return replace(_moved(particles, gain @ normal), bias_cov=particles.bias_cov - gain @ gain.T)
+    gain = particles.constant_error_cov @ by_constant_error.T @ spread.whitened
+    return replace(_moved(particles, gain @ normal), constant_error_cov=particles.constant_error_cov - gain @ gain.T)
 
 
 def projected(particles: Particles) -> Particles:
-    """Return the particles with means of the biases that are linear in the camera's pose; what is lost widens bias_cov.
+    """Return the particles with constant errors whose means are linear in the camera's pose.
 
-    Mean and covariance of poses and biases together stay as they are, so nothing is lost where they are normal. It
-    keeps what is known of constants from depending on which of many past paths happened to survive resampling.
+    What is lost widens their covariance. Mean and covariance of poses and constant errors together stay as they are, so
+    nothing is lost where they are normal. It keeps what is known of constants from depending on which of many past
+    paths happened to survive resampling.
     """
     _, residual, weight = centred(particles)
     pose, bias = residual[:3].copy(), residual[3:]
@@ -127,20 +130,20 @@ def projected(particles: Particles) -> Particles:
     inverse = np.linalg.pinv(pose_cov / np.outer(unit, unit), rcond=1e-9, hermitian=True) / np.outer(unit, unit)
     rest = (bias * weight) @ pose.T @ inverse @ pose - bias
     lost = (rest * weight) @ rest.T
-    return replace(_moved(particles, rest), bias_cov=particles.bias_cov + lost)
+    return replace(_moved(particles, rest), constant_error_cov=particles.constant_error_cov + lost)
 
 
-def forgotten(particles: Particles, path_m: float, parameters: BiasParameters) -> Particles:
-    """Return the particles after a way on which the biases drifted: an Ornstein-Uhlenbeck process about the prior."""
-    if particles.names[3:] != BIASES or path_m == 0:
+def forgotten(particles: Particles, path_m: float, parameters: ConstantErrorParameters) -> Particles:
+    """Return the particles after a way, with constant errors that drifted: an Ornstein-Uhlenbeck process."""
+    if particles.names[3:] != CONSTANT_ERRORS or path_m == 0:
         return particles
     kept = np.exp(-path_m / parameters.memory_m)
     drifted = _moved(particles, (kept - 1) * particles.columns[3:])
-    return replace(drifted, bias_cov=kept**2 * particles.bias_cov + (1 - kept**2) * parameters.cov)
+    return replace(drifted, constant_error_cov=kept**2 * particles.constant_error_cov + (1 - kept**2) * parameters.cov)
 
 
 def _moved(particles: Particles, change: Array) -> Particles:
-    """Return the particles with other biases (B, N), the camera's heading being as it was."""
+    """Return the particles with other constant errors (B, N), the camera's heading being as it was."""
     columns = particles.columns.copy()
     columns[3:] += change
     if CAMERA_YAW in particles.names:
@@ -149,9 +152,9 @@ def _moved(particles: Particles, change: Array) -> Particles:
 
 
 def sensitivity(names: tuple[str, ...], ahead_m: float, turn_rad: float, by_delay: Array) -> Array:
-    """Return H = ∂(along, left, turn)/∂(biases) (3, B) of a step that odometry has as (ahead_m, 0, turn_rad).
+    """Return H = ∂(along, left, turn)/∂(constant errors) (3, B) of a step of (ahead_m, 0, turn_rad) by odometry.
 
-    names: (B,) of the columns after the pose; those that are not of `BIASES` have no effect. Half of the turn comes
+    names: (B,) of the columns after the pose; others than `CONSTANT_ERRORS` have no effect. Half of the turn comes
     before the translation, which the camera's own yaw turns the other way. by_delay: (3,) its change per second.
     """
     effect = {

@@ -1,4 +1,4 @@
-"""Predict particles from an increment of odometry: Thrun's rotation-translation-rotation model.
+"""The motion model of a wheeled robot: rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.6].
 
 The noise grows with the path, as a random walk does, so that it does not depend on how finely the path is cut:
 variances add up over a chain of increments. The parameters carry AMCL's names; AMCL's own are per step of a filter
@@ -17,13 +17,15 @@ from pydantic import Field
 from localiser import geometry
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle
 from localiser.motion.constant_errors import (
-    BIASES,
-    BiasParameters,
+    CONSTANT_ERRORS,
+    ConstantErrorParameters,
     StepSpread,
+    at_start,
     forgotten,
     learnt,
     projected,
     sensitivity,
+    with_constant_errors,
 )
 from localiser.particles import CAMERA_YAW, Particles
 
@@ -38,7 +40,38 @@ class MotionParameters:
     alpha2: Annotated[float, Field(ge=0, description="heading variance from driving (rad² per m)")] = 7e-4
     alpha3: Annotated[float, Field(ge=0, description="distance variance from driving (m² per m)")] = 9e-4
     alpha4: Annotated[float, Field(ge=0, description="distance variance from turning (m² per rad)")] = 1e-4
-    bias: BiasParameters = field(default_factory=BiasParameters)
+    bias: ConstantErrorParameters = field(default_factory=ConstantErrorParameters)
+
+    # The model with these parameters, as `MotionModel` and its optional protocols ask for it.
+
+    @property
+    def delay_sigma_s(self) -> float:
+        """By how much the robot may be later than its odometry, one sigma."""
+        return self.bias.delay_sigma_s
+
+    def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
+        """See `predict`."""
+        return predict(particles, increment, self, rng)
+
+    def expected_step(self, particles: Particles, increment: Increment) -> Step:
+        """See `expected_step`."""
+        return expected_step(particles, increment, self)
+
+    def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
+        """See `stepped`."""
+        return stepped(particles, step, normal, increment, self)
+
+    def covariance(self, increment: Increment) -> Array:
+        """See `wheel_cov`."""
+        return wheel_cov(increment, self)
+
+    def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
+        """See `constant_errors.at_start`."""
+        return at_start(particles, self.bias, rng)
+
+    def with_constant_errors(self, particles: Particles) -> Particles:
+        """See `constant_errors.with_constant_errors`."""
+        return with_constant_errors(particles, self.bias)
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
@@ -72,45 +105,45 @@ class Step:
     """How N particles are about to move.
 
     poses: (3, N) where the step that is expected leads, with the camera's heading. axes: (3, 3, N), their derivatives
-    by the standardised step, which is three standard normal draws. by_bias: (3, B) of (along, left, turn).
+    by the standardised step, which is three standard normal draws. by_constant_error: (3, B) of (along, left, turn).
     """
 
     poses: Array
     axes: Array
-    by_bias: Array
+    by_constant_error: Array
     spread: StepSpread
 
 
 def expected_step(particles: Particles, increment: Increment, parameters: MotionParameters) -> Step:
-    """Return how particles move by `increment`, each by what it knows of the biases.
+    """Return how particles move by `increment`, each by what it knows of the constant errors.
 
     Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
     correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own covariance
-    (vision) errs by a draw from that instead, and tells nothing of the biases.
+    (vision) errs by a draw from that instead, and tells nothing of them.
     """
-    by_bias = _by_bias(particles.names[3:], increment)
-    spread = StepSpread.of(particles, by_bias, step_noise(increment, parameters))
-    way = particles["heading"]  # of the camera, by which the biases are seen
+    by_constant_error = _by_bias(particles.names[3:], increment)
+    spread = StepSpread.of(particles, by_constant_error, step_noise(increment, parameters))
+    way = particles["heading"]  # of the camera, by which the constant errors are seen
     if CAMERA_YAW in particles.names:
         way = way + particles[CAMERA_YAW]
     cos, sin = cos_sin(way + direction_of_travel(increment))
-    expected = by_bias @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+    expected = by_constant_error @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
     poses = np.stack([particles["x"], particles["z"], way]) + _in_map(expected, cos, sin)
-    return Step(poses, _in_map(spread.root[..., None], cos, sin), by_bias, spread)
+    return Step(poses, _in_map(spread.root[..., None], cos, sin), by_constant_error, spread)
 
 
 def stepped(
     particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
 ) -> Particles:
-    """Return the particles after steps drawn as `normal` (3, N), and what these told them of the biases."""
-    moved = learnt(particles, step.by_bias, step.spread, normal)
+    """Return the particles after steps drawn as `normal` (3, N), and what these told them of the constant errors."""
+    moved = learnt(particles, step.by_constant_error, step.spread, normal)
     columns = moved.columns.copy()
     columns[:3] = step.poses + np.einsum("pkn,kn->pn", step.axes, normal)
     if CAMERA_YAW in particles.names:
         columns[2] -= moved[CAMERA_YAW]
     columns[2] = wrap_angle(columns[2])
     moved = replace(moved, columns=columns)
-    return forgotten(projected(moved) if step.by_bias.any() else moved, increment.path_m, parameters.bias)
+    return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, parameters.bias)
 
 
 def predict(
@@ -134,7 +167,7 @@ def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
 def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
     """Return F = ∂(next pose)/∂(pose) and Q, the covariance of the noise, both (3, 3) in the map, at `pose` (3,).
 
-    The first-order form of `predict` where no bias is in doubt, for the posterior Cramér-Rao bound.
+    The first-order form of `predict` where no constant error is in doubt, for the posterior Cramér-Rao bound.
     """
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     right, backward = increment.mean[:2]
@@ -145,10 +178,10 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
 
 
 def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
-    """Return the covariance (3, 3) of wheels' motion in the robot frame, biases included as far as the prior goes."""
+    """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
     to_robot = _map_from_step(np.zeros(3), increment)
-    by_bias = _by_bias(BIASES[:-1], increment)
-    doubt = by_bias @ parameters.bias.cov[:-1, :-1] @ by_bias.T
+    by_constant_error = _by_bias(CONSTANT_ERRORS[:-1], increment)
+    doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
     return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
 
 
@@ -160,7 +193,7 @@ def _ahead_m(increment: Increment) -> float:
 
 
 def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
-    """Return ∂(along, left, turn)/∂(biases) (3, B): none of an increment that wheels alone did not measure."""
+    """Return ∂(along, left, turn)/∂(constant errors) (3, B): none of an increment that wheels alone did not measure."""
     if increment.cov.any():
         return np.zeros((3, len(names)))
     late = _step_from_robot(increment) @ increment.by_delay

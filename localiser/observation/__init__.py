@@ -1,35 +1,50 @@
-"""How well the edges of an image fit a pose: log p(edges | particle)."""
+"""The observation: how well what was measured fits a pose, log p(sighting | particle)."""
 
 from localiser.observation.angle import Angle
-from localiser.observation.edge_observation import (
-    GATE_SIGMAS,
-    SETTLED,
-    EdgeObservation,
+from localiser.observation.edge_observation import EdgeObservation
+from localiser.observation.endpoint_likelihood import MISSED, at_border
+from localiser.observation.endpoint_likelihood import SIGMA_PX as ENDPOINT_SIGMA_PX
+from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
+from localiser.observation.known_association import OBSERVATIONS, IdentifiedObservation, observation_of
+from localiser.observation.parameters import ObservationParameters, novelty_of
+from localiser.observation.protocols import (
+    Associates,
+    FollowsClutter,
+    GuidesSteps,
+    LocalisesGlobally,
     Matches,
     Observation,
-    ObservationParameters,
+    RatesInliers,
+    Sighting,
     Targets,
-    independent_share,
+    TempersByScale,
+    likelihood_by_rate,
+    matches_of,
 )
-from localiser.observation.endpoint_likelihood import at_border
-from localiser.observation.inlier_rate import INLIER_SHARES, MEMORY_FRAMES, PRIOR_FRAMES, InlierShare
-from localiser.observation.known_association import IdentifiedObservation, observation_of
 
 __all__ = [
-    "GATE_SIGMAS",
-    "INLIER_SHARES",
-    "MEMORY_FRAMES",
-    "PRIOR_FRAMES",
-    "SETTLED",
+    "ENDPOINT_SIGMA_PX",
+    "INLIER_RATES",
+    "MISSED",
+    "OBSERVATIONS",
     "Angle",
+    "Associates",
     "EdgeObservation",
+    "FollowsClutter",
+    "GuidesSteps",
     "IdentifiedObservation",
-    "InlierShare",
+    "InlierRate",
+    "LocalisesGlobally",
     "Matches",
     "Observation",
     "ObservationParameters",
+    "RatesInliers",
+    "Sighting",
     "Targets",
+    "TempersByScale",
     "at_border",
-    "independent_share",
+    "likelihood_by_rate",
+    "matches_of",
+    "novelty_of",
     "observation_of",
 ]

@@ -29,15 +29,17 @@ class Angle:
 
         The common error is shared by all edges of a frame; here it widens each of them: safe while it is small.
         """
-        common = edges.common
         if self.kind == "line":
-            spread = np.einsum("ek,kl,el->e", common.bearing_from_line, common.cov, common.bearing_from_line)
-            return edges.bearing, edges.bearing_sigma**2 + spread
-        spread = np.einsum("ek,kl,el->e", common.bearing_from_lean, common.cov, common.bearing_from_lean)
-        lean_per_bearing = 1.0 / geometry.bearing_per_lean(
-            geometry.bearing_from_lean(edges.lean, self.camera.mount.tilt_rad), self.camera.mount.tilt_rad
-        )
-        return edges.lean, edges.lean_sigma**2 + spread * lean_per_bearing**2
+            return edges.bearing, edges.bearing_sigma**2 + self.mount_var(edges)
+        tilt_rad = self.camera.mount.tilt_rad
+        per_bearing = 1.0 / geometry.bearing_per_lean(geometry.bearing_from_lean(edges.lean, tilt_rad), tilt_rad)
+        return edges.lean, edges.lean_sigma**2 + self.mount_var(edges) * per_bearing**2
+
+    def mount_var(self, edges: Edges) -> Array:
+        """Return the variance (E,), rad², of the bearings by the mount's common error."""
+        common = edges.common
+        by_mount = common.bearing_from_line if self.kind == "line" else common.bearing_from_lean
+        return np.asarray(np.einsum("ek,kl,el->e", by_mount, common.cov, by_mount))
 
     def predicted(self, tangent: Array) -> tuple[Array, Array]:
         """Return the angle that is compared (P,) for tan(bearing) (P,), and its derivative by the bearing."""
@@ -53,11 +55,6 @@ class Angle:
         tilt_rad = self.camera.mount.tilt_rad
         bearing = geometry.bearing_from_lean(edges.lean, tilt_rad)
         return bearing, edges.lean_sigma * np.abs(geometry.bearing_per_lean(bearing, tilt_rad))
-
-    @property
-    def field_rad(self) -> float:
-        """Return the angle (rad) between the bearings of the image's left and right border."""
-        return Angle(self.camera, "line").span_rad
 
     @property
     def span_rad(self) -> float:

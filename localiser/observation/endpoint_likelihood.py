@@ -25,7 +25,7 @@ _UNKNOWN = 1e9  # beyond every height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ends:
+class Endpoints:
     """Where the edges of a frame end, lower and upper end each: (E, 2) in the order of the columns.
 
     e: upright heights in the image. per_length: (E,) 1 / length in e, 1e9 where unknown. room: the height over which
@@ -41,12 +41,12 @@ class Ends:
 
 
 @lru_cache(maxsize=4)  # the same edges are asked for several times in a frame
-def ends_of(edges: Edges, camera: Camera) -> Ends:
+def endpoints_of(edges: Edges, camera: Camera) -> Endpoints:
     """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
     count = len(edges)
     if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
         e = np.tile([-_UNKNOWN, _UNKNOWN], (count, 1))
-        return Ends(e, np.full(count, _UNKNOWN), np.full((count, 2), _UNKNOWN), np.zeros((count, 2)), 1.0)
+        return Endpoints(e, np.full(count, _UNKNOWN), np.full((count, 2), _UNKNOWN), np.zeros((count, 2)), 1.0)
     upright = camera.upright_from_pixels(edges.ends_px)[..., 1]
     lower_first = np.argsort(upright, axis=1)
     e = np.take_along_axis(upright, lower_first, axis=1)
@@ -58,7 +58,7 @@ def ends_of(edges: Edges, camera: Camera) -> Ends:
     # The border ends an edge wherever its landmark does.
     cut = np.take_along_axis(at_border(edges.ends_px, camera), lower_first, axis=1)
     per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
-    return Ends(e, per_length, np.where(cut, _UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+    return Endpoints(e, per_length, np.where(cut, _UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
 
 
 def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:
@@ -68,7 +68,7 @@ def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:
 
 
 def agreement(
-    ends: Ends, edge: NDArray[np.int64], expected: Array, known: NDArray[np.bool_], camera: Camera, margin: float
+    ends: Endpoints, edge: NDArray[np.int64], expected: Array, known: NDArray[np.bool_], camera: Camera, margin: float
 ) -> Array:
     """Return c_el (P,) of pairs of an edge and a landmark: the equation of `observation`; 1 tells nothing.
 

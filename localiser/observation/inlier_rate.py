@@ -16,7 +16,7 @@ from localiser.geometry import Array
 
 # Jeffreys' prior of a share is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
 _NODES = 6
-INLIER_SHARES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
+INLIER_RATES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
 PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike are no reason to be sure of the next
 _PRIOR = np.full(_NODES, PRIOR_FRAMES / _NODES)
 
@@ -24,44 +24,44 @@ MEMORY_FRAMES = 30.0  # independent frames after which another part of the build
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InlierShare:
-    """The distribution of a frame's inlier share. count (K,): how many frames had each of `INLIER_SHARES`."""
+class InlierRate:
+    """The distribution of a frame's inlier share. count (K,): how many frames had each of `INLIER_RATES`."""
 
     count: Array
 
     @classmethod
-    def unknown(cls) -> InlierShare:
+    def unknown(cls) -> InlierRate:
         """Return Jeffreys' prior."""
         return cls(_PRIOR)
 
     @property
     def probability(self) -> Array:
-        """The probability (K,) of each of `INLIER_SHARES` in the next frame."""
+        """The probability (K,) of each of `INLIER_RATES` in the next frame."""
         return np.asarray(self.count / self.count.sum())
 
     @property
     def mean(self) -> float:
         """The inlier share expected of the next frame."""
-        return float(self.probability @ INLIER_SHARES)
+        return float(self.probability @ INLIER_RATES)
 
-    def after(self, independent_frames: float) -> InlierShare:
+    def after(self, independent_frames: float) -> InlierRate:
         """Return the distribution after moving on: what was counted long ago is forgotten."""
         return replace(self, count=_PRIOR + np.exp(-independent_frames / MEMORY_FRAMES) * (self.count - _PRIOR))
 
-    def log_mean(self, by_share: Array) -> Array:
-        """Return log p(edges | pose) (N,), the shares integrated out of `by_share` (K, N)."""
-        return _log_sum(by_share + np.log(self.probability)[:, None])
+    def log_mean(self, by_rate: Array) -> Array:
+        """Return log p(edges | pose) (N,), the shares integrated out of `by_rate` (K, N)."""
+        return _log_sum(by_rate + np.log(self.probability)[:, None])
 
-    def given(self, by_share: Array, weight: Array, independent_frames: float) -> InlierShare:
+    def given(self, by_rate: Array, weight: Array, independent_frames: float) -> InlierRate:
         """Return the distribution after a frame with log p(edges | pose, w_k) (K, N) and particles of weight (N,).
 
         The weights are those after the same edges. A frame that is only partly new counts for that part.
         """
-        joint = by_share + np.log(self.probability)[:, None]
+        joint = by_rate + np.log(self.probability)[:, None]
         responsibility = np.exp(joint - _log_sum(joint)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
 
-    def towards(self, other: InlierShare, share: float) -> InlierShare:
+    def towards(self, other: InlierRate, share: float) -> InlierRate:
         """Return the distribution a share, 0 … 1, of the way towards another."""
         return replace(self, count=self.count + share * (other.count - self.count))
 

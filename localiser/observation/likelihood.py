@@ -1,23 +1,31 @@
 """The observation's sum over particles, landmarks and edges, compiled.
 
-It computes what `observation.EdgeObservation.by_share_plain` does with arrays. Four things make it fast, none of which
-changes the result by more than 1e-5: particles are sorted into cells of floor and heading, and only the landmarks that
-can be in view from a cell are looked at; an edge that no landmark comes near costs nothing, since its factor 1 - w is
-common to all particles; the loops run as vector instructions (`loops`); and no more particles are weighed at a time
-than the cache holds. A particle's result depends on nothing but that particle, so neither on how many threads share the
-work.
+It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes
+the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be
+in view from a cell are looked at. An edge that no landmark comes near costs nothing, since its factor 1 - w is common
+to all particles. The loops run as vector instructions (`likelihood_kernel`). No more particles are weighed at a time
+than the cache holds. A particle's result depends on that particle alone, whatever number of threads share the work.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.edges import Edges
 from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap, in_view_of_cells, widest_tangent
+from localiser.observation import endpoint_likelihood as endpoints
+from localiser.observation import polarity
+from localiser.observation.angle import Angle
+from localiser.observation.parameters import ObservationParameters
 
+GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
+_UNKNOWN_M = 1e9  # beyond every height
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
 _BINS = 512  # of the compared angle
@@ -54,7 +62,43 @@ class Scene:
     is_slope: bool
 
 
-def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> Array:
+def scene_of(
+    angle: Angle, parameters: ObservationParameters, edges: Edges, landmark_map: LandmarkMap, blur_rad: float
+) -> Scene:
+    """Return what all particles share, for the edges of one image. blur_rad: sigma that is added to every edge's."""
+    camera, sight = angle.camera, parameters.sight
+    mount, focal = camera.mount, camera.focal_px
+    measured, variance = angle.measured(edges)
+    # Edges of which this observation knows nothing go to the end: no landmark comes near them.
+    known = np.isfinite(measured) & np.isfinite(variance)
+    measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
+    ends = endpoints.endpoints_of(edges, camera)
+    bottom, top = landmark_map.bottom_m - mount.height_m, landmark_map.top_m - mount.height_m
+    of_landmarks: list[Array] = [
+        landmark_map.points,
+        np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
+        np.where(np.isnan(top), _UNKNOWN_M, top),
+        landmark_map.sigma_m(parameters.landmark_sigma_m) ** 2,
+        polarity.mean_polarity(landmark_map.polarity),
+    ]
+    of_edges: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak, edges.polarity]
+    margin = sight.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
+    sin_cos = float(np.sin(mount.tilt_rad)), float(np.cos(mount.tilt_rad))
+    return Scene(
+        landmarks=np.column_stack(of_landmarks),
+        edges=np.column_stack([*of_edges, 1.0 / edges.clutter])[np.argsort(measured, kind="stable")],
+        offset=(mount.right_m, mount.back_m, mount.yaw_rad),
+        view=(*sin_cos, *(np.array(camera.upright_bounds) + margin).tolist(), max(sight.length_min_px, 1e-9) / focal),
+        ends=(endpoints.TOLERANCE_PX / focal, focal / endpoints.SIGMA_PX, ends.missed),
+        range_m=(sight.range_min_m, sight.range_max_m),
+        widest=widest_tangent(camera, sight),
+        gate=(GATE_SIGMAS, float(variance[known].max(initial=0.0))),
+        span=angle.span_rad,
+        is_slope=angle.kind == "slope",
+    )
+
+
+def by_rate(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> Array:
     """Return log p(edges | pose, w_k) (K, N) of N particles for every share, relative to all edges being clutter.
 
     columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's. shares: (K,)
@@ -79,17 +123,17 @@ def by_share(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> A
 
 
 def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins: EdgeBins) -> Array:
-    """Return `by_share` of so few particles that all about them stays in the cache. base: (K,) to be added."""
-    from localiser.observation import likelihood_kernel as loops
+    """Return `by_rate` of so few particles that all about them stays in the cache. base: (K,) to be added."""
+    from localiser.observation import likelihood_kernel as kernel
 
     low, per_unit, shape = _cells(columns[:3])
     poses = columns.T.copy()
-    run, order = loops.ordered(loops.cells_of(poses, low, per_unit, shape), int(shape.prod()))
+    run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()))
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
-    start, item = loops.candidates(
-        run, low, per_unit, shape, scene.offset, scene.landmarks, half_view_rad, scene.range_m[1]
+    start, item = in_view_of_cells(
+        run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.offset
     )
-    return loops.log_products(
+    return kernel.log_products(
         poses,
         order,
         run,
@@ -97,7 +141,7 @@ def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins
         start,
         item,
         scene.landmarks,
-        (*(shares / (1.0 - shares)).tolist(), *[0.0] * (loops.LANES - len(shares))),
+        (*(shares / (1.0 - shares)).tolist(), *[0.0] * (kernel.LANES - len(shares))),
         scene.edges,
         *edge_bins,
         scene.view,

@@ -25,7 +25,7 @@ NEAR_M = 1.0  # things on no map are farther away
 _GATE = 3.0  # sigmas within which an edge may continue another
 
 
-def lasting(
+def clutter_density(
     bearing: Array, sigma: Array, before: Array, before_sigma: Array, motion: Array, turn_var: float, span: float
 ) -> Array:
     """Return how much denser clutter is at each edge (E,) than spread over the image, at least 1; all angles in rad.

@@ -16,14 +16,9 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 
-SAME = 0.9  # measured: see docs/filter.md
+SAME = 0.9  # measured: see docs/notes/observation.md
 
 
-def leaning(landmark: NDArray[np.int8]) -> Array:
+def mean_polarity(landmark: NDArray[np.int8]) -> Array:
     """Return (2 SAME - 1) polarity_l (L,): the mean polarity of the edges of landmarks with these polarities (L,)."""
     return np.asarray((2.0 * SAME - 1.0) * landmark)
-
-
-def agreement(edge: NDArray[np.int8], expected: Array) -> Array:
-    """Return how much likelier (P,) pairs are by the polarity of the edge (P,), `leaning` of the landmark (P,)."""
-    return np.asarray(1.0 + edge * expected)

@@ -10,24 +10,15 @@ from localiser.particles.cloud import (
     effective_sample_size,
     estimate,
     from_gaussian,
-    kernel_width,
     largest_step,
     log_sum,
     normalised,
+    only,
     spread,
     take,
 )
 from localiser.particles.clusters import Clusters, find_clusters, poses_per_cell
-from localiser.particles.resampling import (
-    Indices,
-    enough_particles,
-    multinomial_resample,
-    occupied_cells,
-    particles_for_cells,
-    residual_resample,
-    stratified_resample,
-    systematic_resample,
-)
+from localiser.particles.resampling import enough_particles, multinomial_resample, systematic_resample
 
 __all__ = [
     "CAMERA_YAW",
@@ -35,7 +26,6 @@ __all__ = [
     "POSE",
     "Clusters",
     "Estimate",
-    "Indices",
     "Particles",
     "centred",
     "effective_sample_size",
@@ -43,17 +33,13 @@ __all__ = [
     "estimate",
     "find_clusters",
     "from_gaussian",
-    "kernel_width",
     "largest_step",
     "log_sum",
     "multinomial_resample",
     "normalised",
-    "occupied_cells",
-    "particles_for_cells",
+    "only",
     "poses_per_cell",
-    "residual_resample",
     "spread",
-    "stratified_resample",
     "systematic_resample",
     "take",
 ]

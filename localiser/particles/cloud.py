@@ -18,24 +18,26 @@ MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time 
 class Particles:
     """N weighted hypotheses.
 
-    names: D column names, x, z, heading first, then B biases. columns: (D, N), so that each column is contiguous.
-    log_weight: (N,) natural logarithms, up to a common constant. circular: names of columns that are angles.
-    bias_cov: (B, B) what is not known of the biases, and with the camera's yaw of the heading, even where the particle
-    is: its columns are the mean of a normal density, whose covariance all particles share.
+    names: D column names, x, z, heading first, then B constant errors. columns: (D, N), so that each column is
+    contiguous. log_weight: (N,) natural logarithms, up to a common constant. circular: names of columns that are
+    angles. constant_error_cov: (B, B) of the constant errors within each particle: its columns are the mean of a normal
+    density, and all particles share its covariance. The camera's yaw widens the heading by it.
     """
 
     names: tuple[str, ...]
     columns: Array
     log_weight: Array
     circular: frozenset[str] = frozenset({"heading"})
-    bias_cov: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    constant_error_cov: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        biases = len(self.names) - len(POSE)
-        if len(self.bias_cov) != biases:
-            if self.bias_cov.any():
-                raise ValueError(f"expected a covariance of {biases} biases, found {self.bias_cov.shape}")
-            object.__setattr__(self, "bias_cov", np.zeros((biases, biases)))
+        errors = len(self.names) - len(POSE)
+        if len(self.constant_error_cov) != errors:
+            if self.constant_error_cov.any():
+                raise ValueError(
+                    f"expected a covariance of {errors} constant errors, found {self.constant_error_cov.shape}"
+                )
+            object.__setattr__(self, "constant_error_cov", np.zeros((errors, errors)))
 
     def __len__(self) -> int:
         return int(self.columns.shape[1])
@@ -130,22 +132,14 @@ def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest:
     return low
 
 
-def kernel_width(particles: Particles) -> float:
-    """Return the width h of each particle's kernel, as a share of the cloud's: N^(-1/7).
-
-    About what is best for a normal density of three dimensions: poses, whose biases follow from their paths [Silverman
-    1986; Musso, Oudjane, Le Gland 2001].
-    """
-    return float(len(particles) ** (-1.0 / (len(POSE) + 4)))
-
-
 def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     """Return equally weighted particles, each moved by a draw from a small kernel of the cloud's own shape.
 
-    The kernel's covariance is h² times the cloud's, h from `kernel_width`. The cloud is first drawn together by
-    √(1 - h²), so that its mean and covariance stay as they are [Liu, West 2001].
+    The kernel's covariance is h² times the cloud's. The cloud is first drawn together by √(1 - h²), so that its mean
+    and covariance stay as they are [Liu, West 2001]. h = N^(-1/7) is about what is best for a normal density of three
+    dimensions: poses, since constant errors follow from their paths [Silverman 1986; Musso, Oudjane, Le Gland 2001].
     """
-    width = kernel_width(particles)
+    width = float(len(particles) ** (-1.0 / (len(POSE) + 4)))
     mean, residual, weight = centred(particles)
     variance, axes = np.linalg.eigh((residual * weight) @ residual.T)
     draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal(residual.shape))
@@ -161,10 +155,15 @@ def take(particles: Particles, index: NDArray[np.int64]) -> Particles:
     return replace(particles, columns=np.take(particles.columns, index, axis=1), log_weight=np.zeros(len(index)))
 
 
+def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
+    """Return the chosen (N,) of the particles, with their weights."""
+    return replace(particles, columns=particles.columns[:, chosen], log_weight=particles.log_weight[chosen])
+
+
 def estimate(particles: Particles) -> Estimate:
     """Return the weighted mean and covariance over all columns; circular columns are averaged as directions.
 
-    The covariance is that between the particles and, of the biases, that within each.
+    The covariance is that between the particles and, of the constant errors, that within each.
     """
     mean, residual, weight = centred(particles)
     return Estimate(particles.names, mean, np.asarray((residual * weight) @ residual.T) + _within(particles))
@@ -188,7 +187,7 @@ def centred(particles: Particles) -> tuple[Array, Array, Array]:
 
 def _within(particles: Particles) -> Array:
     """Return the covariance (D, D) within each particle: the camera is where it is, not so the robot."""
-    by_bias = np.eye(len(particles.names))[:, len(POSE) :]
+    by_constant_error = np.eye(len(particles.names))[:, len(POSE) :]
     if CAMERA_YAW in particles.names:
-        by_bias[2] = -by_bias[particles.names.index(CAMERA_YAW)]
-    return np.asarray(by_bias @ particles.bias_cov @ by_bias.T)
+        by_constant_error[2] = -by_constant_error[particles.names.index(CAMERA_YAW)]
+    return np.asarray(by_constant_error @ particles.constant_error_cov @ by_constant_error.T)

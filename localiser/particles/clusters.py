@@ -67,8 +67,6 @@ def find_clusters(
     total = float(np.sum(weight))
     if not np.isfinite(total) or total <= 0:
         raise ValueError(f"weights sum to {total}")
-    if not (cell_m > 0 and cell_rad > 0):
-        raise ValueError(f"cells of {cell_m} m and {cell_rad} rad")
     share = np.asarray(weight, dtype=np.float64) / total
     cells, cell_of_pose, around = _cells(poses, cell_m, cell_rad)
     dense = _densest(_sums(cell_of_pose, share), mass)
@@ -83,8 +81,15 @@ def poses_per_cell(poses: Array, cell_m: float = 0.25, cell_rad: float = np.pi /
     return np.bincount(cell_of_pose, minlength=len(cells))[cell_of_pose]
 
 
+def occupied_cells(poses: Array, cell_m: float, cell_rad: float) -> int:
+    """Return in how many cells of cell_m × cell_m × about cell_rad poses (N, 3) lie."""
+    return len(_cells(poses, cell_m, cell_rad)[0]) if len(poses) else 0
+
+
 def _cells(poses: Array, cell_m: float, cell_rad: float) -> tuple[Indices, Indices, int]:
     """Return the occupied cells (K, 3), the cell of each pose (N,), and how many cells close the heading's circle."""
+    if not (cell_m > 0 and cell_rad > 0):
+        raise ValueError(f"cells of {cell_m} m and {cell_rad} rad")
     around = max(round(2 * np.pi / cell_rad), 1)
     column, row = np.floor(poses[:, :2].T.copy() / cell_m).astype(np.int64)
     sector = np.floor(poses[:, 2] * (around / (2 * np.pi))).astype(np.int64) % around

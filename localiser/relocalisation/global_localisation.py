@@ -18,23 +18,22 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, InlierShare
+from localiser.observation import InlierRate, LocalisesGlobally, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum, poses_per_cell, resampling
 from localiser.relocalisation import evidence
-from localiser.relocalisation.lost_probability import Doubt
+from localiser.relocalisation.lost_probability import LostProbability
 from localiser.relocalisation.mixture import Region
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.proposals import FEWEST, propose
 from localiser.relocalisation.views import View, view_of
 
 CELL_M, CELL_RAD = 0.25, np.pi / 18  # of the histogram that the particles must fill
-FRESH_SHARE = 0.1  # of an image that must be new for another look around
+LEAST_NOVELTY = 0.1  # of an image that poses are proposed from
 NEGLIGIBLE = 1e-3  # odds of the places that an image proposes, below which none of them joins
 SEEN_FIRST = 10_000  # poses that the first image proposes
 PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
@@ -64,8 +63,8 @@ class Clues:
     """What one image says of places: its edges for a likelihood, and the view of it for proposals."""
 
     view: View
-    edges: Edges
-    observation: EdgeObservation
+    sighting: Sighting
+    observation: LocalisesGlobally
     landmark_map: LandmarkMap
 
     @property
@@ -73,28 +72,28 @@ class Clues:
         """Whether the image shows too little for poses to be proposed from it."""
         return len(self.view) < FEWEST
 
-    def by_share(self, particles: Particles) -> Array:
+    def by_rate(self, particles: Particles) -> Array:
         """Return log p(edges | particle, w_k) (K, N) for every inlier share, relative to all edges being clutter."""
-        return ALIKE * self.observation.by_share(particles, self.edges, self.landmark_map, BLUR_RAD)
+        return ALIKE * self.observation.by_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
 
     def by_pose(self, poses: Array) -> Array:
         """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
-        return self.by_share(Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses))))
+        return self.by_rate(Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Search:
+class GlobalLocalisation:
     """Everything about the search for poses that stays the same during a run."""
 
-    observation: EdgeObservation
+    observation: LocalisesGlobally
     landmark_map: LandmarkMap
     places: Places
     parameters: SearchParameters
 
     @classmethod
     def of(
-        cls, observation: EdgeObservation, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
-    ) -> Search:
+        cls, observation: LocalisesGlobally, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
+    ) -> GlobalLocalisation:
         """Return a search on this map; its tables take a second on a large one."""
         sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m
         region = Region.around(landmark_map.points, BESIDE_MAP_M)
@@ -110,29 +109,34 @@ class Search:
         """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
         angle = np.zeros(1)
         edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
-        clues = self.clues(edges)
+        clues = self.clues(Sighting(0, edges))
         clues.by_pose(np.zeros((1, 3)))
         evidence.warm_up(clues.view, self.places)
 
-    def clues(self, edges: Edges) -> Clues:
+    def first_count(self, sighting: Sighting) -> int:
+        """Return how many particles a robot that may be anywhere needs after its first image."""
+        # Proposals are dense where the robot may be; blind draws must be so everywhere.
+        return self.most if self.clues(sighting).is_blind else min(self.most, SEEN_FIRST)
+
+    def clues(self, sighting: Sighting) -> Clues:
         """Return what an image says of places."""
-        edges = replace(edges, clutter=np.ones(len(edges)))  # counted in full, at a power of a half
+        edges = replace(sighting.edges, clutter=np.ones(len(sighting.edges)))  # counted in full, at a power of a half
         view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
-        return Clues(view, edges, self.observation, self.landmark_map)
+        return Clues(view, replace(sighting, edges=edges), self.observation, self.landmark_map)
 
     def fresh(
-        self, like: Particles, clues: Clues, inliers: InlierShare, count: int, rng: np.random.Generator
+        self, like: Particles, clues: Clues, inliers: InlierRate, count: int, rng: np.random.Generator
     ) -> tuple[Particles, float]:
         """Return `count` particles drawn over the whole region, weighed by all of the edges, and their log-evidence.
 
-        like: particles whose other columns, biases that a robot keeps wherever it is, are drawn for the new ones.
-        log-evidence: log of the mean of p(edges | pose) over the region, relative to all edges being clutter.
+        like: particles whose other columns, constant errors that a robot keeps wherever it is, are drawn for the new
+        ones. log-evidence: log of the mean of p(edges | pose) over the region, relative to all edges being clutter.
         """
 
         def log_likelihood(poses: Array) -> Array:
             return inliers.log_mean(clues.by_pose(poses))
 
-        poses, log_prior_over_q = propose([clues.view], self.places, log_likelihood, rng).drawn(count, rng)
+        poses, log_prior_over_q = propose(clues.view, self.places, log_likelihood, rng).drawn(count, rng)
         log_weight = log_prior_over_q + log_likelihood(poses)
         others = resampling.multinomial_resample(like.weight, count, rng)
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
@@ -147,34 +151,29 @@ class Search:
         turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
         return turned
 
-    def looks_around(self, doubt: Doubt, clues: Clues, share: float) -> bool:
-        """Whether the robot may be lost and an image, of which `share` is new, can tell where else it may be."""
-        return len(clues.view) > 0 and share >= FRESH_SHARE and doubt.probability >= self.parameters.doubt
+    def is_needed(self, lost: LostProbability, clues: Clues, novelty: float) -> bool:
+        """Whether the robot may be lost and an image of this novelty can tell where else it may be."""
+        return len(clues.view) > 0 and novelty >= LEAST_NOVELTY and lost.probability >= self.parameters.doubt
 
     def followed(
-        self, moved: Particles, doubt: Doubt, clues: Clues, share: float, rng: np.random.Generator
-    ) -> tuple[Particles, Doubt, float]:
-        """Return particles at several places weighed by `share` of the image, their doubt and log-evidence.
+        self, moved: Particles, lost: LostProbability, clues: Clues, novelty: float, rng: np.random.Generator
+    ) -> tuple[Particles, LostProbability, float]:
+        """Return particles at several places weighed by an image, the probability of being lost and the log-evidence.
 
         Poses that the image proposes join them, unless those at the present places explain it far better.
         """
-        by_share = clues.by_share(moved)
-        weighed = replace(moved, log_weight=moved.log_weight + share * doubt.inliers.log_mean(by_share))
+        by_rate = clues.by_rate(moved)
+        weighed = replace(moved, log_weight=moved.log_weight + novelty * lost.inliers.log_mean(by_rate))
         log_evidence = log_sum(weighed.log_weight) - log_sum(moved.log_weight)
-        log_odds = doubt.log_odds - doubt.log_evidence(by_share, moved.log_weight)
-        doubt = doubt.after(by_share, moved.log_weight, share, self.parameters.carried)
-        if not self.looks_around(doubt, clues, share):
-            return weighed, doubt, log_evidence
-        fresh, fresh_evidence = self.fresh(weighed, clues, doubt.inliers, self.parameters.fresh, rng)
+        log_odds = lost.log_odds - lost.log_evidence(by_rate, moved.log_weight)
+        lost = lost.after(by_rate, moved.log_weight, novelty, self.parameters.carried)
+        if not self.is_needed(lost, clues, novelty):
+            return weighed, lost, log_evidence
+        fresh, fresh_evidence = self.fresh(weighed, clues, lost.inliers, self.parameters.fresh, rng)
         log_odds += fresh_evidence  # both sides weighed by all of the image
         if log_odds < np.log(NEGLIGIBLE):
-            return weighed, doubt, log_evidence
-        return joined(weighed, fresh, log_odds), doubt.joined(log_odds), log_evidence + np.logaddexp(0.0, log_odds)
-
-
-def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
-    """Return the chosen (N,) of the particles, with their weights."""
-    return replace(particles, columns=particles.columns[:, chosen], log_weight=particles.log_weight[chosen])
+            return weighed, lost, log_evidence
+        return joined(weighed, fresh, log_odds), lost.joined(log_odds), log_evidence + np.logaddexp(0.0, log_odds)
 
 
 def placed(particles: Particles, poses: Array) -> Particles:

@@ -1,15 +1,15 @@
-"""Is the robot where any of the particles are? Odds of the contrary, from raw likelihoods.
+"""The probability that the robot is lost: that it is where none of the particles are, from raw likelihoods.
 
 Normalised weights cannot tell: of particles that are all wrong some are always the best. The likelihood itself can. It
 is relative to all edges being clutter, which is what they are to a robot that is elsewhere, so each image multiplies
-the odds of being lost by 1 / p(edges | particles). A right pose gives far more than 1, whatever share of the edges is
+the odds of being lost by 1 / p(edges | particles). A right pose gives far more than 1, however many edges are
 clutter; an image in which no landmark is found gives a little less than 1, as rarely as `inliers` has learnt that such
 images come. An image that is only partly new counts for that part. Before each image there is a small chance that the
 robot was carried away.
 
 A wrong place may look like the right one: the other end of a corridor does. That its particles fit says nothing then;
 what counts is whether the right place would have been found had it been another. So the robot stays lost with the
-probability that all looks around have `overlooked` its place.
+probability that every image has `overlooked` its place.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.observation import INLIER_SHARES, InlierShare
+from localiser.observation import INLIER_RATES, InlierRate
 from localiser.particles import log_sum, normalised
 
 SOME = 0.3  # of the edges: from here on they are not the landmarks of chance
@@ -28,56 +28,56 @@ MOST = 0.0  # log-odds that unexplained edges alone never exceed: they may as we
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Doubt:
+class LostProbability:
     """log_odds: logarithm of the odds that the robot is lost, that is, that the truth is not among the particles.
 
-    overlooked: probability that the true place was never among those that the particles were chosen from. inliers: what
-    share of the edges belongs to landmarks hereabouts.
+    overlooked: probability that the true place was never among those that the particles were chosen from. inliers: the
+    inlier rate hereabouts.
     """
 
     log_odds: float
     overlooked: float = 0.0
-    inliers: InlierShare = field(default_factory=InlierShare.unknown)
+    inliers: InlierRate = field(default_factory=InlierRate.unknown)
 
     @classmethod
-    def of(cls, probability: float) -> Doubt:
-        """Return the doubt of a robot that is lost with this probability, between 0 and 1, and was never looked for."""
+    def of(cls, probability: float) -> LostProbability:
+        """Return that of a robot that is lost with this probability, between 0 and 1, and was never looked for."""
         return cls(_log_odds(probability))
 
     @classmethod
-    def of_anywhere(cls, inliers: InlierShare | None = None) -> Doubt:
-        """Return the doubt of a robot whose particles are where one image fits."""
-        return cls(_log_odds(OVERLOOKED), OVERLOOKED, inliers or InlierShare.unknown())
+    def of_anywhere(cls, inliers: InlierRate | None = None) -> LostProbability:
+        """Return that of a robot whose particles are where one image fits."""
+        return cls(_log_odds(OVERLOOKED), OVERLOOKED, inliers or InlierRate.unknown())
 
     @property
     def probability(self) -> float:
         """The probability that the robot is lost."""
         return _probability(self.log_odds)
 
-    def log_evidence(self, by_share: Array, log_weight: Array) -> float:
+    def log_evidence(self, by_rate: Array, log_weight: Array) -> float:
         """Return log p(edges | particles), their weighted mean, relative to all edges being clutter.
 
-        by_share: (K, N) log p(edges | particle, w_k), relative to the same. log_weight: (N,) of the particles before.
+        by_rate: (K, N) log p(edges | particle, w_k), relative to the same. log_weight: (N,) of the particles before.
         """
-        log_likelihood = self.inliers.log_mean(by_share)
+        log_likelihood = self.inliers.log_mean(by_rate)
         return log_sum(log_weight + log_likelihood) - log_sum(log_weight)
 
-    def after(self, by_share: Array, log_weight: Array, share: float, carried: float) -> Doubt:
-        """Return the doubt after an image of which `share` (0 … 1) is new; the rest as for `log_evidence`.
+    def after(self, by_rate: Array, log_weight: Array, novelty: float, carried: float) -> LostProbability:
+        """Return the probability after an image of this novelty, 0 … 1; the rest as for `log_evidence`.
 
         carried: probability of having been carried away since the last independent image.
         """
-        lost = self.probability + carried * share * (1.0 - self.probability)
-        inliers = self.inliers.after(share)
-        learnt = inliers.given(by_share, normalised(log_weight + inliers.log_mean(by_share)), share)
+        lost = self.probability + carried * novelty * (1.0 - self.probability)
+        inliers = self.inliers.after(novelty)
+        learnt = inliers.given(by_rate, normalised(log_weight + inliers.log_mean(by_rate)), novelty)
         # Only an image that shows landmarks could have told of another place.
-        shown = float((learnt.count - inliers.count)[INLIER_SHARES > SOME].sum())
+        shown = float((learnt.count - inliers.count)[INLIER_RATES > SOME].sum())
         overlooked = self.overlooked * OVERLOOKED**shown
-        log_odds = _log_odds(lost) - share * self.log_evidence(by_share, log_weight)
-        return Doubt(min(max(log_odds, _log_odds(overlooked)), MOST), overlooked, learnt)
+        log_odds = _log_odds(lost) - novelty * self.log_evidence(by_rate, log_weight)
+        return LostProbability(min(max(log_odds, _log_odds(overlooked)), MOST), overlooked, learnt)
 
-    def joined(self, log_odds: float) -> Doubt:
-        """Return the doubt after places that a look around found have joined the particles.
+    def joined(self, log_odds: float) -> LostProbability:
+        """Return the probability after places that global localisation found have joined the particles.
 
         log_odds: of all these places, beside the particles. Where they win, it is them that may be wrong.
         """

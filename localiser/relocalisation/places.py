@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, SightParameters
+from localiser.landmarks import LandmarkIndex, LandmarkMap, SightParameters, half_view_rad
 from localiser.relocalisation.mixture import Region
-from localiser.relocalisation.sectors import Sectors
 
 Indices = NDArray[np.int64]
 
@@ -24,26 +23,23 @@ class Places:
     """Landmarks (L) of a map, and their ordered pairs (M) by distance.
 
     points: (L, 2) m. bottom_m, top_m: (L,) with what the map does not know taken as floor and as endless. sigma_m: (L,)
-    of each position. polarities: (S,) those that landmarks have, 0 for unknown, `table` (L,) saying which one each has.
-    sight: what counts as visible. class_m: (B,) heights that lower ends are grouped to, ascending. pair: (M, 2)
-    landmarks no farther apart than both can be in sight, sorted by `pair_class` (M,), the group of the first times B
-    plus that of the second, and then by `pair_m` (M,), their distance. region: where the robot may be. sectors: which
-    landmarks can be in view from where in it.
+    of each position. sight: what counts as visible. class_m: (B,) heights that lower ends are grouped to, ascending.
+    pair: (M, 2) landmarks no farther apart than both can be in sight, sorted by `pair_class` (M,), the group of the
+    first times B plus that of the second, and then by `pair_m` (M,), their distance. region: where the robot may be.
+    index: which landmarks can be in view from where in it.
     """
 
     points: Array
     bottom_m: Array
     top_m: Array
     sigma_m: Array
-    polarities: NDArray[np.int8]
-    table: Indices
     sight: SightParameters
     class_m: Array
     pair: Indices
     pair_class: Indices
     pair_m: Array
     region: Region
-    sectors: Sectors
+    index: LandmarkIndex
 
     def __len__(self) -> int:
         return len(self.points)
@@ -66,8 +62,6 @@ class Places:
         region = region or Region.around(points, 1.0)
         bottom_m = np.where(np.isnan(landmark_map.bottom_m), 0.0, landmark_map.bottom_m)
         top_m = np.where(np.isnan(landmark_map.top_m), ENDLESS_M, landmark_map.top_m)
-        trace = np.trace(landmark_map.cov, axis1=1, axis2=2)
-        polarities, table = np.unique(landmark_map.polarity, return_inverse=True)
         step, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
         distance = np.hypot(*(points[:, None] - points[None, :]).T).T
         first, second = np.nonzero((distance > 1e-3) & (distance <= 2 * sight.range_max_m))
@@ -78,16 +72,14 @@ class Places:
             points=points,
             bottom_m=bottom_m,
             top_m=top_m,
-            sigma_m=np.where(np.isnan(trace), sigma_m, np.sqrt(np.maximum(trace, 0.0) / 2)),
-            polarities=polarities,
-            table=table,
+            sigma_m=landmark_map.sigma_m(sigma_m),
             sight=sight,
             class_m=step.astype(np.float64) * BOTTOM_STEP_M,
             pair=np.stack([first, second], axis=-1)[order],
             pair_class=pair_class[order],
             pair_m=pair_m[order],
             region=region,
-            sectors=Sectors.of(points, *_corners(region, camera), half_view_rad(camera), sight.range_max_m),
+            index=LandmarkIndex.of(points, *_corners(region, camera), half_view_rad(camera), sight.range_max_m),
         )
 
     def pairs_between(self, pair_class: Indices, low_m: Array, high_m: Array) -> tuple[Indices, Indices]:
@@ -98,14 +90,6 @@ class Places:
         first = np.searchsorted(key, pair_class * step + np.clip(low_m, 0.0, step - 1e-9))
         last = np.searchsorted(key, pair_class * step + np.clip(high_m, 0.0, step - 1e-9), side="right")
         return first, np.maximum(last, first)
-
-
-def half_view_rad(camera: Camera) -> float:
-    """Return the largest angle to either side that the image sees, at whichever height it sees widest."""
-    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-    a_left, a_right, e_low, e_high = camera.upright_bounds
-    narrowest = max(min(c + e_low * s, c + e_high * s), 0.25 * c)
-    return float(np.arctan(max(-a_left, a_right) / narrowest))
 
 
 def _corners(region: Region, camera: Camera) -> tuple[Array, Array]:

@@ -1,25 +1,21 @@
-"""Replay a log: events in, results out."""
+"""Replays logs: measurements in, results out; and judges what a run wrote."""
 
-from localiser.replay.checkpoints import Checkpoints
-from localiser.replay.run import Outputs, prepare
-from localiser.replay.sinks import Sink, close_all
-from localiser.replay.start import START_SIGMA, given_pose
-from localiser.replay.stop import asked_to_stop, stop_request
-from localiser.replay.tilt import Tilt, find_tilt, usable_images, write_plot, write_tilt
+from localiser.replay.evaluation import evaluate_run
+from localiser.replay.run import FolderRun, Replay, prepare, replay_log
+from localiser.replay.sinks import Outputs, Sink, close_all
+from localiser.replay.start import given_pose, stated_start
+from localiser.replay.stop import asked_to_stop
 
 __all__ = [
-    "START_SIGMA",
-    "Checkpoints",
+    "FolderRun",
     "Outputs",
+    "Replay",
     "Sink",
-    "Tilt",
     "asked_to_stop",
     "close_all",
-    "find_tilt",
+    "evaluate_run",
     "given_pose",
     "prepare",
-    "stop_request",
-    "usable_images",
-    "write_plot",
-    "write_tilt",
+    "replay_log",
+    "stated_start",
 ]

@@ -1,72 +1,203 @@
-"""Replay a log: events in, edges found, pose located, results out."""
+"""Replays a log: its measurements go to a localiser in the order of time, and what is located to every sink."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from localiser import view
-from localiser.config import Config, in_force, to_yaml
-from localiser.edges import find_edges, warm_up
+from localiser import evaluate, view
+from localiser.config import Config, in_force, load_config, to_yaml
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
-from localiser.filter import Event as FilterEvent
-from localiser.filter import Image, Located, LocatedFrame, Mcl, Sighting, finish, step
+from localiser.evaluate import Track, save_report
+from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
-from localiser.localiser import filter_of
-from localiser.observation import EdgeObservation, observation_of
-from localiser.replay.checkpoints import STAGES, Checkpoints, Running, begun, resumed
-from localiser.replay.run_figures import write_figures
-from localiser.replay.run_inputs import RunInputs, map_of
-from localiser.replay.sinks import History, Sink, close_all
-from localiser.replay.start import start_of
-from localiser.replay.stop import stop_request
-from localiser.storage import Event, ImageEvent, Log, RunFolder, TrackWriter, camera_error, require_new_file
+from localiser.landmarks import LandmarkMap
+from localiser.localiser import Localiser, check_settings
+from localiser.replay.figures import bound_of, run_metrics, track_of, truth_of
+from localiser.replay.inputs import RunInputs, map_of
+from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
+from localiser.replay.start import has_start, start_of
+from localiser.replay.stop import asked_to_stop
+from localiser.storage import ImageEvent, Log, RunFolder, camera_error, checkpoint_of, open_log
 from localiser.view import LiveView
-from localiser.visual_odometry import Odometer
 
 SIGINT_EXIT_CODE = 130
-
-
-@dataclass(frozen=True, slots=True)
-class Outputs:
-    """What a replay writes and shows.
-
-    results: folder of all results. view: a live viewer. checkpoints: where to save what it takes to resume the run.
-    """
-
-    results: Path
-    rrd: bool = True
-    view: Literal["native", "web", "none"] = "none"
-    checkpoints: Checkpoints | None = None
-
-
-@dataclass(slots=True, eq=False)
-class Pending:
-    """An image between its arrival and its result: what it shows and the time its stages took (ms)."""
-
-    image: Image | None
-    stage_ms: dict[str, float]
+STAGES = ("load", "edges", "filter", "sinks")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """One run of the filter over a log, and where its results go."""
+    """A log that is replayed, and what was located until now.
+
+    frames: without images and particles. timing: what each of them took (ms), by stage.
+    """
 
     inputs: RunInputs
-    observation: EdgeObservation
-    filter: Mcl
-    running: Running
+    frames: list[LocatedFrame] = field(default_factory=list)
+    timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
+
+    def run(self, sinks: Sequence[Sink] = (), after_each: Callable[[], None] = lambda: None) -> None:
+        """Replay the log: hand every located image to the sinks, then call `after_each`. Raises InputError."""
+        for found in self._steps():
+            for frame in found:
+                self._hand_over(self._completed(frame), sinks)
+                after_each()
+
+    @property
+    def track(self) -> Track:
+        """The run so far."""
+        return track_of(self.frames)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The figures of the run so far, as `metrics.json` has them."""
+        bound = bound_of(self.inputs, self.frames)
+        return run_metrics(self.inputs, self.frames, bound) | evaluate.timing_metrics(self.timing)
+
+    def _steps(self) -> Iterator[list[LocatedFrame]]:
+        inputs, localiser = self.inputs, self.inputs.localiser
+        events = inputs.log.events(inputs.start, anywhere=inputs.start is None)
+        for event in islice(events, _resumed(inputs), None):
+            match event:
+                case Start():
+                    yield localiser.start(event.mean, event.cov, event.t_ns)
+                case Odometry():
+                    yield localiser.odometry(event.t_ns, event.pose)
+                case Sighting():
+                    yield localiser.edges(event.t_ns, event.edges)
+                case ImageEvent():
+                    yield self._image(event)
+        yield localiser.finish()
+
+    def _image(self, event: ImageEvent) -> list[LocatedFrame]:
+        data = event.encoded()
+        try:
+            return self.inputs.localiser.image(event.t_ns, data, by_wheels=event.by_wheels)
+        except InputError as error:
+            raise InputError(error.problem, path=self.inputs.log.path, field=event.name) from None
+
+    def _completed(self, frame: LocatedFrame) -> LocatedFrame:
+        """Return the frame with the truth; its odometry is what the run went by, which need not be the wheels alone."""
+        located, truth = frame.located, self.inputs.log.groundtruth
+        if self.inputs.localiser.config.increments.source != "wheel":
+            before = self.frames[-1].located.odometry if self.frames else np.zeros(3)
+            located = replace(located, odometry=compose(before, located.increment.mean))
+        true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
+        return replace(frame, located=located, truth=true_pose)
+
+    def _hand_over(self, frame: LocatedFrame, sinks: Sequence[Sink]) -> None:
+        begin = perf_counter()
+        self.frames.append(without_bulk(frame))
+        for sink in sinks:
+            sink.frame(frame)
+        stage_ms = {**frame.stage_ms, "sinks": 1e3 * (perf_counter() - begin)}
+        for stage in STAGES:
+            self.timing[stage].append(stage_ms[stage])
+
+
+def _resumed(inputs: RunInputs) -> int:
+    """Go on from where the live run went on that the log is a recording of; return how many events are passed over.
+
+    That is the start, which is in the state. A state belongs to its settings, map and camera: with others the replay
+    starts about there, as for any start. Raises InputError when the state is damaged.
+    """
+    log, localiser = inputs.log, inputs.localiser
+    if not log.resumed or inputs.start is not log.start:
+        return 0
+    if checkpoint_of(log.resumed, log.path).identity != localiser.identity:
+        return 0
+    localiser.restore(log.resumed, log.path)
+    return 1
+
+
+def prepare(
+    log: Log,
+    config: Config,
+    start: str | Start | None = None,
+    *,
+    landmark_map: LandmarkMap | None = None,
+    map_file: Path | None = None,
+) -> Replay:
+    """Return a replay of `log` that is ready to run.
+
+    start: see `start_of`. landmark_map, or that in map_file, takes the place of the log's own. Raises InputError when
+    the map is missing, or settings, camera and log do not fit.
+    """
+    landmark_map = map_of(log, map_file) if landmark_map is None else landmark_map
+    try:
+        check_settings(config, log.camera, images=log.has_images, has_start=has_start(log, start))
+    except InputError as error:
+        raise _placed(error, log) from None
+    localiser = Localiser(landmark_map, log.camera, config)
+    return Replay(RunInputs(log, localiser, map_file, start_of(log, start, localiser.rng)))
+
+
+def _placed(error: InputError, log: Log) -> InputError:
+    """Return the error with the file of the log that does not fit the settings."""
+    if error.field == "mount.tilt_deg":
+        return camera_error(log.path, ("mount", "tilt_deg"), error.problem)
+    return InputError(error.problem, path=log.path, field=error.field)
+
+
+def replay_log(
+    log: Log | Path | str,
+    config: Config | None = None,
+    *,
+    landmark_map: LandmarkMap | None = None,
+    start: str | Start | None = None,
+    sinks: Sequence[Sink] = (),
+) -> Replay:
+    """Replay a log and return what was located: `frames`, `track` and `metrics`. Writes nothing itself.
+
+    log: as `open_log` gives it, or its path. config: settings in place of the defaults and of what the log asks for.
+    landmark_map: in place of the log's own. start: where the robot starts, or `x,z,heading_deg`, `truth` or `global` as
+    on the command line; by default what the log states, else anywhere. sinks: get every located image, and are closed.
+    Raises InputError.
+    """
+    log = log if isinstance(log, Log) else open_log(Path(log))
+    run = prepare(
+        log, load_config(None, (), log.settings) if config is None else config, start, landmark_map=landmark_map
+    )
+    complete = False
+    try:
+        run.run(sinks)
+        complete = True
+    finally:
+        close_all(sinks, complete)
+    return run
+
+
+# -- into a folder ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderRun:
+    """A replay whose results go into a folder of its own."""
+
+    replay: Replay
     folder: RunFolder
-    history: History
     sinks: Sequence[Sink]
-    live: LiveView | None
-    checkpoints: Checkpoints | None
+
+    @classmethod
+    def open(cls, replay: Replay, outputs: Outputs) -> FolderRun:
+        """Make the folder and open the sinks. Raises OutputError when results cannot be written."""
+        log, localiser = replay.inputs.log, replay.inputs.localiser
+        folder = RunFolder.create(outputs.results, log.name)
+        context = view.Context(
+            log.name, log.camera, localiser.landmark_map, truth=log.groundtruth, images=log.has_images
+        )
+        return cls(replay, folder, sinks_of(outputs, folder.path, context))
+
+    @property
+    def viewer(self) -> LiveView | None:
+        """Where the run is watched, None where it is not."""
+        return next((sink for sink in self.sinks if isinstance(sink, LiveView)), None)
 
     def run(self, progress: Callable[[], None]) -> dict[str, Any]:
         """Replay the log, call `progress` after every frame, and return the metrics.
@@ -74,10 +205,16 @@ class Replay:
         Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
         """
         try:
-            self._write_inputs()
-            with stop_request() as stop_if_asked:
-                self._repeat(progress)
-                self._replay(progress, stop_if_asked)
+            self.folder.write_text("config.yaml", to_yaml(in_force(self.replay.inputs.localiser.config)))
+            self.folder.write_text("run.yaml", self.replay.inputs.described())
+            with asked_to_stop() as asked:
+
+                def after_each() -> None:
+                    progress()
+                    if asked.is_set():
+                        raise KeyboardInterrupt
+
+                self.replay.run(self.sinks, after_each)
         except KeyboardInterrupt as stop:
             raise self._end_early("stopped", SIGINT_EXIT_CODE) from stop
         except LocaliserError as error:
@@ -86,182 +223,35 @@ class Replay:
             close_all(self.sinks, complete=False)
             raise
         close_all(self.sinks, complete=True)
-        with stop_request():  # the run is done: Ctrl-C does not take its figures away
-            figures = self._write_figures(complete=True)
-            self._save_checkpoint()
-            return figures
-
-    def _repeat(self, progress: Callable[[], None]) -> None:
-        """Hand over what was located before the run was resumed."""
-        for frame in self.running.done.frames:
-            for sink in self.sinks:
-                sink.frame(frame)
-            progress()
-
-    def _replay(self, progress: Callable[[], None], stop_if_asked: Callable[[], None]) -> None:
-        config, done = self.inputs.config, self.running.done
-        filter_ = self.filter
-        by_edges = Odometer(self.inputs.log.camera, replace(config.increments, source="vision"))
-        blind = replace(filter_, odometer=by_edges)  # for images of a live run whose wheels were silent
-        state, rng = self.running.state, self.running.rng
-        events = self.inputs.log.events(self.inputs.start, anywhere=self.inputs.start is None)
-        pending = self._still_waiting(islice(events, done.events))
-
-        def steps() -> Iterator[Iterator[Located]]:
-            for event in events:
-                measured = self._measure(event, pending)
-                done.events += 1
-                sees_wheels = not isinstance(event, ImageEvent) or event.by_wheels
-                yield step(filter_ if sees_wheels else blind, state, measured, rng)
-            yield finish(filter_, state, rng)
-
-        for located_frames in steps():
-            for located, milliseconds in timed(located_frames):
-                frame = pending.pop(located.t_ns)
-                frame.stage_ms["filter"] = milliseconds
-                self._hand_over(located, frame)
-                progress()
-                if self.checkpoints is not None and self.checkpoints.is_due(len(self.history.frames)):
-                    self._save_checkpoint()
-                stop_if_asked()
-
-    def _still_waiting(self, taken: Iterator[Event]) -> dict[int, Pending]:
-        """Pass over events that were taken before; return the images among them that still wait for odometry."""
-        waiting = {sighting.t_ns for sighting in self.running.state.waiting}
-        images = (event for event in taken if isinstance(event, (ImageEvent, Sighting)) and event.t_ns in waiting)
-        return {
-            event.t_ns: Pending(event.encoded() if isinstance(event, ImageEvent) else None, {"load": 0.0, "edges": 0.0})
-            for event in images
-        }
-
-    def _measure(self, event: Event, pending: dict[int, Pending]) -> FilterEvent:
-        """Return the event with its image turned into edges."""
-        if isinstance(event, Sighting):
-            pending[event.t_ns] = Pending(None, {"load": 0.0, "edges": 0.0})
-        if not isinstance(event, ImageEvent):
-            return event
-        begin = perf_counter()
-        image, encoded = event.load(), event.encoded()
-        loaded = perf_counter()
-        edges = find_edges(image, self.inputs.log.camera, self.inputs.config.edges)
-        found = perf_counter()
-        pending[event.t_ns] = Pending(encoded, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
-        return Sighting(event.t_ns, edges)
-
-    def _by_what_was_followed(self, located: Located) -> Located:
-        """Return the result; where increments are not of wheels alone, all of them together are its odometry."""
-        if self.inputs.config.increments.source == "wheel":
-            return located
-        before = self.history.frames[-1].located.odometry if self.history.frames else np.zeros(3)
-        return replace(located, odometry=compose(before, located.increment.mean))
-
-    def _hand_over(self, located: Located, pending: Pending) -> None:
-        located = self._by_what_was_followed(located)
-        truth = self.inputs.log.groundtruth
-        true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
-        matches = self.observation.associate(located.estimate.pose_as_seen, located.edges, self.inputs.landmark_map)
-        begin = perf_counter()
-        for sink in self.sinks:
-            sink.frame(LocatedFrame(located, matches, pending.image, true_pose, pending.stage_ms))
-        stage_ms = pending.stage_ms | {"sinks": 1e3 * (perf_counter() - begin)}
-        for stage in STAGES:
-            self.running.done.timing[stage].append(stage_ms[stage])
+        with asked_to_stop():  # the run is done: Ctrl-C does not take its figures away
+            return self._write_figures(complete=True)
 
     def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
         """Save what was done and return the error that says how much that is and where."""
         close_all(self.sinks, complete=False)
-        done, frames = len(self.history.frames), len(self.inputs.log.frames)
+        done, frames = len(self.replay.frames), len(self.replay.inputs.log.frames)
         if done:
             self._write_figures(complete=False)
-            self._save_checkpoint()
-        resume = f"; go on with --resume {self.checkpoints.path}" if done and self.checkpoints else ""
         return RunEndedEarlyError(
-            f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}{resume}",
+            f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}",
             exit_code,
         )
 
-    def _save_checkpoint(self) -> None:
-        if self.checkpoints is not None:
-            self.running.done.frames = self.history.frames
-            self.checkpoints.save(self.inputs, self.running)
-
-    def _write_inputs(self) -> None:
-        self.folder.write_text("config.yaml", to_yaml(in_force(self.inputs.config)))
-        self.folder.write_text("run.yaml", self.inputs.described())
-
     def _write_figures(self, complete: bool) -> dict[str, Any]:
-        return write_figures(self.inputs, self.folder, self.history, self.running.done.timing, complete=complete)
-
-
-def prepare(
-    log: Log,
-    config: Config,
-    outputs: Outputs,
-    start_option: str | None = None,
-    *,
-    map_file: Path | None = None,
-    resume: Path | None = None,
-) -> Replay:
-    """Return a replay of `log`, its folder made and its sinks open.
-
-    start_option: see `start_of`. map_file: of a map in place of the log's own. resume: checkpoint of a run to go on
-    with. Raises InputError when the map is missing, camera and observation do not fit or the checkpoint is another
-    run's, OutputError when results cannot be written.
-    """
-    landmark_map = map_of(log, map_file)
-    _require_fitting(log, config)
-    if outputs.checkpoints is not None and outputs.checkpoints.path != resume:
-        require_new_file(outputs.checkpoints.path)
-    rng = np.random.default_rng(config.seed)
-    inputs = RunInputs(log, landmark_map, map_file, config, start_of(log, start_option, rng))
-    running = begun(inputs, rng) if resume is None else resumed(resume, inputs)
-    observation = observation_of(log.camera, config.observation)
-    filter_ = filter_of(log.camera, landmark_map, observation, config)
-    if log.has_images:
-        warm_up(log.camera, config.edges)
-
-    folder = RunFolder.create(outputs.results, log.name)
-    history = History()
-    sinks: list[Sink] = [history, TrackWriter(folder.path)]
-    context = view.Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-    if outputs.rrd:
-        sinks.append(view.RrdFile(folder.path / "run.rrd", context))
-    live = view.LiveView(outputs.view, context) if outputs.view != "none" else None
-    if live is not None:
-        sinks.append(live)
-    return Replay(inputs, observation, filter_, running, folder, history, sinks, live, outputs.checkpoints)
-
-
-def _require_fitting(log: Log, config: Config) -> None:
-    if config.observation.kind == "slope" and abs(np.sin(log.camera.mount.tilt_rad)) < np.sin(np.deg2rad(0.1)):
-        raise camera_error(
-            log.path,
-            ("mount", "tilt_deg"),
-            "the observation `slope` needs a tilted camera, found a tilt of "
-            f"{np.rad2deg(log.camera.mount.tilt_rad):g}°: without tilt every vertical edge is vertical in the image; "
-            "use --observation line",
+        """Write `metrics.json`, `timing.json` and `report.png` of what was located, and return the metrics."""
+        replay, folder = self.replay, self.folder
+        inputs, frames = replay.inputs, replay.frames
+        bound = bound_of(inputs, frames)
+        figures = run_metrics(inputs, frames, bound) | {"complete": complete}
+        times = evaluate.timing_metrics(replay.timing)
+        folder.write_json("metrics.json", figures | times)
+        folder.write_json("timing.json", times)
+        save_report(
+            folder.path / "report.png",
+            replay.track,
+            figures,
+            truth=truth_of(inputs, frames),
+            landmark_map=inputs.localiser.landmark_map,
+            bound=bound,
         )
-    if config.observation.association == "known" and log.has_images:
-        raise InputError(
-            "association: known believes edges that say which landmark they belong to, found a log of images: "
-            "leave it unknown",
-            path=log.path,
-            field="images",
-        )
-    if config.increments.source != "wheel" and not log.has_images:
-        raise InputError(
-            f"`--odometry {config.increments.source}` follows edges from image to image, found a log without images: "
-            "bearings alone tell neither how far the robot went nor which edge is which; use --odometry wheel",
-            path=log.path,
-            field="images",
-        )
-
-
-def timed(items: Iterator[Located]) -> Iterator[tuple[Located, float]]:
-    """Yield each item with the milliseconds that it took to come."""
-    while True:
-        begin = perf_counter()
-        item = next(items, None)
-        if item is None:
-            return
-        yield item, 1e3 * (perf_counter() - begin)
+        return figures | times

@@ -1,20 +1,22 @@
-"""Where results go: everything that takes located frames has one type."""
+"""Where results go: everything that takes located frames is a sink, and is registered here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, Protocol
 
 import numpy as np
 
 from localiser import particles
-from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
+from localiser.storage import TrackWriter
+from localiser.view import Context, LiveView, RrdFile
 
 
 class Sink(Protocol):
-    """Takes what was located, image by image: files, recordings, live views, figures."""
+    """Takes what was located, image by image: files, recordings, live views."""
 
     def frame(self, frame: LocatedFrame) -> None:
         """Take one frame."""
@@ -23,35 +25,26 @@ class Sink(Protocol):
         """End. complete: whether the whole log was replayed."""
 
 
-@dataclass(slots=True, eq=False)
-class History:
-    """Keeps the frames of a run for its metrics and its report, without what grows with pixels or particles."""
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What a replay writes and shows. results: folder of all results. rrd: whether to record. view: a live viewer."""
 
-    frames: list[LocatedFrame] = field(default_factory=list)
+    results: Path
+    rrd: bool = True
+    view: Literal["native", "web", "none"] = "none"
 
-    def frame(self, frame: LocatedFrame) -> None:
-        """Keep one frame."""
-        located = frame.located
-        none = particles.take(located.particles, np.zeros(0, dtype=np.int64))
-        clusters = located.clusters and replace(located.clusters, label=np.zeros(0, dtype=np.int64))
-        self.frames.append(replace(frame, located=replace(located, particles=none, clusters=clusters), image=None))
 
-    def close(self, complete: bool) -> None:
-        """Nothing to end."""
+SINKS: list[Callable[[Outputs, Path, Context], Sink | None]] = [
+    lambda outputs, folder, context: TrackWriter(folder),
+    lambda outputs, folder, context: RrdFile(folder / "run.rrd", context) if outputs.rrd else None,
+    lambda outputs, folder, context: LiveView(outputs.view, context) if outputs.view != "none" else None,
+]
+"""What makes the sinks of a replay, each from what was asked for, the run's folder and what a view must know."""
 
-    @property
-    def track(self) -> Track:
-        """The run so far."""
-        located = [frame.located for frame in self.frames]
-        return Track.from_poses(
-            [result.t_ns for result in located],
-            np.array([result.estimate.pose for result in located]).reshape(-1, 3),
-            covs=np.array([result.estimate.pose_cov for result in located]).reshape(-1, 3, 3),
-            odometry=np.array([result.odometry for result in located]).reshape(-1, 3),
-            edges=[len(result.edges) for result in located],
-            matched=[int((frame.matches.landmark >= 0).sum()) for frame in self.frames],
-            p_correct=[result.p_correct for result in located],
-        )
+
+def sinks_of(outputs: Outputs, folder: Path, context: Context) -> list[Sink]:
+    """Return the sinks that were asked for, open. Raises OutputError."""
+    return [sink for make in SINKS if (sink := make(outputs, folder, context)) is not None]
 
 
 def close_all(sinks: Sequence[Sink], complete: bool) -> None:
@@ -64,3 +57,12 @@ def close_all(sinks: Sequence[Sink], complete: bool) -> None:
             failures.append(failure)
     if failures:
         raise failures[0]
+
+
+def without_bulk(frame: LocatedFrame) -> LocatedFrame:
+    """Return a frame to be kept until the end of a run: without what grows with pixels or particles."""
+    located = frame.located
+    none = np.zeros(0, dtype=np.int64)
+    clusters = located.clusters and replace(located.clusters, label=none)
+    light = replace(located, particles=particles.take(located.particles, none), clusters=clusters, sighting=None)
+    return replace(frame, located=light, image=None)

@@ -1,4 +1,4 @@
-"""Where a replay starts."""
+"""Where a replay, or a live run, starts."""
 
 from __future__ import annotations
 
@@ -15,19 +15,23 @@ START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
 TRUTH, GLOBAL = "truth", "global"
 
 
-def start_of(log: Log, option: str | None, rng: np.random.Generator) -> Start | None:
+def start_of(log: Log, option: str | Start | None, rng: np.random.Generator) -> Start | None:
     """Return the start of a replay at its first image: as the option says, else as the log states; None for anywhere.
 
-    option: `x,z,heading_deg`, `global` for anywhere on the map, or `truth` for the true pose plus a draw from
+    option: a start, `x,z,heading_deg`, `global` for anywhere on the map, or `truth` for the true pose plus a draw from
     N(0, `START_SIGMA`²). Raises InputError.
     """
-    if option is None or option == GLOBAL:
-        return log.start if option is None else None
+    if option is None or isinstance(option, Start):
+        return option or log.start
+    if option == GLOBAL:
+        return None
     first_ns = log.frames[0].t_ns
-    cov = np.diag(START_SIGMA**2)
-    if option == TRUTH:
-        return Start(first_ns, _near_truth(log, first_ns, rng), cov)
-    return Start(first_ns, given_pose(option), cov)
+    return stated_start(_near_truth(log, first_ns, rng) if option == TRUTH else option, first_ns)
+
+
+def has_start(log: Log, option: str | Start | None) -> bool:
+    """Whether it is known where a replay starts; see `start_of`."""
+    return log.start is not None if option is None else option != GLOBAL
 
 
 def _near_truth(log: Log, first_ns: int, rng: np.random.Generator) -> np.ndarray:
@@ -41,6 +45,11 @@ def _near_truth(log: Log, first_ns: int, rng: np.random.Generator) -> np.ndarray
     pose = log.groundtruth.at(first_ns) + START_SIGMA * rng.standard_normal(3)
     pose[2] = wrap_angle(pose[2])
     return np.asarray(pose)
+
+
+def stated_start(pose: str | np.ndarray, t_ns: int = 0) -> Start:
+    """Return a start at a pose (3,), or at that of `x,z,heading_deg`, to `START_SIGMA`. Raises InputError."""
+    return Start(t_ns, given_pose(pose) if isinstance(pose, str) else pose, np.diag(START_SIGMA**2))
 
 
 def given_pose(option: str) -> np.ndarray:

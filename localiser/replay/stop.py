@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -33,15 +33,3 @@ def asked_to_stop() -> Iterator[threading.Event]:
         yield asked
     finally:
         restore()
-
-
-@contextmanager
-def stop_request() -> Iterator[Callable[[], None]]:
-    """Do the same; yields what to call where stopping is right, which raises KeyboardInterrupt then."""
-    with asked_to_stop() as asked:
-
-        def stop_if_asked() -> None:
-            if asked.is_set():
-                raise KeyboardInterrupt
-
-        yield stop_if_asked

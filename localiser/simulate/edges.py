@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,7 @@ class EdgeNoise:
     turned_probability: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Segments:
+class _Segments(NamedTuple):
     """True image segments, P of them, sorted by frame, in the upright image.
 
     frame, landmark: (P,) indices, landmark -1 for clutter. tangent: (P,) tan(bearing). e: (P, 2) bottom and top height.
@@ -70,10 +70,12 @@ def simulated_edges(
     noise = noise or EdgeNoise()
     true = _visible_segments(landmark_map, camera, truth.poses, noise, visible)
     found = rng.random(len(true.frame)) < noise.detection_probability
-    true = _Segments(true.frame[found], true.landmark[found], true.tangent[found], true.e[found])
+    true = _Segments._make(column[found] for column in true)
     if noise.along_sigma_px or noise.cut_probability:
-        true = replace(true, e=_shortened(true.e, camera, noise, rng))
-    segments = _merged(true, _clutter(camera, len(truth), noise, rng))
+        true = true._replace(e=_shortened(true.e, camera, noise, rng))
+    both = [np.concatenate(columns) for columns in zip(true, _clutter(camera, len(truth), noise, rng), strict=True)]
+    order = np.argsort(both[0], kind="stable")
+    segments = _Segments._make(column[order] for column in both)
     edges = _measured(segments, camera, noise.endpoint_sigma_px, rng)
     if landmark_map.polarity.any():
         edges = replace(edges, polarity=_polarity(landmark_map, segments.landmark, noise.turned_probability, rng))
@@ -147,14 +149,6 @@ def _shortened(e: Array, camera: Camera, noise: EdgeNoise, rng: np.random.Genera
     cut = e + np.array([1.0, -1.0]) * short * length
     found = cut + noise.along_sigma_px / camera.focal_px * rng.standard_normal(e.shape)
     return np.where(found[:, :1] < found[:, 1:], found, cut)
-
-
-def _merged(one: _Segments, other: _Segments) -> _Segments:
-    frame = np.concatenate([one.frame, other.frame])
-    order = np.argsort(frame, kind="stable")
-    landmark = np.concatenate([one.landmark, other.landmark])[order]
-    tangent = np.concatenate([one.tangent, other.tangent])[order]
-    return _Segments(frame[order], landmark, tangent, np.concatenate([one.e, other.e])[order])
 
 
 def _polarity(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +50,7 @@ class Solids:
         return normals, np.where(length[..., 0] > 1e-9, offsets, np.inf)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Prism:
+class _Prism(NamedTuple):
     corners: Array
     bottom_m: float
     top_m: float
@@ -93,15 +93,11 @@ def clearance_m(solids: Solids, points: Array, height_m: float) -> Array:
 def _stacked(prisms: Sequence[_Prism]) -> Solids:
     most = max((len(prism.corners) for prism in prisms), default=4)
     corners = [np.concatenate([p.corners, np.repeat(p.corners[-1:], most - len(p.corners), axis=0)]) for p in prisms]
+    bottom, top, along, above = np.array([(p.bottom_m, p.top_m, p.along_m, p.above_m) for p in prisms]).reshape(-1, 4).T
     return Solids(
-        corners=np.array(corners).reshape(len(prisms), most, 2),
-        bottom_m=np.array([p.bottom_m for p in prisms]),
-        top_m=np.array([p.top_m for p in prisms]),
-        material=tuple(p.material for p in prisms),
-        along_m=np.array([p.along_m for p in prisms]),
-        above_m=np.array([p.above_m for p in prisms]),
-        is_flat=np.array([p.is_flat for p in prisms], dtype=bool),
-    )
+        np.array(corners).reshape(len(prisms), most, 2), bottom, top, tuple(p.material for p in prisms), along, above,
+        np.array([p.is_flat for p in prisms], dtype=bool),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,8 +70,8 @@ def atlas_of(materials: Mapping[str, Material]) -> Atlas:
     strips, tile_m = [], []
     for name, material in materials.items():
         rng = np.random.default_rng(zlib.crc32(name.encode()))
-        size_m = material.size_m or _DEFAULT_SIZE_M[material.texture]
-        shade, tile = _TEXTURES[material.texture](size_m, material.contrast, rng)
+        texture, default_m = _TEXTURES[material.texture]
+        shade, tile = texture(material.size_m or default_m, material.contrast, rng)
         colour = np.array(material.colour, dtype=np.float32)
         tinted = shade * colour if shade.ndim == 3 else shade[..., None] * colour
         strips.append(_mip_strip(np.clip(tinted, 0, 255).astype(np.float32)))
@@ -216,25 +216,15 @@ def _picture(size_m: float, contrast: float, rng: np.random.Generator) -> Textur
     return np.asarray(picture, dtype=np.float32), size_m
 
 
-_TEXTURES: dict[str, Callable[[float, float, np.random.Generator], Texture]] = {
-    "plain": _plain,
-    "plaster": _plaster,
-    "carpet": _carpet,
-    "wallpaper": _wallpaper,
-    "wood": _wood,
-    "brick": _brick,
-    "planks": _planks,
-    "tiles": _tiles,
-    "picture": _picture,
+_TEXTURES: dict[str, tuple[Callable[[float, float, np.random.Generator], Texture], float]] = {
+    "plain": (_plain, 2.0),
+    "plaster": (_plaster, 1.5),
+    "carpet": (_carpet, 1.0),
+    "wallpaper": (_wallpaper, 0.2),
+    "wood": (_wood, 0.6),
+    "brick": (_brick, 0.22),
+    "planks": (_planks, 0.14),
+    "tiles": (_tiles, 0.4),
+    "picture": (_picture, 0.8),
 }
-_DEFAULT_SIZE_M = {
-    "plain": 2.0,
-    "plaster": 1.5,
-    "carpet": 1.0,
-    "wallpaper": 0.2,
-    "wood": 0.6,
-    "brick": 0.22,
-    "planks": 0.14,
-    "tiles": 0.4,
-    "picture": 0.8,
-}
+"""Each texture with its size_m where a material states none."""

@@ -68,10 +68,7 @@ def visible_mask(structure: Structure, camera: Camera, robot_poses: Array) -> Ma
 
 def _border_rays(camera: Camera) -> Array:
     """Return rays of the level frame (R, 3) through the rim of the image, scaled to one metre ahead."""
-    u, v = np.linspace(-0.5, camera.width - 0.5, 33), np.linspace(-0.5, camera.height - 0.5, 33)
-    rim = [np.stack([u, np.full(33, side)], axis=-1) for side in (v[0], v[-1])]
-    rim += [np.stack([np.full(33, side), v], axis=-1) for side in (u[0], u[-1])]
-    rays = camera.level_rays(np.concatenate(rim))
+    rays = camera.level_rays(camera.border_px(33, 0.5).reshape(-1, 2))
     return rays / np.maximum(-rays[:, 2:], 1e-3)
 
 

@@ -189,34 +189,27 @@ def world_of(data: object) -> World:
     Raises pydantic.ValidationError; each of its errors has a `loc` that leads to the place in the file.
     """
     world = World.model_validate(data)
+    known = ", ".join(sorted(world.materials))
     problems = [
         InitErrorDetails(type=PydanticCustomError("unknown_material", "{text}", {"text": text}), loc=loc, input=name)
-        for loc, name, text in _unknown_materials(world)
+        for loc, name in _materials_used(world)
+        if name not in world.materials
+        for text in [f"expected one of the world's materials ({known}), found '{name}'"]
     ]
     if problems:
         raise ValidationError.from_exception_data("World", problems)
     return world
 
 
-def _unknown_materials(world: World) -> Iterator[tuple[Location, str, str]]:
-    known = ", ".join(sorted(world.materials))
-    for loc, name in _materials_used(world):
-        if name not in world.materials:
-            yield loc, name, f"expected one of the world's materials ({known}), found '{name}'"
-
-
-def _materials_used(world: World) -> Iterator[tuple[Location, str]]:
-    yield ("floor", "material"), world.floor.material
-    yield ("ceiling", "material"), world.ceiling.material
-    for i, wall in enumerate(world.walls):
-        yield ("walls", i, "material"), wall.material
-        for j, door in enumerate(wall.doors):
-            yield ("walls", i, "doors", j, "frame_material"), door.frame_material
-            if door.leaf:
-                yield ("walls", i, "doors", j, "leaf", "material"), door.leaf.material
-        for j, poster in enumerate(wall.posters):
-            yield ("walls", i, "posters", j, "material"), poster.material
-    for i, post in enumerate(world.posts):
-        yield ("posts", i, "material"), post.material
-    for i, box in enumerate(world.furniture):
-        yield ("furniture", i, "material"), box.material
+def _materials_used(part: Model, at: Location = ()) -> Iterator[tuple[Location, str]]:
+    """Yield where a part of the world names a material, and which."""
+    for name, value in part:
+        loc = (*at, name)
+        if name in ("material", "frame_material"):
+            yield loc, value
+        elif isinstance(value, Model):
+            yield from _materials_used(value, loc)
+        elif isinstance(value, tuple):
+            for index, each in enumerate(value):
+                if isinstance(each, Model):
+                    yield from _materials_used(each, (*loc, index))

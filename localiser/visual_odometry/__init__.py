@@ -2,7 +2,7 @@
 
 from localiser.visual_odometry.estimate import Belief, Followed, Frames, follow
 from localiser.visual_odometry.odometer import Odometer
-from localiser.visual_odometry.parameters import IncrementParameters
+from localiser.visual_odometry.parameters import VisualOdometryParameters
 from localiser.visual_odometry.twist import Gaussian
 
-__all__ = ["Belief", "Followed", "Frames", "Gaussian", "IncrementParameters", "Odometer", "follow"]
+__all__ = ["Belief", "Followed", "Frames", "Gaussian", "Odometer", "VisualOdometryParameters", "follow"]

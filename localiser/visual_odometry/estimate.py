@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
+from localiser.landmarks import field_of_view_rad
 from localiser.visual_odometry import pairs as pairing
 from localiser.visual_odometry.fuse import at_least, mixture
 from localiser.visual_odometry.pairs import Pairs, candidates
 from localiser.visual_odometry.search import likely_motions
-from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights, horizontal_field
+from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights
 from localiser.visual_odometry.twist import Gaussian, motion_gaussian
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ class Frames:
             pairing.TYPICAL_INVERSE_RANGE,
             pairing.TYPICAL_SPREAD,
             FOOT_UNEVEN_SIGMA_M / self.camera.mount.height_m,
-            (1.0 - pairing.FOLLOWED_SHARE) / followed / horizontal_field(self.camera),
+            (1.0 - pairing.FOLLOWED_SHARE) / followed / field_of_view_rad(self.camera),
             *pairing.FLOOR_SHARES,
         )
 

@@ -20,7 +20,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.visual_odometry.estimate import Belief, Frames, follow
-from localiser.visual_odometry.parameters import IncrementParameters
+from localiser.visual_odometry.parameters import VisualOdometryParameters
 from localiser.visual_odometry.twist import Gaussian, twist_gaussian
 
 _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
@@ -31,7 +31,7 @@ class Odometer:
     """Turns what wheels and two frames say into one increment, by one camera."""
 
     camera: Camera
-    parameters: IncrementParameters
+    parameters: VisualOdometryParameters
 
     @property
     def needs_wheels(self) -> bool:

@@ -14,7 +14,7 @@ Source = Literal["wheel", "vision", "both"]
 
 
 @dataclass(frozen=True, slots=True)
-class IncrementParameters:
+class VisualOdometryParameters:
     """Where increments come from, and how a robot may move."""
 
     source: Annotated[

@@ -65,10 +65,6 @@ class Sights:
             np.nan_to_num(np.concatenate([by_mount @ _root(mount.cov), by_foot_height], axis=-1)),
         )
 
-    def take(self, index: NDArray[np.int64]) -> Sights:
-        """Return what is said of the edges at `index`."""
-        return Sights(self.measured[index], self.sigma[index], self.common[index])
-
 
 def _runs_out(end_px: Array, camera: Camera) -> NDArray[np.bool_]:
     """Whether edges that end at pixels (E, 2), nan where unknown, may as well go on outside the image."""
@@ -80,10 +76,3 @@ def _root(cov: Array) -> Array:
     """Return R with R Rᵀ = cov (K, K), which may be singular."""
     variance, axes = np.linalg.eigh(cov)
     return np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
-
-
-def horizontal_field(camera: Camera) -> float:
-    """Return the horizontal field of view (rad) along the horizon."""
-    a_left, a_right, _, _ = camera.upright_bounds
-    left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
-    return float(right - left)

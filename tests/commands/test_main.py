@@ -310,7 +310,7 @@ BAD = {
     "--start of nan": Bad(with_arguments("--start", "nan,0,0"), ["--start", "'nan,0,0'"]),
     "unknown format": Bad(with_arguments("--format", "rosbug"), ["--format", "folder, bag or mrclam", "'rosbug'"]),
     "slope without tilt": Bad(
-        untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "--observation line"]
+        untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "observation.kind=line"]
     ),
     "results in a file": Bad(with_file_as_results, ["{log}/taken", "cannot be written"]),
 }  # fmt: skip

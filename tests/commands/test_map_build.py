@@ -9,8 +9,8 @@ import pytest
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
-from localiser.commands.map import edges as map_edges
 from localiser.edges import EdgeParameters, Edges
+from localiser.mapping import edges_of_log, log_edges
 from localiser.storage import load_map, load_tum, open_log, save_tum
 
 LOG = Path(__file__).resolve().parents[2] / "logs" / "corridor"
@@ -199,13 +199,13 @@ def first_images(count: int):  # type: ignore[no-untyped-def]
 def test_a_second_build_finds_no_edges_anew(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = first_images(4)
     steps: list[int] = []
-    first = map_edges.edges_of_log(log, EdgeParameters(), lambda: steps.append(1))
+    first = edges_of_log(log, EdgeParameters(), lambda *_: steps.append(1), cache)
 
     def never(*_: object) -> Edges:
         raise AssertionError("edges were found again")
 
-    monkeypatch.setattr(map_edges, "find_edges", never)
-    second = map_edges.edges_of_log(log, EdgeParameters(), lambda: steps.append(1))
+    monkeypatch.setattr(log_edges, "find_edges", never)
+    second = edges_of_log(log, EdgeParameters(), lambda *_: steps.append(1), cache)
     assert len(steps) == 8
     assert len(list(cache.iterdir())) == 1
     for one, other in zip(first, second, strict=True):
@@ -215,16 +215,16 @@ def test_a_second_build_finds_no_edges_anew(cache: Path, monkeypatch: pytest.Mon
         np.testing.assert_array_equal(one.common.bearing_from_line, other.common.bearing_from_line)
         assert one.common.names == other.common.names
     with pytest.raises(AssertionError):
-        map_edges.edges_of_log(log, EdgeParameters(min_length_px=40.0), lambda: None)
+        edges_of_log(log, EdgeParameters(min_length_px=40.0), cache=cache)
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
 def test_a_broken_cache_is_made_anew(cache: Path, content: bytes) -> None:
     log = first_images(2)
-    first = map_edges.edges_of_log(log, EdgeParameters(), lambda: None)
+    first = edges_of_log(log, EdgeParameters(), cache=cache)
     (kept,) = cache.iterdir()
     kept.write_bytes(content)
-    second = map_edges.edges_of_log(log, EdgeParameters(), lambda: None)
+    second = edges_of_log(log, EdgeParameters(), cache=cache)
     np.testing.assert_array_equal(first[1].bearing, second[1].bearing)
     assert kept.stat().st_size > len(content)
 
@@ -232,7 +232,7 @@ def test_a_broken_cache_is_made_anew(cache: Path, content: bytes) -> None:
 def test_a_cache_that_cannot_be_written_is_no_obstacle(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
-    found = map_edges.edges_of_log(first_images(2), EdgeParameters(), lambda: None, blocked / "inside")
+    found = edges_of_log(first_images(2), EdgeParameters(), cache=blocked / "inside")
     assert len(found[0]) > 0
 
 

@@ -11,9 +11,8 @@ from map_commands import edge_log, refused, run
 from mapping_worlds import world
 from rerun.chunk import RrdReader
 
-from localiser.commands.map.check import coverage
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import Sightings, doubtful, duplicates, in_view, log_fit
+from localiser.mapping import Sightings, coverage, doubtful, duplicates, in_view, log_fit
 from localiser.storage import save_camera, save_map
 
 

@@ -13,10 +13,11 @@ from folders import ROOT
 from short_log import Localiser
 
 from localiser import geometry
-from localiser.commands.paper.arithmetic import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
-from localiser.commands.paper.measured import DRIVE_M, VIEWS, Measured, Place, Seen, steps, turn_rad
-from localiser.commands.paper.reproduce import Reproduction, reproduce
-from localiser.commands.paper.results import (
+from localiser.edges import Edges
+from paper.equations import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
+from paper.motions import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
+from paper.reproduce import Reproduction, reproduce, steps
+from paper.results import (
     METHODS,
     Method,
     drive_errors,
@@ -26,9 +27,8 @@ from localiser.commands.paper.results import (
     translations,
     turn_errors,
 )
-from localiser.commands.paper.room import SIZES, camera_of, draw_places
-from localiser.commands.paper.sheet import Sheet
-from localiser.edges import Edges
+from paper.room import SIZES, camera_of, draw_places
+from paper.sheet import Sheet
 
 TILT_RAD = np.deg2rad(TILT_2_DEG)
 SMALL, LARGE = SIZES
@@ -242,9 +242,7 @@ def test_the_command_prints_and_writes_every_table(
     assert "4/4" in result.err
 
     before = markdown
-    monkeypatch.setattr(
-        "localiser.commands.paper.reproduce.reproduce", lambda *_: pytest.fail("measured before looking")
-    )
+    monkeypatch.setattr("paper.reproduce.reproduce", lambda *_: pytest.fail("measured before looking"))
     again = localiser("paper", "--out", out)
     assert again.exit_code == 2
     assert f"{out}: expected a new or empty folder" in again.err
@@ -254,10 +252,20 @@ def test_the_command_prints_and_writes_every_table(
 def test_quiet_writes_without_a_word(
     localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("localiser.commands.paper.reproduce.reproduce", lambda *_: reproduced)
+    monkeypatch.setattr("paper.reproduce.reproduce", lambda *_: reproduced)
     result = localiser("paper", "--quiet", "--out", tmp_path / "out")
     assert (result.exit_code, result.out, result.err) == (0, "", "")
     assert (tmp_path / "out" / "paper.png").is_file()
+
+
+def test_outside_a_clone_the_command_says_where_the_reproduction_is(
+    localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("localiser.commands.paper.CLONE", tmp_path)
+    result = localiser("paper", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "the folder `paper` of the project's repository" in " ".join(result.err.split())
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_sheet_reads_back_from_csv_and_markdown() -> None:

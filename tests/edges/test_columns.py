@@ -10,9 +10,9 @@ import pytest
 from edge_images import camera_of, wall_image
 
 from localiser.edges import EdgeParameters, find_edges
+from localiser.edges.column_detector import Columns
 from localiser.edges.columns import gradient_field, gradient_kernel, linked, peaks_of
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
-from localiser.edges.search import columns
 
 PARAMETERS = EdgeParameters(detector="columns")
 
@@ -207,7 +207,7 @@ def test_faint_edges_are_left_out_by_their_step():
 @pytest.mark.parametrize("shape", [(3, 9), (6, 40), (12, 16)])
 def test_images_too_small_to_hold_an_edge_are_searched_in_vain(shape):
     image = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
-    assert len(columns(image, camera_of(shape[1], shape[0]), PARAMETERS)) == 0
+    assert len(Columns(PARAMETERS.min_step)(image, camera_of(shape[1], shape[0]))) == 0
 
 
 @pytest.mark.parametrize("off_deg", [-3.0, 3.0])

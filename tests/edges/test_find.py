@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
 
-from localiser.edges import DETECTORS, EdgeParameters, Edges, find_edges, loops, warm_up
+from localiser.camera import Camera
+from localiser.config import load_config
+from localiser.edges import (
+    DETECTORS,
+    EdgeParameters,
+    Edges,
+    Segments,
+    columns_kernel,
+    find_edges,
+    mount_kernel,
+    register,
+    warm_up,
+)
 from localiser.errors import InputError
 from localiser.geometry.compiled import compiled
 
@@ -165,7 +177,8 @@ def test_beside_clipped_white_the_place_is_less_certain_and_the_lean_is_not():
 def test_after_warming_up_nothing_is_left_to_compile():
     camera = CAMERAS["distorted"]
     warm_up(camera, EdgeParameters())
-    all_loops = [compiled(getattr(loops, name)) for name in dir(loops) if name.endswith("_loop")]
+    loops = [getattr(columns_kernel, name) for name in dir(columns_kernel) if name.endswith("_loop")]
+    all_loops = [compiled(loop) for loop in (*loops, mount_kernel.mount_loop, mount_kernel.same_edge_loop)]
     signatures = [len(loop.signatures) for loop in all_loops]
     image = wall_image(camera, BEARINGS_DEG, GREYS, noise_sigma=3.0)
     image.flags.writeable = False
@@ -185,3 +198,80 @@ def test_after_warming_up_nothing_is_left_to_compile():
 def test_an_image_of_another_kind_is_an_input_error(image, message):
     with pytest.raises(InputError, match=message):
         find_edges(image, CAMERAS["tilted"], EdgeParameters())
+
+
+# -- a detector of one's own ------------------------------------------------------------------------------------------
+
+
+def jumps(image: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return lines (S, 4) between two rows, from where grey values change most in one to the same in the other."""
+    rows = (100, camera.height - 100)
+    steps = (np.abs(np.diff(image[row].astype(float))) for row in rows)
+    ends = [np.flatnonzero((step > 10) & (step > np.roll(step, 1)) & (step >= np.roll(step, -1))) for step in steps]
+    return np.array([[top + 0.5, rows[0], bottom + 0.5, rows[1]] for top, bottom in zip(*ends, strict=True)])
+
+
+class Stated:
+    """A detector that states how its segments err."""
+
+    def __init__(self, sigma_px: float) -> None:
+        self.sigma_px = sigma_px
+
+    def __call__(self, image: np.ndarray, camera: Camera) -> Segments:
+        return Segments.of_ends(jumps(image, camera).reshape(-1, 2, 2), self.sigma_px)
+
+
+def test_a_function_of_ones_own_finds_the_segments():
+    camera = CAMERAS["tilted"]
+    edges = sorted_by_bearing(find_edges(wall_image(camera, BEARINGS_DEG, GREYS), camera, detector=jumps))
+    np.testing.assert_allclose(np.rad2deg(edges.bearing), BEARINGS_DEG, atol=0.15)
+    np.testing.assert_array_equal(edges.polarity, np.sign(np.diff(GREYS)))
+    coarse, fine = (
+        find_edges(wall_image(camera, BEARINGS_DEG, GREYS), camera, detector=Stated(sigma_px))
+        for sigma_px in (2.0, 0.5)
+    )
+    np.testing.assert_allclose(coarse.lean_sigma, 4 * fine.lean_sigma)
+    np.testing.assert_allclose(np.sort(fine.lean_sigma), np.sort(edges.lean_sigma))
+
+
+def test_lines_of_a_bent_image_are_straightened():
+    camera = CAMERAS["distorted"]
+    ends = camera.pixels_from_upright([[0.1, -0.2], [0.1, 0.2]])
+    level = camera.with_mount(tilt_rad=0.0)
+    edges = find_edges(
+        wall_image(level, [5.0], [60.0, 120.0]), level, detector=lambda image, camera: [[*ends[0], *ends[1]]]
+    )
+    np.testing.assert_allclose(edges.bearing, np.arctan(0.1), atol=1e-3)
+
+
+def test_a_registered_detector_is_found_by_its_name():
+    camera = CAMERAS["tilted"]
+    image = wall_image(camera, BEARINGS_DEG, GREYS)
+    with pytest.raises(InputError, match="expected 'columns', 'lsd' or 'hough', found 'jumps'"):
+        load_config(None, ["edges.detector=jumps"])
+    with pytest.raises(ValueError, match="'lsd', which is taken"):
+        register("lsd", jumps)
+    register("jumps", jumps)
+    try:
+        parameters = load_config(None, ["edges.detector=jumps"]).edges
+        found = find_edges(image, camera, parameters)
+    finally:
+        del DETECTORS["jumps"]
+    np.testing.assert_array_equal(found.bearing, find_edges(image, camera, detector=jumps).bearing)
+
+
+@pytest.mark.parametrize("lines", [np.zeros((3, 2)), np.zeros(4), np.zeros((1, 2, 2))])
+def test_lines_of_another_shape_are_an_input_error(lines):
+    with pytest.raises(InputError, match=r"expected lines \(S, 4\)"):
+        find_edges(np.zeros((480, 640), np.uint8), CAMERAS["tilted"], detector=lambda image, camera: lines)
+
+
+def test_probabilities_are_unknown_unless_asked_for():
+    camera = CAMERAS["tilted"]
+    image = wall_image(camera, BEARINGS_DEG, GREYS, wall_ahead_m=2.5, floor_grey=220.0)
+    plain, full = find_edges(image, camera), find_edges(image, camera, with_probabilities=True)
+    assert np.isnan(plain.foot_probability).all()
+    assert np.isnan(plain.vertical_probability).all()
+    assert np.isfinite(full.foot_probability).all()
+    assert np.isfinite(full.vertical_probability).all()
+    np.testing.assert_array_equal(plain.bearing, full.bearing)

@@ -7,7 +7,7 @@ import pytest
 from edge_images import SUPERSAMPLING, camera_of, supersampled_directions, wall_image
 
 from localiser.camera import Camera
-from localiser.edges import EdgeParameters, Edges, find_edges
+from localiser.edges import Edges, find_edges
 from localiser.edges.foot import BORDER_PX, foot_of_edges, foot_probability
 
 CAMERA = camera_of(tilt_deg=20.0, roll_deg=1.0)
@@ -33,7 +33,7 @@ def image_of(*, hung_m: float | None = None, hidden_by_m: float | None = None) -
 
 
 def panel(image: np.ndarray, camera: Camera = CAMERA) -> Edges:
-    edges = find_edges(image, camera, EdgeParameters())
+    edges = find_edges(image, camera, with_probabilities=True)
     return edges.take(np.abs(np.abs(np.rad2deg(edges.bearing)) - 8.0) < 0.5)
 
 
@@ -69,7 +69,7 @@ def test_an_edge_that_ends_above_the_horizon_has_no_foot() -> None:
     image = wall_image(camera, [5.0], [70.0, 150.0])
     image[150:] = 110
     assert camera.level_rays(np.array([330.0, 150.0]))[1] > 0
-    edges = find_edges(image, camera, EdgeParameters())
+    edges = find_edges(image, camera, with_probabilities=True)
     assert len(edges) == 1
     assert np.isnan(edges.foot_range_m[0])
     assert edges.foot_probability[0] == 0.0

@@ -7,7 +7,7 @@ import pytest
 from edge_images import camera_of, wall_image
 
 from localiser.edges import EdgeParameters, Edges, find_edges
-from localiser.edges.mount import mount_error, mount_error_of_edges, nadir_miss
+from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.segments import Segments
 
 PLUMB_RAD = np.deg2rad(0.1)
@@ -27,11 +27,11 @@ def vertical_segments(camera, bearings_deg, heights=(-0.3, 0.2), sigma_px=0.3) -
 def test_derivative_by_tilt_and_roll_is_that_of_finite_differences(tilt_deg, roll_deg):
     camera = camera_of(tilt_deg=tilt_deg, roll_deg=roll_deg)
     segments = vertical_segments(camera, np.linspace(-25, 25, 7))
-    miss, step = nadir_miss(segments, camera), 1e-6
+    miss, step = nadir_miss(segments, camera, PLUMB_RAD), 1e-6
     np.testing.assert_allclose(miss.angle, 0.0, atol=1e-9)
     for index, name in enumerate(("tilt_rad", "roll_rad")):
         moved = camera.with_mount(**{name: getattr(camera.mount, name) + step})
-        numeric = (nadir_miss(segments, moved).angle - miss.angle) / step
+        numeric = (nadir_miss(segments, moved, PLUMB_RAD).angle - miss.angle) / step
         np.testing.assert_allclose(miss.per_mount[:, index], numeric, rtol=0.03, atol=0.002)
 
 
@@ -44,25 +44,21 @@ def test_edges_tell_a_wrong_tilt_and_roll_despite_lines_that_are_not_vertical():
     ends = np.concatenate([true.ends_px, slanted.ends_px])
     ends += rng.normal(0, 0.3, ends.shape) * [1.0, 0.0]
     stated = camera.with_mount(tilt_rad=np.deg2rad(19.0), roll_rad=np.deg2rad(0.5))
-    error = mount_error(nadir_miss(Segments.of_ends(ends, 0.3), stated), np.deg2rad([3.0, 1.0]), PLUMB_RAD)
+    error = fit_mount(nadir_miss(Segments.of_ends(ends, 0.3), stated, PLUMB_RAD), np.deg2rad([3.0, 1.0]))
     np.testing.assert_allclose(np.rad2deg(error.mean), [1.0, 0.5], atol=0.3)
     assert np.all(np.abs(error.mean - np.deg2rad([1.0, 0.5])) < 4 * np.sqrt(np.diag(error.cov)))
 
 
 def test_without_edges_nothing_is_learnt():
     camera = camera_of()
-    error = mount_error(
-        nadir_miss(Segments.of_ends(np.zeros((0, 2, 2)), 0.3), camera), np.array([0.05, 0.02]), PLUMB_RAD
-    )
+    error = fit_mount(nadir_miss(Segments.of_ends(np.zeros((0, 2, 2)), 0.3), camera, PLUMB_RAD), np.array([0.05, 0.02]))
     np.testing.assert_allclose(error.mean, 0.0)
     np.testing.assert_allclose(np.sqrt(np.diag(error.cov)), [0.05, 0.02])
 
 
 def test_tilt_cannot_be_told_from_an_edge_straight_ahead():
     camera = camera_of()
-    error = mount_error(
-        nadir_miss(vertical_segments(camera, np.array([0.0])), camera), np.array([0.05, 0.05]), PLUMB_RAD
-    )
+    error = fit_mount(nadir_miss(vertical_segments(camera, np.array([0.0])), camera, PLUMB_RAD), np.array([0.05, 0.05]))
     np.testing.assert_allclose(np.sqrt(error.cov[0, 0]), 0.05, rtol=1e-3)
     assert np.sqrt(error.cov[1, 1]) < 0.01
 

@@ -84,7 +84,7 @@ def test_among_lines_of_all_directions_the_probability_is_the_share_of_vertical_
 @pytest.mark.parametrize("detector", ["columns", "lsd", "hough"])
 def test_walls_are_surely_vertical(detector):
     image = wall_image(CAMERA, [-21.0, -6.0, 4.0, 19.0], [60, 170, 90, 200, 110], noise_sigma=2.0)
-    edges = find_edges(image, CAMERA, EdgeParameters(detector=detector))
+    edges = find_edges(image, CAMERA, EdgeParameters(detector=detector), with_probabilities=True)
     assert len(edges) >= 4
     assert np.all((edges.vertical_probability > 0.9) & (edges.vertical_probability <= 1))
-    assert find_edges(np.zeros_like(image), CAMERA, EdgeParameters()).vertical_probability.shape == (0,)
+    assert find_edges(np.zeros_like(image), CAMERA, with_probabilities=True).vertical_probability.shape == (0,)

@@ -82,7 +82,7 @@ def test_levelled_edges_are_those_of_a_camera_that_hangs_as_stated() -> None:
 def test_edges_tell_tilt_and_roll_within_the_sigma_they_claim() -> None:
     attitude, level, off = None, Level(STATED, PLUMB), []
     for edges in frames_of(HANGING):
-        _, attitude = level.levelled(attitude, edges, path_m=0.11, share=1.0)
+        _, attitude = level.levelled(attitude, edges, path_m=0.11, novelty=1.0)
         assert attitude is not None
         off.append(np.abs(attitude.mean - ERROR) / np.sqrt(np.diag(attitude.cov)))
     assert attitude is not None
@@ -94,7 +94,7 @@ def test_edges_tell_tilt_and_roll_within_the_sigma_they_claim() -> None:
 def test_an_image_seen_again_tells_nothing_and_what_was_learnt_is_forgotten() -> None:
     stated = np.diag(SIGMA**2)
     known = Attitude(ERROR, stated / 100)
-    again = known.given(frames_of(HANGING)[0], STATED, PLUMB, share=0.0)
+    again = known.given(frames_of(HANGING)[0], STATED, PLUMB, novelty=0.0)
     np.testing.assert_allclose(again.mean, known.mean)
     np.testing.assert_allclose(again.cov, known.cov)
     standing, far = known.after(0.0, stated), known.after(20 * MEMORY_M, stated)
@@ -106,7 +106,7 @@ def test_an_image_seen_again_tells_nothing_and_what_was_learnt_is_forgotten() ->
 def test_a_mount_that_is_certain_stays_as_it_is_stated() -> None:
     edges = frames_of(HANGING)[0]
     edges = replace(edges, common=replace(edges.common, cov=np.zeros((2, 2))))
-    found, attitude = Level(STATED, PLUMB).levelled(None, edges, path_m=1.0, share=1.0)
+    found, attitude = Level(STATED, PLUMB).levelled(None, edges, path_m=1.0, novelty=1.0)
     assert attitude is not None
     np.testing.assert_array_equal(attitude.mean, np.zeros(2))
     np.testing.assert_allclose(found.lean, edges.lean, rtol=1e-12)
@@ -122,14 +122,14 @@ def test_edges_that_tell_nothing_of_the_mount_stay_as_they_are(which: str) -> No
         "no mount": Edges.from_columns(one.bearing, one.bearing_sigma, one.lean, one.lean_sigma, ends_px=one.ends_px),
     }[which]
     before = Attitude(ERROR, np.diag(SIGMA**2))
-    assert Level(STATED, PLUMB).levelled(before, edges, path_m=0.1, share=1.0) == (edges, before)
+    assert Level(STATED, PLUMB).levelled(before, edges, path_m=0.1, novelty=1.0) == (edges, before)
 
 
 def test_a_camera_without_tilt_tells_it_by_bearings_alone() -> None:
     camera = STATED.with_mount(tilt_rad=0.0)
     edges = simulated_edges(MAP, camera, drive(), np.random.default_rng(0), noise=NOISE)[0]
     edges = replace(edges, common=common_error(edges.bearing, np.zeros(len(edges)), camera, SIGMA))
-    found, attitude = Level(camera, PLUMB).levelled(None, edges, path_m=0.1, share=1.0)
+    found, attitude = Level(camera, PLUMB).levelled(None, edges, path_m=0.1, novelty=1.0)
     assert attitude is not None
     assert np.isfinite(found.bearing).all()
     np.testing.assert_array_equal(found.lean, edges.lean)

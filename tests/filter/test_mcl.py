@@ -14,24 +14,13 @@ from numpy.typing import NDArray
 from localiser import geometry, particles
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.filter.mcl import (
-    Event,
-    FilterState,
-    Located,
-    Mcl,
-    MclParameters,
-    Odometry,
-    Sighting,
-    Start,
-    finish,
-    step,
-)
+from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, step
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters, linearised
 from localiser.motion.constant_errors import EXACT
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
+from localiser.observation.inlier_rate import InlierRate
 from localiser.particles import POSE, Particles
 from localiser.simulate import EdgeNoise, simulated_edges
 
@@ -52,17 +41,8 @@ class Weighs:
 
     per_metre: float = 0.0
 
-    def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
+    def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
         return self.per_metre * particles["x"]
-
-    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
-        return np.tile(self.log_likelihood(particles, edges, landmark_map), (len(INLIER_SHARES), 1))
-
-    def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
-        return 0.0, np.inf
-
-    def with_lasting(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Edges:
-        return edges
 
 
 def filter_of(count: int = 300, motion: MotionParameters = NO_NOISE, **changes: object) -> Mcl:
@@ -307,19 +287,19 @@ def test_means_and_spreads_agree_with_the_grid_filter() -> None:
     grid = GridFilter.gaussian(axis, axis - 0.5, headings(180), START_POSE, prior)
     observation = EdgeObservation(CAMERA, INDEPENDENT)
     noise = linearised(np.zeros(3), increment, motion)[1]
-    means, sigmas, inliers = [], [], InlierShare.unknown()
+    means, sigmas, inliers = [], [], InlierRate.unknown()
     for index, frame in enumerate(frames):
         if index:
             grid = grid.predict(increment, noise)
 
         inliers = inliers.after(1.0)
 
-        def by_share(cells: Array, edges: Edges = frame.edges) -> Array:
-            return observation.by_share(Particles(POSE, cells.T, np.zeros(len(cells))), edges, MAP)
+        def by_rate(cells: Array, edges: Edges = frame.edges) -> Array:
+            return observation.by_rate(Particles(POSE, cells.T, np.zeros(len(cells))), Sighting(0, edges), MAP)
 
-        grid = grid.update(lambda cells: inliers.log_mean(by_share(cells)))  # noqa: B023
+        grid = grid.update(lambda cells: inliers.log_mean(by_rate(cells)))  # noqa: B023
         held = grid.p.ravel() > 1e-12
-        inliers = inliers.given(by_share(grid.poses[held]), grid.p.ravel()[held] / grid.p.ravel()[held].sum(), 1.0)
+        inliers = inliers.given(by_rate(grid.poses[held]), grid.p.ravel()[held] / grid.p.ravel()[held].sum(), 1.0)
         means.append(grid.mean)
         sigmas.append(np.sqrt(np.diag(grid.cov)))
 

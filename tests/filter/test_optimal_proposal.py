@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from localiser.camera import Camera, Mount
-from localiser.filter import optimal_proposal as guide
-from localiser.filter.optimal_proposal import Guide, flattened, told
+from localiser.filter import optimal_proposal
+from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_density
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters, expected_step, predict
-from localiser.observation import EdgeObservation, ObservationParameters, Targets
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting, Targets
 from localiser.observation.known_association import IdentifiedObservation
 from localiser.particles import effective_sample_size, estimate, from_gaussian, normalised, take
 from localiser.simulate import simulated_edges
@@ -38,7 +38,7 @@ def edges_at(pose, seed=1):
 
 
 def expected_angles(poses, kind):
-    """Return what `told` linearises, (N, K), computed without it."""
+    """Return what `step_density` linearises, (N, K), computed without it."""
     robots = np.column_stack(poses)
     levels = CAMERA.pose_in_map(robots)
     dx, dz = POINTS[:, 0] - levels[:, :1], POINTS[:, 1] - levels[:, 1:2]
@@ -52,7 +52,7 @@ def test_the_loop_does_what_arrays_and_differences_do(kind):
     step = expected_step(cloud(20), MOVE, MOTION)
     sigma = np.array([0.01, 0.02, 0.03])
     angle = expected_angles(step.poses, kind).mean(axis=0) + 0.01
-    found = told(step, CAMERA, Targets(POINTS, angle, sigma**2, kind == "slope"), 0.5)
+    found = step_density(step, CAMERA, Targets(POINTS, angle, sigma**2, kind == "slope"), 0.5)
     shift = 1e-6
     gradient = np.stack(
         [
@@ -81,11 +81,11 @@ def test_weights_take_back_where_steps_were_drawn():
     """Whatever edges say, weighted steps are standard normal, as if they had been drawn blindly."""
     step = expected_step(take(cloud(1), np.zeros(200_000, dtype=np.int64)), MOVE, MOTION)
     angle = expected_angles(step.poses[:, :1], "line")[0] + 0.02
-    normal, log_ratio = told(step, CAMERA, Targets(POINTS, angle, np.full(3, 0.02**2), False), 1.0).draw(
+    normal, log_ratio = step_density(step, CAMERA, Targets(POINTS, angle, np.full(3, 0.02**2), False), 1.0).draw(
         np.random.default_rng(3)
     )
     weight = normalised(log_ratio)
-    assert log_ratio.max() <= -np.log(guide.BLIND) + 1e-9
+    assert log_ratio.max() <= -np.log(optimal_proposal.BLIND) + 1e-9
     error = 5 / np.sqrt(effective_sample_size(weight))
     assert normal @ weight == pytest.approx(np.zeros(3), abs=error)
     assert (normal * weight) @ normal.T == pytest.approx(np.eye(3), abs=2 * error)
@@ -94,7 +94,7 @@ def test_weights_take_back_where_steps_were_drawn():
 
 def test_nothing_told_moves_particles_blindly():
     nothing = Targets(np.zeros((0, 2)), np.zeros(0), np.zeros(0), False)
-    moved = Guide(CAMERA, nothing, 1.0, 0.3, 0.5).moved(cloud(), MOVE, MOTION, np.random.default_rng(0))
+    moved = OptimalProposal(CAMERA, nothing, 1.0, 0.3, 0.5).moved(cloud(), MOVE, MOTION, np.random.default_rng(0))
     assert np.ptp(moved.log_weight) < 1e-12
     blind = predict(cloud(), MOVE, MOTION, np.random.default_rng(0))
     assert moved.columns.tobytes() == blind.columns.tobytes()
@@ -110,11 +110,11 @@ def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
         before = cloud(count, seed=6)
         if guided:
             few = predict(take(before, np.arange(500)), MOVE, MOTION, rng)
-            targets = one.targets(few, edges, MAP, 0.9)
-            moved = Guide(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, MOVE, MOTION, rng)
+            targets = one.targets(few, Sighting(0, edges), MAP, 0.9)
+            moved = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, MOVE, MOTION, rng)
         else:
             moved = predict(before, MOVE, MOTION, rng)
-        weighed = replace(moved, log_weight=moved.log_weight + one.log_likelihood(moved, edges, MAP))
+        weighed = replace(moved, log_weight=moved.log_weight + one.log_likelihood(moved, Sighting(0, edges), MAP))
         posterior.append(estimate(weighed))
         effective.append(effective_sample_size(weighed.weight) / count)
     found, oracle = posterior
@@ -126,28 +126,32 @@ def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
     assert effective[0] > 3 * effective[1]
 
 
-def test_only_edges_of_landmarks_in_no_doubt_guide():
+def test_only_edges_of_landmarks_in_no_doubt_are_targets():
     truth = np.array([0.02, -0.2, 0.05])
     edges, one = edges_at(truth), observation(known=False)
     order = np.argsort(edges.landmark_id)
-    near = one.targets(cloud(500, sigma=0.01), edges_at(np.zeros(3)), MAP, 0.8)
+    near = one.targets(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), MAP, 0.8)
     assert near.points == pytest.approx(POINTS[edges.landmark_id[order]])
-    assert len(one.targets(cloud(500, sigma=0.3), edges, MAP, 0.8).angle) == 0  # which is which cannot be told
-    assert len(one.targets(cloud(500, sigma=0.01), edges, MAP, 0.02).angle) == 0  # nearly all edges are clutter
+    assert (
+        len(one.targets(cloud(500, sigma=0.3), Sighting(0, edges), MAP, 0.8).angle) == 0
+    )  # which is which cannot be told
+    assert (
+        len(one.targets(cloud(500, sigma=0.01), Sighting(0, edges), MAP, 0.02).angle) == 0
+    )  # nearly all edges are clutter
     # Two landmarks side by side: neither may claim the edge.
     twins = LandmarkMap.from_points(
         np.vstack([POINTS, POINTS[1] + [0.03, 0.0]]), bottom_m=np.zeros(4), top_m=np.full(4, 2.0)
     )
-    kept = one.targets(cloud(500, sigma=0.01), edges_at(np.zeros(3)), twins, 0.8).points
+    kept = one.targets(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), twins, 0.8).points
     assert sorted(kept[:, 0]) == pytest.approx([-1.2, 1.5])
 
 
 def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
     """Without being weighed by the edges, guided particles stand for where blind ones are."""
-    monkeypatch.setattr(guide, "MOST_STAGES", 1)
+    monkeypatch.setattr(optimal_proposal, "MOST_STAGES", 1)
     angle = expected_angles(expected_step(cloud(1, sigma=0.0), MOVE, MOTION).poses, "line")[0] + 0.03
     targets = Targets(POINTS, angle, np.full(3, 0.08**2), False)
-    guided = Guide(CAMERA, targets, 1.0, 0.3, 0.99).moved(
+    guided = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.99).moved(
         cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(0)
     )
     found, blind = (
@@ -163,4 +167,4 @@ def test_a_share_of_the_mean_keeps_particles_that_edges_do_not_like():
     log_evidence = np.array([0.0, -1000.0])
     flat = flattened(log_evidence, np.zeros(2))
     weight = normalised(flat)
-    assert weight[1] == pytest.approx(guide.BLIND / 2, rel=1e-6)
+    assert weight[1] == pytest.approx(optimal_proposal.BLIND / 2, rel=1e-6)

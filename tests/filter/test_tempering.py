@@ -1,4 +1,4 @@
-"""Weighing in stages: how much is taken at once, and what the kernel does to a cloud."""
+"""Tempering in stages: how much is taken at once, and what the kernel does to a cloud."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from localiser import particles
-from localiser.edges import Edges
-from localiser.filter.tempering import Weighing
+from localiser.filter.tempering import Tempering
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation.inlier_rate import INLIER_SHARES, InlierShare
+from localiser.observation import INLIER_RATES, InlierRate, Sighting
 from localiser.particles import Particles
 
 SIGMA = np.array([0.1, 0.1, 0.05])
@@ -22,17 +21,19 @@ class Peak:
     def __init__(self, mean: Array, sharpness: float) -> None:
         self.mean, self.sharpness = mean, sharpness
 
-    def log_likelihood(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
-        return np.asarray(self.by_share(particles, edges, landmark_map)[0])
+    def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
+        return np.asarray(self.by_rate(particles, sighting, landmark_map)[0])
 
-    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
+    def by_rate(
+        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+    ) -> Array:
         residual = particles.poses - self.mean
         residual[:, 2] = wrap_angle(residual[:, 2])
         sigma = SIGMA * np.hypot(self.sharpness, blur_rad)
         one = -0.5 * np.square(residual / sigma).sum(axis=1) - np.log(sigma).sum()
-        return np.tile(one, (len(INLIER_SHARES), 1))
+        return np.tile(one, (len(INLIER_RATES), 1))
 
-    def scales(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[float, float]:
+    def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         return 1.0, self.sharpness
 
 
@@ -48,7 +49,7 @@ def test_all_is_taken_where_enough_samples_stay_effective() -> None:
 def test_a_step_leaves_just_as_many_effective_samples_as_asked() -> None:
     moved = cloud(0)
     peak = Peak(np.zeros(3), 1 / 20)
-    log_likelihood = peak.log_likelihood(moved, Edges.none(), LandmarkMap.from_points(np.zeros((1, 2))))
+    log_likelihood = peak.log_likelihood(moved, Sighting(0), LandmarkMap.from_points(np.zeros((1, 2))))
     step = particles.largest_step(np.zeros(len(moved)), log_likelihood, 1.0, 200.0)
     assert 0 < step < 1
     ess = particles.effective_sample_size(particles.normalised(step * log_likelihood))
@@ -68,9 +69,9 @@ def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
 
 
 def weighed(peak: Peak, cloud: Particles, *, first: bool = False, stage_below: float = 0.3, seed: int = 0) -> Particles:
-    weighing = Weighing(peak, LandmarkMap.from_points(np.zeros((1, 2))), stage_below)
-    rng = np.random.default_rng(seed)
-    return weighing.weigh(cloud, Edges.none(), InlierShare.unknown(), 1.0, first, rng)[0]
+    landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
+    tempering = Tempering(peak, landmark_map, Sighting(0), InlierRate.unknown(), 1.0, stage_below)
+    return tempering.in_stages(cloud, first, np.random.default_rng(seed))[0]
 
 
 @pytest.mark.parametrize("sharpness", [1 / 4, 1 / 40])
@@ -106,8 +107,8 @@ def test_one_step_alone_collapses_on_the_same_posterior() -> None:
 def test_the_first_image_is_weighed_in_stages_even_where_all_particles_fit_alike() -> None:
     # Far off, a likelihood with a floor (clutter) is flat over all particles: their effective number says nothing.
     class Floored(Peak):
-        def by_share(self, *arguments: object, **keywords: object) -> Array:
-            return np.logaddexp(super().by_share(*arguments, **keywords), -20.0)  # type: ignore[arg-type]
+        def by_rate(self, *arguments: object, **keywords: object) -> Array:
+            return np.logaddexp(super().by_rate(*arguments, **keywords), -20.0)  # type: ignore[arg-type]
 
     peak = Floored(2 * SIGMA, 1 / 40)
     later, first = (weighed(peak, cloud(4), first=first) for first in (False, True))

@@ -14,11 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_processes import LEAST_HZ, SETTINGS, Program, free_endpoint, program
+from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR
-
-from localiser.live.stand_in import start_text
-from localiser.storage import open_log
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them")
@@ -56,7 +53,7 @@ def happened() -> list[str]:
 
 @pytest.fixture(scope="module")
 def live(robot: Program, endpoint: str, happened: list[str]) -> Iterator[Program]:
-    start = start_text(open_log(CORRIDOR))
+    start = START
     arguments = ("--map", CORRIDOR / "map.yaml", "--json", "--connect", endpoint, "--start", start)
     with program("live", *arguments, *SETTINGS) as running:
         while running.poses(1)[0].get("error_m", 1.0) > WORST_M:  # the robot drove on while the program started

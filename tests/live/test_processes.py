@@ -15,10 +15,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from live_processes import LEAST_HZ, SETTINGS, Program, free_endpoint, program
+from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR, Localiser
 
-from localiser.live.stand_in import start_text
 from localiser.storage import load_track, open_log
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
@@ -74,7 +73,7 @@ def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
 
 def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program, endpoint: str) -> None:
     """Its page is opened by nobody either."""
-    with program(*LIVE, "--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--view", "web") as live:
+    with program(*LIVE, "--connect", endpoint, "--start", START, "--view", "web") as live:
         live.wait_to_say("Watch at")
         live.poses_at(LEAST_HZ, IMAGES)
         viewers = live.children()
@@ -91,7 +90,7 @@ def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program,
 
 def test_a_viewer_that_is_not_there_changes_nothing(robot: Program, endpoint: str) -> None:
     """There is no display for it."""
-    arguments = ("--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--view", "native")
+    arguments = ("--connect", endpoint, "--start", START, "--view", "native")
     with program(*LIVE, *arguments) as live:
         live.poses(5)
         assert live.end() == 0
@@ -113,7 +112,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint: str, small_disk: Path) -> None:
     bag = small_disk / "drive.db3"
     limit = None if small_disk.is_mount() else DISK_BYTES  # of files, which fails as a full disk does
-    arguments = ("--connect", endpoint, "--start", start_text(open_log(CORRIDOR)), "--record", bag)
+    arguments = ("--connect", endpoint, "--start", START, "--record", bag)
     with program(*LIVE, *arguments, largest_file=limit) as live:
         live.wait_to_say("The recording ended, the run goes on")
         live.rest()

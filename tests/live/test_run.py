@@ -275,7 +275,7 @@ def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
     whole = Feed()([*camera(), *drive(N + 4)])
     first = Feed()([*camera(), *drive(N)])
     checkpoints = Checkpoints(tmp_path / "state", first.said.append)
-    checkpoints.close(first.run.filter, 0)
+    checkpoints.close(first.run.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
     rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     again([*camera(), *rest])
@@ -286,7 +286,7 @@ def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
 
 def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Path) -> None:
     first = Feed()([*camera(), *drive(N)])
-    Checkpoints(tmp_path / "state", first.said.append).close(first.run.filter, 0)
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
     rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     anew = [
@@ -304,7 +304,7 @@ def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
 ) -> None:
     """From the very particles; with other settings from about there."""
     first = Feed()([*camera(), *drive(N)])
-    Checkpoints(tmp_path / "state", first.said.append).close(first.run.filter, 0)
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"), record=tmp_path / "drive.db3")
     rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     elsewhere = np.array([50.0, 0.0, 1.0]) if anew else np.zeros(3)

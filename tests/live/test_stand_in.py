@@ -13,7 +13,8 @@ from small_log import write_edge_log, write_small_log
 
 from localiser.errors import InputError
 from localiser.geometry import between
-from localiser.live.stand_in import FIXED, IMAGE, INFO, ODOMETRY, Passage, StandIn, drive, start_text
+from localiser.live.stand_in import FIXED, IMAGE, INFO, ODOMETRY, Passage, StandIn
+from localiser.storage import open_log
 
 
 class Wire:
@@ -54,7 +55,7 @@ def test_odometry_that_is_sent_more_often_goes_the_same_way() -> None:
 
 def test_a_log_is_sent_as_a_robot_sends_it(tmp_path: Path) -> None:
     """Two ways of a short log: stamps go on, images are the files, and the mount is kept for latecomers."""
-    log = drive(write_small_log(tmp_path / "log"), 0)
+    log = open_log(write_small_log(tmp_path / "log"))
     wire = Wire()
     StandIn(wire, Passage.of(log)).run(Event(), ways=2)
     topics = [topic for topic, _ in wire.sent]
@@ -72,11 +73,6 @@ def test_a_log_is_sent_as_a_robot_sends_it(tmp_path: Path) -> None:
 
 def test_what_cannot_be_driven_is_refused(tmp_path: Path, localiser: Localiser) -> None:
     with pytest.raises(InputError, match="log with images"):
-        Passage.of(drive(write_edge_log(tmp_path / "log"), 0))
+        Passage.of(open_log(write_edge_log(tmp_path / "log")))
     result = localiser("simulate", CORRIDOR)
     assert result.exit_code == 2 and "--serve" in result.err
-
-
-def test_where_a_log_starts_is_said_as_the_command_line_takes_it() -> None:
-    x, z, heading_deg = (float(part) for part in start_text(LOG).split(","))
-    np.testing.assert_allclose([x, z, np.deg2rad(heading_deg)], LOG.start.mean, atol=1e-12)

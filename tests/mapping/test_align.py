@@ -44,7 +44,7 @@ def test_maps_are_aligned_though_much_differs(seed: int, similarity: bool) -> No
     assert abs(wrap_angle(found.pose[2] - pose[2])) < np.deg2rad(0.7)
     right = [kept[j] == i for i, j in found.pairs if j < 27]
     assert sum(right) >= 24
-    assert found.rival < 0.7
+    assert found.alternative < 0.7
     assert found.apply(second[:27]) == pytest.approx(first[kept], abs=0.2)
 
 
@@ -59,7 +59,7 @@ def test_the_scale_is_found_when_asked_for() -> None:
 def test_a_building_that_looks_like_itself_is_told() -> None:
     """Two rows of posts, turned by half a turn, are the same posts."""
     posts = np.array([[x, z] for x in (-2.0, 2.0) for z in np.arange(0.0, 12.0, 1.5)])
-    assert align(posts, posts, 0.1).rival == pytest.approx(1.0)
+    assert align(posts, posts, 0.1).alternative == pytest.approx(1.0)
 
 
 def test_maps_that_do_not_fit_are_refused() -> None:

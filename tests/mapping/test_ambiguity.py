@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from mapping_worlds import world
 
-from localiser.commands.map.lookalikes import lookalikes, lookalikes_text
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import ALIKE, Ambiguity, ambiguity, best_spots
+from localiser.mapping import ALIKE, Ambiguity, ambiguity, best_spots, lookalikes
 
 ALCOVE = np.array([[-1.1, -4.0], [-0.3, -3.0], [0.2, -4.4], [0.9, -3.2], [1.3, -4.1]])
 """Posts that are seen together from the origin, looking along -z."""
@@ -76,6 +75,6 @@ def test_near_a_path_only_what_the_path_reaches_is_looked_at() -> None:
     look = lookalikes(drive.landmark_map, drive.camera, path)
     apart = np.linalg.norm(look.places[:, None] - path[None, :, :2], axis=-1).min(axis=1)
     assert apart.max() <= 1.5
-    assert "% of" in lookalikes_text(look)
+    assert "% of" in look.text()
     poses, twins = look.examples()
     assert len(poses) == len(twins)

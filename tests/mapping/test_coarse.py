@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from coarse_worlds import coarse_drive
 
-from localiser.commands.map.build import build_map, require_association, turn_drift
 from localiser.config import load_config
 from localiser.errors import InputError
-from localiser.mapping import Wheels
+from localiser.mapping import Wheels, build_map, require_association, turn_drift
 from localiser.storage import open_log
 
 LOG = Path("log")
@@ -20,7 +19,7 @@ LOG = Path("log")
 
 def wheels_turning(turn_rad: float, sigma_rad: float, steps: int) -> Wheels:
     motion = np.tile([0.0, -0.01, turn_rad], (steps, 1))
-    return Wheels(motion, np.full(steps, 0.01), np.tile([1e-3, 1e-3, sigma_rad], (steps, 1)))
+    return Wheels(motion, np.full(steps, 0.01), np.tile(np.diag([1e-6, 1e-6, sigma_rad**2]), (steps, 1, 1)))
 
 
 def test_drift_is_that_of_one_turn_however_long_the_drive() -> None:
@@ -52,4 +51,4 @@ def test_either_good_wheels_or_good_bearings_will_do() -> None:
 def test_a_real_robot_of_commanded_velocities_is_refused(data_dir: Path, robot: int) -> None:
     log = open_log(data_dir / f"mrclam:{robot}")
     with pytest.raises(InputError, match="nothing tells which landmark was seen"):
-        build_map(log, "slam", load_config(None, [], log.settings), lambda: None)
+        build_map(log, "slam", load_config(None, [], log.settings))

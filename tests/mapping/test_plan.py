@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from localiser.commands.map.draw import draw_plan, drawn_corners, load_world
+from localiser.commands.map.world_plan import draw_plan, drawn_corners, load_world
 from localiser.geometry import Array
 from localiser.mapping import FloorPlan, cells_from_map, map_from_cells, plan_landmarks
 from localiser.mapping.plan_corners import outlines

@@ -10,11 +10,9 @@ from mapping_worlds import World, world
 from ring_world import CAMERA, CONSTANTS, circle
 
 from localiser import mapping
-from localiser.commands.map.build import wheels_of
-from localiser.config import Config
 from localiser.edges import Edges
 from localiser.geometry import Array, robot_from_map
-from localiser.mapping import Built, MappingParameters, Sightings
+from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.constellations import seen_before
 from localiser.mapping.factors import State, linearise
 from localiser.mapping.feet import Scale, scale_by_feet
@@ -22,15 +20,8 @@ from localiser.mapping.landmarks import fitted
 from localiser.mapping.loops import same_landmarks
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import dead_reckoned, smooth
-from localiser.mapping.sparse import Rows
 from localiser.mapping.triangulate import triangulate
-
-
-def jacobian(rows: Rows, size: int) -> Array:
-    """Return the derivatives (R, V) of the predictions."""
-    dense = np.zeros((len(rows.residual), size + 1))
-    dense[np.repeat(np.arange(len(dense)), np.diff(rows.start)), rows.column] = rows.value
-    return dense[:, :size]
+from localiser.motion import MotionParameters
 
 
 def test_derivatives_agree_with_differences() -> None:
@@ -42,7 +33,7 @@ def test_derivatives_agree_with_differences() -> None:
         CONSTANTS,
         points,
     )
-    dense, step = jacobian(linearise(problem, state), 3 * 11 + 4 + points.size), 1e-6
+    dense, step = linearise(problem, state).jacobian.toarray(), 1e-6
     for column in range(dense.shape[1]):
         change = np.zeros(dense.shape[1])
         change[column] = step
@@ -77,9 +68,9 @@ def test_errors_of_landmarks_are_what_their_covariances_say() -> None:
 def test_covariances_are_those_of_the_dense_inverse() -> None:
     problem, poses, points = circle(1.0, frames=20)
     found = smooth(problem, poses, points, CONSTANTS)
-    rows = linearise(problem, State(found.poses, found.points, found.constants, points))
-    dense = jacobian(rows, 3 * 19 + 4 + points.size)
-    whole = np.linalg.inv(dense.T @ (rows.weight[:, None] * dense))[-points.size :, -points.size :]
+    linear = linearise(problem, State(found.poses, found.points, found.constants, points))
+    dense = linear.jacobian.toarray()
+    whole = np.linalg.inv(dense.T @ (linear.weight[:, None] * dense))[-points.size :, -points.size :]
     blocks = whole.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
     one, other = np.array([0, 5, 29]), np.array([7, 6, 3])
     np.testing.assert_allclose(found.landmark_cov(), blocks.diagonal().transpose(2, 0, 1), rtol=1e-5, atol=1e-10)
@@ -194,8 +185,9 @@ def aligned_error(found: Array, truth: Array) -> Array:
 def drive_alone(drive: World, edges: list[Edges]) -> mapping.Slam:
     """Build from edges and odometry."""
     sightings = Sightings.from_edges(edges, drive.camera)
-    wheels = wheels_of(drive.odometry, drive.odometry.t_ns, Config())
-    return mapping.build_from_log(sightings, wheels, np.zeros(3), drive.camera, MappingParameters())
+    wheels = mapping.wheels_of(drive.odometry, drive.odometry.t_ns, MotionParameters())
+    prior = Prior.of(MotionParameters())
+    return mapping.build_from_log(sightings, wheels, prior, np.zeros(3), drive.camera, MappingParameters())
 
 
 def test_a_drive_with_wrong_wheels_is_put_right() -> None:

@@ -10,10 +10,10 @@ import pytest
 from localiser import particles
 from localiser.geometry import Array, Increment, arc_motion, between, compose, wrap_angle
 from localiser.motion import MotionParameters, predict, wheel_cov
-from localiser.motion.constant_errors import BIASES, BiasParameters, at_start, forgotten
+from localiser.motion.constant_errors import CONSTANT_ERRORS, ConstantErrorParameters, at_start, forgotten
 from localiser.particles import POSE, Particles
 
-WIDE = BiasParameters(
+WIDE = ConstantErrorParameters(
     distance_sigma=0.1, turn_sigma=0.1, veer_sigma_deg_per_m=3.0, delay_sigma_s=0.1, yaw_sigma_deg=1.0, memory_m=1e12
 )
 NOISE = MotionParameters(alpha1=1e-3, alpha2=5e-4, alpha3=5e-4, alpha4=1e-4, bias=WIDE)
@@ -71,7 +71,7 @@ def test_what_is_known_after_a_way_that_nobody_saw_is_what_brute_force_says() ->
     for increment in increments:
         cloud = predict(cloud, increment, NOISE, rng)
     found = particles.estimate(cloud)
-    assert found.names == (*POSE, *BIASES)
+    assert found.names == (*POSE, *CONSTANT_ERRORS)
     sigma = expected.std(axis=1)
     np.testing.assert_allclose((found.mean - expected.mean(axis=1)) / sigma, 0, atol=0.03)
     np.testing.assert_allclose(found.cov / np.outer(sigma, sigma), np.corrcoef(expected), atol=0.03)
@@ -79,7 +79,7 @@ def test_what_is_known_after_a_way_that_nobody_saw_is_what_brute_force_says() ->
 
 def test_the_camera_is_carried_where_its_own_yaw_says() -> None:
     """A robot that drives straight on, whose camera looks 2° to the left: its camera moves 2° to the right of ahead."""
-    still = Particles((*POSE, *BIASES), np.zeros((8, 5)), np.zeros(5), bias_cov=np.zeros((5, 5)))
+    still = Particles((*POSE, *CONSTANT_ERRORS), np.zeros((8, 5)), np.zeros(5), constant_error_cov=np.zeros((5, 5)))
     columns = still.columns.copy()
     columns[2], columns[7] = 0.1, np.deg2rad(2.0)
     none = MotionParameters(0.0, 0.0, 0.0, 0.0, bias=WIDE)
@@ -117,11 +117,11 @@ def test_biases_are_learnt_from_where_the_camera_is_seen_and_their_sigmas_are_ho
 def test_a_robot_that_stands_learns_nothing_and_one_that_turns_nothing_of_its_distance() -> None:
     cloud = start(50)
     stood = predict(cloud, Increment.from_mean(np.zeros(3)), NOISE, np.random.default_rng(0))
-    np.testing.assert_allclose(stood.bias_cov, cloud.bias_cov, atol=1e-15)
+    np.testing.assert_allclose(stood.constant_error_cov, cloud.constant_error_cov, atol=1e-15)
     np.testing.assert_allclose(stood.columns, cloud.columns, atol=1e-12)
     turned = predict(cloud, Increment.from_mean([0, 0, 1.0]), NOISE, np.random.default_rng(0))
-    np.testing.assert_allclose(np.diag(turned.bias_cov)[[0, 2]], np.diag(cloud.bias_cov)[[0, 2]])
-    assert turned.bias_cov[1, 1] < cloud.bias_cov[1, 1]
+    np.testing.assert_allclose(np.diag(turned.constant_error_cov)[[0, 2]], np.diag(cloud.constant_error_cov)[[0, 2]])
+    assert turned.constant_error_cov[1, 1] < cloud.constant_error_cov[1, 1]
 
 
 @pytest.mark.parametrize("heading_sigma", [0.0, 0.02, 1e3])
@@ -137,19 +137,19 @@ def test_a_start_says_of_the_robots_heading_what_it_said_and_of_the_yaw_the_prio
 
 def test_an_estimate_is_forgotten_towards_the_prior_the_cameras_heading_staying_as_it_was() -> None:
     rng = np.random.default_rng(2)
-    cloud = replace(start(100), bias_cov=np.zeros((5, 5)))
+    cloud = replace(start(100), constant_error_cov=np.zeros((5, 5)))
     cloud = replace(cloud, columns=np.vstack([cloud.columns[:3], rng.standard_normal((5, 100)) * SIGMA[:, None]]))
     parameters = replace(WIDE, memory_m=20.0)
     later = forgotten(cloud, 20.0, parameters)
     np.testing.assert_allclose(later.columns[3:], cloud.columns[3:] / np.e)
-    np.testing.assert_allclose(later.bias_cov, (1 - np.exp(-2)) * WIDE.cov)
+    np.testing.assert_allclose(later.constant_error_cov, (1 - np.exp(-2)) * WIDE.cov)
     turned = wrap_angle(later["heading"] + later["camera_yaw"] - cloud["heading"] - cloud["camera_yaw"])
     np.testing.assert_allclose(turned, 0, atol=1e-12)
     in_pieces = cloud
     for _ in range(10):
         in_pieces = forgotten(in_pieces, 2.0, parameters)
     np.testing.assert_allclose(in_pieces.columns, later.columns, atol=1e-12)
-    np.testing.assert_allclose(in_pieces.bias_cov, later.bias_cov, atol=1e-12)
+    np.testing.assert_allclose(in_pieces.constant_error_cov, later.constant_error_cov, atol=1e-12)
 
 
 def test_what_vision_measured_tells_nothing_of_the_wheels() -> None:
@@ -157,7 +157,7 @@ def test_what_vision_measured_tells_nothing_of_the_wheels() -> None:
     cloud = start(50)
     after = predict(cloud, increment, NOISE, np.random.default_rng(0))
     np.testing.assert_allclose(after.columns[3:], cloud.columns[3:])
-    np.testing.assert_allclose(after.bias_cov, cloud.bias_cov)
+    np.testing.assert_allclose(after.constant_error_cov, cloud.constant_error_cov)
 
 
 def test_the_covariance_of_wheels_alone_holds_what_their_biases_may_do() -> None:
@@ -168,16 +168,18 @@ def test_the_covariance_of_wheels_alone_holds_what_their_biases_may_do() -> None
 
 
 def test_biases_that_cannot_be_wrong_stay_nought() -> None:
-    sure = BiasParameters(0.0, 0.0, 0.0, 0.0, 0.0)
+    sure = ConstantErrorParameters(0.0, 0.0, 0.0, 0.0, 0.0)
     rng = np.random.default_rng(3)
     cloud = at_start(particles.from_gaussian(np.zeros(3), CERTAIN, 20, rng), sure, rng)
     for increment in drive(5):
         cloud = predict(cloud, increment, replace(NOISE, bias=sure), rng)
     np.testing.assert_allclose(cloud.columns[3:], 0, atol=1e-15)
-    np.testing.assert_allclose(cloud.bias_cov, 0, atol=1e-18)
+    np.testing.assert_allclose(cloud.constant_error_cov, 0, atol=1e-18)
 
 
 def test_an_estimate_says_from_where_its_camera_sees() -> None:
-    found = particles.Estimate((*POSE, *BIASES), np.array([1.0, 2.0, 0.3, 0.01, 0.02, 0.03, 0.04, 0.05]), np.eye(8))
+    found = particles.Estimate(
+        (*POSE, *CONSTANT_ERRORS), np.array([1.0, 2.0, 0.3, 0.01, 0.02, 0.03, 0.04, 0.05]), np.eye(8)
+    )
     np.testing.assert_allclose(found.pose_as_seen, [1.0, 2.0, 0.35])
     np.testing.assert_allclose(particles.Estimate(POSE, found.mean[:3], np.eye(3)).pose_as_seen, [1.0, 2.0, 0.3])

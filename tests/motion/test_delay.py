@@ -8,11 +8,12 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.filter.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, moves_until, step
+from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
+from localiser.filter.moves import moves_between
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose
 from localiser.landmarks import LandmarkMap, sight
 from localiser.motion import MotionParameters
-from localiser.motion.constant_errors import EXACT, BiasParameters
+from localiser.motion.constant_errors import EXACT, ConstantErrorParameters
 from localiser.observation import EdgeObservation, ObservationParameters
 
 SECOND = 1_000_000_000
@@ -46,7 +47,7 @@ def test_increments_say_what_a_later_robot_would_have_done_all_along() -> None:
     state.odometry.extend(wheels(track))
     for t_ns in (SECOND, 5 * SECOND // 4, 3 * SECOND // 2, 11 * SECOND, 12 * SECOND):
         start_ns = state.at_ns
-        moves, _ = moves_until(state, t_ns, LATE_S)
+        moves, _ = moves_between(state.odometry, start_ns, t_ns, LATE_S)
         late = [Increment.from_mean(move.mean + LATE_S * move.by_delay) for move in moves]
         expected = between(*later(track, LATE_S).sampled([start_ns, t_ns]).poses)
         np.testing.assert_allclose(reduce(Increment.then, late).mean, expected, atol=1e-9)
@@ -61,11 +62,11 @@ def test_increments_say_what_a_later_robot_would_have_done_all_along() -> None:
 def test_of_a_robot_that_cannot_be_late_nothing_is_said() -> None:
     state = FilterState()
     state.odometry.extend(wheels(commanded(3)))
-    moves, _ = moves_until(state, 2 * SECOND)
+    moves, _ = moves_between(state.odometry, 0, 2 * SECOND)
     assert not any(move.by_delay.any() for move in moves)
 
 
-def located(bias: BiasParameters) -> tuple[list[Located], Array]:
+def located(bias: ConstantErrorParameters) -> tuple[list[Located], Array]:
     """Follow a robot among landmarks that does 0.15 s later what it is told; return also its true poses."""
     rng = np.random.default_rng(0)
     odometry = commanded(20)
@@ -99,7 +100,7 @@ def located(bias: BiasParameters) -> tuple[list[Located], Array]:
 
 
 def test_a_robot_that_is_late_is_found_to_be_and_followed_better_for_it() -> None:
-    found, truth = located(BiasParameters(0.0, 0.0, 0.0, delay_sigma_s=0.2, yaw_sigma_deg=0.0))
+    found, truth = located(ConstantErrorParameters(0.0, 0.0, 0.0, delay_sigma_s=0.2, yaw_sigma_deg=0.0))
     last = found[-1].estimate
     row = last.names.index("delay")
     sigma = np.sqrt(last.cov[row, row])

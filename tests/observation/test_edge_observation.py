@@ -16,7 +16,7 @@ from localiser.edges import Edges
 from localiser.edges.types import CommonError
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap, sight
-from localiser.observation import EdgeObservation, ObservationParameters, independent_share
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting, novelty_of
 from localiser.particles import POSE, Particles
 from localiser.simulate import EdgeNoise, simulated_edges
 
@@ -119,7 +119,7 @@ def test_log_likelihood_is_the_docstring(kind: str, common: bool, cov_m: float |
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
     landmark_map, edges = some_map(rng, cov_m=cov_m), some_edges(rng, count, common)
     poses = np.concatenate([rng.normal(POSE_TRUE, [0.5, 0.5, 0.5], size=(40, 3)), [[0, 50, 0]]])
-    found = observation.log_likelihood(particles_at(poses), edges, landmark_map)
+    found = observation.log_likelihood(particles_at(poses), Sighting(0, edges), landmark_map)
     expected = [oracle(observation, pose, edges, landmark_map) for pose in poses]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=2e-6)
     assert np.ptp(found) > 0.5, "poses must differ for the comparison to mean anything"
@@ -134,7 +134,7 @@ def test_differences_between_poses_hold_for_many_edges(kind: str) -> None:
     (edges,) = simulated_edges(landmark_map, CAMERA, Trajectory(np.zeros(1, dtype=np.int64), POSE_TRUE[None]), rng)
     assert len(edges) > 8
     poses = POSE_TRUE + rng.normal(size=(40, 3)) * [0.05, 0.05, 0.01]
-    found = observation.log_likelihood(particles_at(poses), edges, landmark_map)
+    found = observation.log_likelihood(particles_at(poses), Sighting(0, edges), landmark_map)
     expected = np.array([oracle(observation, pose, edges, landmark_map) for pose in poses])
     assert np.ptp(expected) > 10
     np.testing.assert_allclose(found - found.max(), expected - expected.max(), atol=0.5)
@@ -146,11 +146,13 @@ def test_nothing_measured_or_nothing_in_view_tells_nothing_of_the_landmarks(kind
     rng = np.random.default_rng(0)
     landmark_map, edges = some_map(rng), some_edges(rng, 5, common=True)
     near, away = particles_at(POSE_TRUE[None]), particles_at(np.array([[0.0, 100.0, 0.0], [50.0, 0.0, 1.0]]))
-    np.testing.assert_allclose(observation.log_likelihood(near, Edges.none(), landmark_map), [0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        observation.log_likelihood(near, Sighting(0, Edges.none()), landmark_map), [0.0], atol=1e-12
+    )
     # E (1 - w)^5: all five are clutter, wherever the particle is.
     expected = np.log(comb(10, 5) / 4**5)
-    np.testing.assert_allclose(observation.log_likelihood(away, edges, landmark_map), expected, rtol=1e-12)
-    matches = observation.associate(away.poses[0], edges, landmark_map)
+    np.testing.assert_allclose(observation.log_likelihood(away, Sighting(0, edges), landmark_map), expected, rtol=1e-12)
+    matches = observation.associate(away.poses[0], Sighting(0, edges), landmark_map)
     assert (matches.landmark == -1).all()
     assert np.isnan(matches.residual).all()
     assert not matches.visible.any()
@@ -165,9 +167,11 @@ def test_blur_is_a_sigma_of_every_edge(kind: str) -> None:
     blurred = replace(
         edges, bearing_sigma=np.hypot(edges.bearing_sigma, 0.02), lean_sigma=np.hypot(edges.lean_sigma, 0.02)
     )
-    found = observation.by_share(poses, edges, landmark_map, blur_rad=0.02)
-    np.testing.assert_allclose(found, observation.by_share(poses, blurred, landmark_map), rtol=1e-9, atol=1e-9)
-    assert np.abs(found - observation.by_share(poses, edges, landmark_map)).max() > 0.1
+    found = observation.by_rate(poses, Sighting(0, edges), landmark_map, blur_rad=0.02)
+    np.testing.assert_allclose(
+        found, observation.by_rate(poses, Sighting(0, blurred), landmark_map), rtol=1e-9, atol=1e-9
+    )
+    assert np.abs(found - observation.by_rate(poses, Sighting(0, edges), landmark_map)).max() > 0.1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -178,14 +182,14 @@ def test_scales_are_the_spread_of_predictions_and_the_sigma_of_measuring(kind: s
     landmark_map = LandmarkMap.from_points(np.array([[-0.4, -4.0], [0.1, -4.0], [0.4, -3.5]]))
     edges = replace(some_edges(rng, 5, common=False), bearing_sigma=np.full(5, 0.004), lean_sigma=np.full(5, 0.003))
     cloud = particles_at(np.column_stack([np.zeros((4000, 2)), rng.normal(0.0, 0.02, 4000)]))
-    spread_rad, sigma_rad = observation.scales(cloud, edges, landmark_map)
+    spread_rad, sigma_rad = observation.scales(cloud, Sighting(0, edges), landmark_map)
     # Near straight ahead a lean is sin(tilt) times the bearing. 64 particles tell a sigma to a tenth: 3 sigmas.
     per_bearing = 1.0 if kind == "line" else np.sin(CAMERA.mount.tilt_rad)
     assert spread_rad == pytest.approx(0.02 * per_bearing, rel=0.3)
     assert sigma_rad == pytest.approx(0.004 if kind == "line" else 0.003)
-    assert observation.scales(cloud, Edges.none(), landmark_map) == (0.0, np.inf)
+    assert observation.scales(cloud, Sighting(0, Edges.none()), landmark_map) == (0.0, np.inf)
     away = particles_at(np.tile([0.0, 100.0, 0.0], (10, 1)))
-    assert observation.scales(away, edges, landmark_map) == (0.0, np.inf)
+    assert observation.scales(away, Sighting(0, edges), landmark_map) == (0.0, np.inf)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -201,7 +205,9 @@ def test_the_true_pose_is_the_best_for_edges_without_noise(kind: str, seed: int)
     parameters = ObservationParameters(kind=kind, landmark_sigma_m=0.0)  # type: ignore[arg-type]
     steps = np.concatenate([np.zeros((1, 3)), rng.normal(size=(30, 3)) * [0.3, 0.3, 0.1]])
     steps = steps[np.concatenate([[True], np.abs(steps[1:, 2]) > 0.03])]
-    found = EdgeObservation(CAMERA, parameters).log_likelihood(particles_at(POSE_TRUE + steps), edges, landmark_map)
+    found = EdgeObservation(CAMERA, parameters).log_likelihood(
+        particles_at(POSE_TRUE + steps), Sighting(0, edges), landmark_map
+    )
     assert found.argmax() == 0
 
 
@@ -210,7 +216,7 @@ def test_association_is_the_likeliest_landmark_or_clutter(kind: str) -> None:
     rng = np.random.default_rng(4)
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
     landmark_map, edges = some_map(rng, 15), some_edges(rng, 25, common=True)
-    matches = observation.associate(POSE_TRUE, edges, landmark_map)
+    matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map)
     density = landmark_densities(observation, POSE_TRUE, edges, landmark_map)
     np.testing.assert_array_equal(matches.visible, ~np.isnan(density[0]))
     best = np.nanargmax(density, axis=1)
@@ -235,29 +241,29 @@ def test_association_finds_the_true_landmarks_of_simulated_edges() -> None:
     assert len(edges) == 5
     for kind in KINDS:
         observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
-        matches = observation.associate(np.zeros(3), edges, landmark_map)
+        matches = observation.associate(np.zeros(3), Sighting(0, edges), landmark_map)
         np.testing.assert_array_equal(matches.landmark, edges.landmark_id)
 
 
 def test_share_of_a_frame_that_is_new() -> None:
     """(1 - ρ)/(1 + ρ) with ρ = exp(-path/decorrelation - turned/decorrelation)."""
     parameters = ObservationParameters(decorrelation_m=0.1, decorrelation_deg=5.0)
-    assert independent_share(Increment.from_mean([0, 0, 0]), parameters) == 0.0
-    assert independent_share(Increment.from_mean([0, -10, 0]), parameters) == pytest.approx(1.0)
+    assert novelty_of(Increment.from_mean([0, 0, 0]), parameters) == 0.0
+    assert novelty_of(Increment.from_mean([0, -10, 0]), parameters) == pytest.approx(1.0)
     rho = np.exp(-0.05 / 0.1 - np.radians(2) / np.radians(5))
     moved = Increment.from_mean([0.0, 0.05, -np.radians(2)])
-    assert independent_share(moved, parameters) == pytest.approx((1 - rho) / (1 + rho))
+    assert novelty_of(moved, parameters) == pytest.approx((1 - rho) / (1 + rho))
     there_and_back = Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0, "wheel")
-    assert independent_share(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
+    assert novelty_of(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
 
 
 @pytest.mark.parametrize("independent", [{"decorrelation_m": 0.0}, {"decorrelation_deg": 0.0}])
 def test_everything_is_new_when_errors_are_said_to_be_independent(independent: dict[str, float]) -> None:
-    assert independent_share(Increment.from_mean(np.zeros(3)), ObservationParameters(**independent)) == 1.0  # type: ignore[arg-type]
+    assert novelty_of(Increment.from_mean(np.zeros(3)), ObservationParameters(**independent)) == 1.0  # type: ignore[arg-type]
 
 
 def test_many_short_steps_tell_as_much_as_the_path_they_make() -> None:
     """The shares of a path add up to path/(2 decorrelation): what is learned does not grow with the rate of images."""
     parameters = ObservationParameters(decorrelation_m=0.1)
-    sums = [n * independent_share(Increment.from_mean([0, -1.0 / n, 0]), parameters) for n in (100, 1000, 10_000)]
+    sums = [n * novelty_of(Increment.from_mean([0, -1.0 / n, 0]), parameters) for n in (100, 1000, 10_000)]
     np.testing.assert_allclose(sums, 5.0, rtol=0.01)

@@ -11,7 +11,7 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array, lean_from_bearing
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.8))
@@ -33,7 +33,7 @@ def gain(edges: Edges, bottom_m: float, top_m: float, kind: str = "line") -> flo
     landmark_map = LandmarkMap.from_points(JAMB, bottom_m=np.array([bottom_m]), top_m=np.array([top_m]))
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
     particles = Particles(POSE, POSES.T.copy(), np.zeros(2))
-    found: Array = observation.log_likelihood(particles, edges, landmark_map)
+    found: Array = observation.log_likelihood(particles, Sighting(0, edges), landmark_map)
     return float(found[0] - found[1])
 
 
@@ -56,7 +56,9 @@ def test_the_foot_tells_the_range() -> None:
     observation = EdgeObservation(CAMERA, ObservationParameters())
     for bottom_m, top_m, told in ((0.0, 0.6, True), (np.nan, np.nan, False)):
         landmark_map = LandmarkMap.from_points(JAMB, bottom_m=np.array([bottom_m]), top_m=np.array([top_m]))
-        found = observation.log_likelihood(Particles(POSE, poses.T.copy(), np.zeros(2)), edges, landmark_map)
+        found = observation.log_likelihood(
+            Particles(POSE, poses.T.copy(), np.zeros(2)), Sighting(0, edges), landmark_map
+        )
         assert (found[0] - found[1] > 1.5) == told
 
 
@@ -133,5 +135,5 @@ def test_two_landmarks_beside_the_robot_do_not_explain_a_shelf() -> None:
     one = Particles(POSE, POSES[:1].T.copy(), np.zeros(1))
     observation = EdgeObservation(CAMERA, ObservationParameters())
     tall = LandmarkMap.from_points(points, bottom_m=np.zeros(2), top_m=np.full(2, 1.9))
-    assert observation.log_likelihood(one, books, LandmarkMap.from_points(points))[0] > 5.0
-    assert observation.log_likelihood(one, books, tall)[0] < 0.0
+    assert observation.log_likelihood(one, Sighting(0, books), LandmarkMap.from_points(points))[0] > 5.0
+    assert observation.log_likelihood(one, Sighting(0, books), tall)[0] < 0.0

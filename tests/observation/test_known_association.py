@@ -13,8 +13,8 @@ from localiser.edges import Edges
 from localiser.edges.bearings import complete
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting
+from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.known_association import IdentifiedObservation, observation_of
 from localiser.particles import POSE, Particles
 
@@ -48,7 +48,7 @@ def cloud(*poses: Array) -> Particles:
 def test_density_is_that_of_the_named_landmark_or_clutter(kind: str) -> None:
     truth, other = np.array([0.1, 0.0, 0.02]), np.array([0.12, 0.05, 0.025])
     edges = edges_at(truth, [0, 3])
-    found = observation(kind).by_share(cloud(truth, other), edges, MAP)
+    found = observation(kind).by_rate(cloud(truth, other), Sighting(0, edges), MAP)
     s = np.sin(CAMERA.mount.tilt_rad)
     measured = edges.bearing if kind == "line" else edges.lean
     sigma = edges.bearing_sigma if kind == "line" else edges.lean_sigma
@@ -62,7 +62,7 @@ def test_density_is_that_of_the_named_landmark_or_clutter(kind: str) -> None:
             slope = (np.arctan(s * np.tan(bearing + step)) - np.arctan(s * np.tan(bearing - step))) / (2 * step)
         var = sigma**2 + (slope * 0.01 / distance) ** 2
         density = np.exp(-0.5 * (measured - predicted) ** 2 / var) / np.sqrt(2 * np.pi * var)
-        expected = [np.log((1 - w) + w * density * span).sum() for w in INLIER_SHARES]
+        expected = [np.log((1 - w) + w * density * span).sum() for w in INLIER_RATES]
         np.testing.assert_allclose(found[:, column], expected, rtol=1e-6, atol=1e-6)
 
 
@@ -72,7 +72,7 @@ def test_a_neighbour_that_would_fit_better_does_not_count() -> None:
     shifted = np.array([*(POINTS[1] - POINTS[0]), 0.0])
     edges = edges_at(truth, [0])
     known, unknown = (
-        one.log_likelihood(cloud(truth, shifted), edges, MAP)
+        one.log_likelihood(cloud(truth, shifted), Sighting(0, edges), MAP)
         for one in (observation(), EdgeObservation(CAMERA, ObservationParameters()))
     )
     assert known[0] - known[1] > 2.0
@@ -82,10 +82,10 @@ def test_a_neighbour_that_would_fit_better_does_not_count() -> None:
 def test_edges_of_no_landmark_and_landmarks_behind_tell_nothing() -> None:
     truth = np.array([0.0, 0.0, 0.0])
     clutter = edges_at(truth, [-1, -1], seen=np.array([[0.3, -3.0], [-0.4, -2.0]]))
-    np.testing.assert_array_equal(observation().by_share(cloud(truth), clutter, MAP), 0.0)
+    np.testing.assert_array_equal(observation().by_rate(cloud(truth), Sighting(0, clutter), MAP), 0.0)
     away = np.array([0.0, -8.0, 0.0])  # all landmarks behind: each edge can only be clutter
-    found = observation().by_share(cloud(away), edges_at(truth, [0, 2]), MAP)[:, 0]
-    np.testing.assert_allclose(found, 2 * np.log1p(-INLIER_SHARES))
+    found = observation().by_rate(cloud(away), Sighting(0, edges_at(truth, [0, 2])), MAP)[:, 0]
+    np.testing.assert_allclose(found, 2 * np.log1p(-INLIER_RATES))
 
 
 def test_the_cameras_own_yaw_counts() -> None:
@@ -93,14 +93,14 @@ def test_the_cameras_own_yaw_counts() -> None:
     edges = edges_at(truth + np.array([0, 0, yaw]), [0, 2, 3])
     edges = replace(edges, bearing=bearings(truth, POINTS[[0, 2, 3]]) + yaw)
     with_yaw = Particles((*POSE, "camera_yaw"), np.array([[*truth, yaw]]).T, np.zeros(1))
-    right, wrong = (observation().log_likelihood(one, edges, MAP)[0] for one in (with_yaw, cloud(truth)))
+    right, wrong = (observation().log_likelihood(one, Sighting(0, edges), MAP)[0] for one in (with_yaw, cloud(truth)))
     assert right > wrong + 10
 
 
 def test_matches_are_those_that_the_edges_name() -> None:
     truth = np.array([0.0, 0.0, 0.0])
     edges = edges_at(truth, [2, -1, 0], seen=POINTS[[2, 1, 0]])
-    matches = observation().associate(truth, edges, MAP)
+    matches = observation().associate(truth, Sighting(0, edges), MAP)
     np.testing.assert_array_equal(matches.landmark, [2, -1, 0])
     np.testing.assert_allclose(matches.residual, [0, np.nan, 0], atol=1e-12)
     assert matches.visible.all()
@@ -110,7 +110,7 @@ def test_a_pose_is_found_among_lookalikes() -> None:
     truth = np.array([0.2, -0.3, 0.05])
     rng = np.random.default_rng(0)
     start = particles.from_gaussian(truth + np.array([0.2, -0.1, 0.05]), np.diag([0.3, 0.3, 0.1]) ** 2, 20_000, rng)
-    log_likelihood = observation().log_likelihood(start, edges_at(truth, [0, 1, 2, 3]), MAP)
+    log_likelihood = observation().log_likelihood(start, Sighting(0, edges_at(truth, [0, 1, 2, 3])), MAP)
     found = particles.estimate(replace(start, log_weight=log_likelihood))
     assert isinstance(observation(), IdentifiedObservation)
     error = found.pose - truth

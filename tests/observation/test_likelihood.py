@@ -13,8 +13,8 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting
+from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.likelihood import bins_of
 from localiser.observation.polarity import SAME
 from localiser.particles import POSE, Particles
@@ -61,8 +61,8 @@ def cloud(rng: np.random.Generator, count: int) -> Particles:
 
 
 def difference(observation: EdgeObservation, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
-    found = observation.by_share(particles, edges, landmark_map, 0.004)
-    return np.abs(found - observation.by_share_plain(particles, edges, landmark_map, 0.004))
+    found = observation.by_rate(particles, Sighting(0, edges), landmark_map, 0.004)
+    return np.abs(found - observation.by_rate_plain(particles, Sighting(0, edges), landmark_map, 0.004))
 
 
 @settings(derandomize=True, max_examples=40, deadline=None)
@@ -100,9 +100,11 @@ def test_a_particle_does_not_depend_on_the_others() -> None:
     rng = np.random.default_rng(2)
     observation = EdgeObservation(camera(20.0), ObservationParameters())
     edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 100)
-    together = observation.by_share(particles, edges, landmark_map)
+    together = observation.by_rate(particles, Sighting(0, edges), landmark_map)
     alone = [
-        observation.by_share(Particles(POSE, particles.columns[:, [n]], np.zeros(1)), edges, landmark_map)[:, 0]
+        observation.by_rate(Particles(POSE, particles.columns[:, [n]], np.zeros(1)), Sighting(0, edges), landmark_map)[
+            :, 0
+        ]
         for n in range(100)
     ]
     np.testing.assert_array_equal(together.T, alone)
@@ -114,8 +116,8 @@ def test_hundreds_of_edges_neither_overflow_nor_vanish() -> None:
     bearing = np.full(600, float(np.arctan2(0.0, 3.0)))
     edges = Edges.from_columns(bearing, np.full(600, 1e-5), bearing, np.full(600, 1e-5))
     poses = Particles(POSE, np.array([[0.0, 0.0], [0.0, 0.0], [-0.03, 3.0]]), np.zeros(2))
-    found = observation.by_share(poses, edges, landmark_map)
-    np.testing.assert_allclose(found, observation.by_share_plain(poses, edges, landmark_map), rtol=1e-9)
+    found = observation.by_rate(poses, Sighting(0, edges), landmark_map)
+    np.testing.assert_allclose(found, observation.by_rate_plain(poses, Sighting(0, edges), landmark_map), rtol=1e-9)
     assert np.isfinite(found).all()
     assert np.abs(found).max() > 700, "so large that one product would overflow"
 
@@ -135,7 +137,9 @@ def test_threads_do_not_change_a_bit() -> None:
     rng = np.random.default_rng(3)
     edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 20_000)
     one, three = (
-        EdgeObservation(camera(20.0), ObservationParameters(threads=threads)).by_share(particles, edges, landmark_map)
+        EdgeObservation(camera(20.0), ObservationParameters(threads=threads)).by_rate(
+            particles, Sighting(0, edges), landmark_map
+        )
         for threads in (1, 3)
     )
     np.testing.assert_array_equal(one, three)
@@ -150,8 +154,8 @@ def test_polarity_multiplies_a_pair_by_its_probability_over_a_half() -> None:
         """Return the edge's density over that of clutter, by the compiled loop."""
         landmark_map = replace(LandmarkMap.from_points(point), polarity=np.array([landmark], dtype=np.int8))
         edges = Edges.from_columns(angle, sigma, angle, sigma, polarity=np.array([edge], dtype=np.int8))
-        share = INLIER_SHARES[2]
-        return float((np.exp(observation.by_share(here, edges, landmark_map)[2, 0]) - (1 - share)) / share)
+        share = INLIER_RATES[2]
+        return float((np.exp(observation.by_rate(here, Sighting(0, edges), landmark_map)[2, 0]) - (1 - share)) / share)
 
     for sign in (1, -1):
         assert density(sign, sign) == pytest.approx(2 * SAME * density(0, 0))
@@ -166,8 +170,8 @@ def test_a_polarity_that_only_one_side_knows_changes_no_bit(of: str) -> None:
     edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 500)
     unknown_edges = replace(edges, polarity=np.zeros(20, dtype=np.int8))
     unknown_map = replace(landmark_map, polarity=np.zeros(40, dtype=np.int8))
-    one = observation.by_share(
-        particles, unknown_edges if of == "map" else edges, landmark_map if of == "map" else unknown_map
+    one = observation.by_rate(
+        particles, Sighting(0, unknown_edges if of == "map" else edges), landmark_map if of == "map" else unknown_map
     )
-    np.testing.assert_array_equal(one, observation.by_share(particles, unknown_edges, unknown_map))
-    assert (one != observation.by_share(particles, edges, landmark_map)).any()
+    np.testing.assert_array_equal(one, observation.by_rate(particles, Sighting(0, unknown_edges), unknown_map))
+    assert (one != observation.by_rate(particles, Sighting(0, edges), landmark_map)).any()

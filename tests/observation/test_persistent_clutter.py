@@ -13,9 +13,9 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map, wrap_angle
-from localiser.landmarks import LandmarkMap, SightParameters
-from localiser.observation import EdgeObservation, ObservationParameters, Targets
-from localiser.observation.persistent_clutter import NEAR_M, lasting
+from localiser.landmarks import LandmarkMap, SightParameters, field_of_view_rad
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting, Targets
+from localiser.observation.persistent_clutter import NEAR_M, clutter_density
 from localiser.particles import POSE, Particles
 
 SPAN = 1.1
@@ -27,19 +27,19 @@ def moved(right: float, back: float, turn: float) -> Array:
 
 def test_nothing_is_known_without_a_last_image() -> None:
     one, none = np.array([0.1]), np.zeros(0)
-    assert lasting(one, one, none, none, moved(0, 0, 0), 0.0, SPAN).tolist() == [1.0]
-    assert lasting(none, none, one, one, moved(0, 0, 0), 0.0, SPAN).tolist() == []
+    assert clutter_density(one, one, none, none, moved(0, 0, 0), 0.0, SPAN).tolist() == [1.0]
+    assert clutter_density(none, none, one, one, moved(0, 0, 0), 0.0, SPAN).tolist() == []
 
 
 def test_what_stands_where_it_was_is_as_dense_as_the_sigmas_say() -> None:
     bearing, sigma = np.array([0.2, -0.3]), np.full(2, 0.01)
-    found = lasting(bearing + 0.05, sigma, bearing, sigma, moved(0, 0, 0.05), 0.0, SPAN)
+    found = clutter_density(bearing + 0.05, sigma, bearing, sigma, moved(0, 0, 0.05), 0.0, SPAN)
     np.testing.assert_allclose(found, SPAN / np.sqrt(2 * np.pi * 2e-4))
 
 
 def test_of_two_that_may_continue_one_nothing_is_known() -> None:
     sigma = np.full(2, 0.01)
-    found = lasting(np.array([0.2, 0.205]), sigma, np.array([0.2]), sigma[:1], moved(0, 0, 0), 0.0, SPAN)
+    found = clutter_density(np.array([0.2, 0.205]), sigma, np.array([0.2]), sigma[:1], moved(0, 0, 0), 0.0, SPAN)
     assert found.tolist() == [1.0, 1.0]
 
 
@@ -56,7 +56,9 @@ def test_clutter_is_never_rarer_than_anywhere(
 ) -> None:
     first, second = np.array(now, dtype=float), np.array(before, dtype=float)
     sigma = np.full(8, 0.02)
-    found = lasting(first, sigma[: len(first)], second, sigma[: len(second)], moved(right, back, turn), 1e-4, SPAN)
+    found = clutter_density(
+        first, sigma[: len(first)], second, sigma[: len(second)], moved(right, back, turn), 1e-4, SPAN
+    )
     assert found.shape == first.shape
     assert (found >= 1.0).all()
     assert (found <= SPAN / np.sqrt(2 * np.pi * 8e-4) + 1e-9).all()
@@ -77,7 +79,7 @@ def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, f
     each = np.full(1, sigma)
     log_density = np.log(
         [
-            lasting(second[i : i + 1], each, first[i : i + 1], each, moved(*step), turn_sigma**2, SPAN)[0]
+            clutter_density(second[i : i + 1], each, first[i : i + 1], each, moved(*step), turn_sigma**2, SPAN)[0]
             for i in range(2000)
         ]
     )
@@ -110,8 +112,8 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
     landmark_map, poses = arena()
     sight = SightParameters(range_max_m=40.0)
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind, sight=sight))
-    edges = one_edge(np.radians(10.0))
-    again = observation.with_lasting(edges, edges, Increment.from_mean([0.0, -0.1, 0.0]), 1e-6)
+    edges = Sighting(0, one_edge(np.radians(10.0)))
+    again = observation.with_persistent_clutter(edges, edges, Increment.from_mean([0.0, -0.1, 0.0]), 1e-6)
     new, known = (np.diff(observation.log_likelihood(poses, each, landmark_map)) for each in (edges, again))
     assert 0.0 < known < 0.5 * new
 
@@ -126,11 +128,12 @@ def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tu
     poses = [np.zeros(3), np.asarray(step)]
     seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
     before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)
-    clutter = observation.with_lasting(after, before, Increment.from_mean(step), 0.0).clutter[0]
+    seen = observation.with_persistent_clutter(Sighting(1, after), Sighting(0, before), Increment.from_mean(step), 0.0)
+    clutter = seen.edges.clutter[0]
     right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
     across = float(right + back * 0.1)  # at a bearing of 0.1
     sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
-    assert clutter == pytest.approx(observation.angle.field_rad / np.sqrt(2 * np.pi) / sigma, rel=0.2)
+    assert clutter == pytest.approx(field_of_view_rad(camera) / np.sqrt(2 * np.pi) / sigma, rel=0.2)
 
 
 def test_the_filter_knows_what_the_last_image_showed() -> None:
@@ -138,10 +141,10 @@ def test_the_filter_knows_what_the_last_image_showed() -> None:
 
     class Listening(EdgeObservation):
         def targets(
-            self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, inlier_share: float
+            self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, inlier_rate: float
         ) -> Targets:
-            clutter.append(float(edges.clutter[0]))
-            return EdgeObservation.targets(self, particles, edges, landmark_map, inlier_share)
+            clutter.append(float(sighting.edges.clutter[0]))
+            return EdgeObservation.targets(self, particles, sighting, landmark_map, inlier_rate)
 
     filter_ = mcl.Mcl(arena()[0], Listening(CAMERA, ObservationParameters()), mcl.MclParameters(particles=50))
     state, rng = mcl.FilterState(), np.random.default_rng(0)

@@ -7,12 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localiser.particles import resampling
+from localiser.particles import clusters, resampling
 
 SCHEMES = [
     resampling.systematic_resample,
-    resampling.stratified_resample,
-    resampling.residual_resample,
     resampling.multinomial_resample,
 ]
 ALMOST_ONE = np.nextafter(1.0, 0.0)
@@ -71,27 +69,19 @@ def test_weights_that_mean_nothing_are_refused(resample, weight):
         resample(np.array(weight), 3, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("resample", [resampling.systematic_resample, resampling.residual_resample])
 @given(weight=weights, count=st.integers(1, 80), seed=st.integers(0, 100))
-def test_systematic_and_residual_never_lose_a_whole_offspring(resample, weight, count, seed):
-    offspring = np.bincount(resample(weight, count, np.random.default_rng(seed)), minlength=len(weight))
+def test_systematic_offspring_are_the_whole_numbers_beside_what_is_expected(weight, count, seed):
+    index = resampling.systematic_resample(weight, count, np.random.default_rng(seed))
+    offspring = np.bincount(index, minlength=len(weight))
     expected = count * weight / weight.sum()
     assert (offspring >= np.floor(expected - 1e-9)).all()
-    if resample is resampling.systematic_resample:
-        assert (offspring <= np.ceil(expected + 1e-9)).all()
+    assert (offspring <= np.ceil(expected + 1e-9)).all()
 
 
-@given(weight=weights, count=st.integers(1, 80), seed=st.integers(0, 100))
-def test_stratified_offspring_are_within_two_of_what_is_expected(weight, count, seed):
-    offspring = np.bincount(resampling.stratified_resample(weight, count, np.random.default_rng(seed)))
-    expected = count * weight[: len(offspring)] / weight.sum()
-    assert (np.abs(offspring - expected) < 2 + 1e-9).all()
-
-
-@pytest.mark.parametrize("name", ["systematic_resample", "stratified_resample", "multinomial_resample"])
+@pytest.mark.parametrize("name", ["systematic_resample", "multinomial_resample"])
 @pytest.mark.parametrize("seed", range(20))
 def test_agrees_with_filterpy(name, seed, monkeypatch):
-    """The same uniform draws give the same indices; its residual scheme is biased and no oracle."""
+    """The same uniform draws give the same indices."""
     oracle = pytest.importorskip("filterpy.monte_carlo")
     weight = np.random.default_rng(seed).exponential(size=50)
     weight /= weight.sum()
@@ -106,13 +96,20 @@ def test_agrees_with_filterpy(name, seed, monkeypatch):
 # -- how many particles -----------------------------------------------------------------------------------------------
 
 
+def enough_for(cells, **limits):
+    """Return how many particles a cloud needs that occupies so many cells."""
+    poses = np.column_stack([np.arange(cells) + 0.5, np.zeros((cells, 2))])
+    return resampling.enough_particles(poses, 1.0, 1.0, **limits)
+
+
 @pytest.mark.parametrize("cells", [2, 10, 100, 1000, 20_000])
-@pytest.mark.parametrize("doubt", [0.01, 0.1])
-def test_particle_count_is_the_chi_squared_quantile(cells, doubt):
+@pytest.mark.parametrize("risk", [0.01, 0.1])
+def test_particle_count_is_the_chi_squared_quantile(cells, risk):
     stats = pytest.importorskip("scipy.stats")
-    exact = stats.chi2.ppf(1 - doubt, cells - 1) / (2 * 0.05)
+    exact = stats.chi2.ppf(1 - risk, cells - 1) / (2 * 0.05)
     # Wilson and Hilferty's approximation: worst at one degree of freedom.
-    assert resampling.particles_for_cells(cells, 0.05, doubt) == pytest.approx(exact, rel=0.03 if cells == 2 else 0.005)
+    found = enough_for(cells, error=0.05, risk=risk)
+    assert found == pytest.approx(exact, rel=0.03 if cells == 2 else 0.005)
 
 
 def test_that_many_particles_keep_the_histogram_within_the_error():
@@ -120,7 +117,7 @@ def test_that_many_particles_keep_the_histogram_within_the_error():
     rng = np.random.default_rng(3)
     p = rng.exponential(size=40)
     p /= p.sum()
-    count = resampling.particles_for_cells(40, error=0.05, doubt=0.1)
+    count = enough_for(40, error=0.05, risk=0.1)
     drawn = rng.multinomial(count, p, size=2000) / count
     distance = np.sum(np.where(drawn > 0, drawn * np.log(np.maximum(drawn, 1e-300) / p), 0.0), axis=1)
     kept = (distance <= 0.05).mean()
@@ -132,9 +129,9 @@ def test_cells_are_counted_once_and_close_around_the_circle():
     poses = np.array(
         [[0.1, 0.1, 0.1], [0.2, 0.9, 0.2], [-0.1, 0.1, 0.1], [0.1, 0.1, 0.1 + 2 * np.pi], [0.1, 0.1, -0.1]]
     )
-    assert resampling.occupied_cells(poses, 1.0, quarter) == 3
-    assert resampling.occupied_cells(poses, 1.0, 2 * np.pi) == 2
-    assert resampling.occupied_cells(poses, 0.5, quarter) == 4
+    assert clusters.occupied_cells(poses, 1.0, quarter) == 3
+    assert clusters.occupied_cells(poses, 1.0, 2 * np.pi) == 2
+    assert clusters.occupied_cells(poses, 0.5, quarter) == 4
     assert resampling.enough_particles(poses[:1], 1.0, quarter) == 1
 
 
@@ -149,4 +146,4 @@ def test_a_spread_cloud_needs_more_particles_than_a_tight_one():
 @pytest.mark.parametrize("cell", [(0.0, 0.1), (0.1, 0.0), (-1.0, 0.1)])
 def test_cells_without_extent_are_refused(cell):
     with pytest.raises(ValueError, match="cells"):
-        resampling.occupied_cells(np.zeros((1, 3)), *cell)
+        clusters.occupied_cells(np.zeros((1, 3)), *cell)

@@ -9,24 +9,24 @@ import pytest
 from proposal_room import CAMERA, room
 
 from localiser import geometry
-from localiser.filter.alternative_hypothesis import Rival
-from localiser.filter.confidence import beside, confidence_of
-from localiser.filter.mcl import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
+from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
+from localiser.filter.alternative_hypothesis import AlternativeHypothesis
+from localiser.filter.confidence import confidence_of, is_near
 from localiser.geometry import Array, Trajectory
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import INLIER_SHARES
+from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.particles import CAMERA_YAW, POSE, Particles
 from localiser.particles.clusters import Clusters, find_clusters
 from localiser.relocalisation import global_localisation as search
-from localiser.relocalisation.global_localisation import Search, SearchParameters
-from localiser.relocalisation.lost_probability import OVERLOOKED, Doubt
+from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
+from localiser.relocalisation.lost_probability import OVERLOOKED, LostProbability
 from localiser.simulate import EdgeNoise, simulated_edges
 
 SECOND = 1_000_000_000
 ROOM = room(80)
 CORRELATION = ObservationParameters()
 OBSERVATION = EdgeObservation(CAMERA, CORRELATION)
-SEARCH = Search.of(OBSERVATION, ROOM, SearchParameters(particles_most=3000))
+SEARCH = GlobalLocalisation.of(OBSERVATION, ROOM, SearchParameters(particles_most=3000))
 FILTER = Mcl(ROOM, OBSERVATION, MclParameters(particles=500, start_particles=2000), search=SEARCH)
 
 
@@ -69,7 +69,7 @@ def located(events: list[object], seed: int = 0, mcl: Mcl = FILTER) -> list[Loca
 
 
 def is_right(found: list[Located], truth: Array) -> Array:
-    return np.array([beside(one.estimate.pose[None], pose)[0] for one, pose in zip(found, truth, strict=True)])
+    return np.array([is_near(one.estimate.pose[None], pose)[0] for one, pose in zip(found, truth, strict=True)])
 
 
 # -- the whole way ----------------------------------------------------------------------------------------------------
@@ -128,52 +128,53 @@ def test_edges_that_show_no_landmark_cost_confidence_and_are_named() -> None:
     assert found[-1].reason == "edges contradict the map"
 
 
-# -- doubt ------------------------------------------------------------------------------------------------------------
+# -- lost probability -------------------------------------------------------------------------------------------------
 
 
-def test_doubt_grows_with_edges_that_do_not_fit_and_falls_with_edges_that_do() -> None:
-    nothing, fits = np.log1p(-INLIER_SHARES)[:, None] * 20, np.linspace(0, 20, len(INLIER_SHARES))[:, None]
-    doubt, one = Doubt.of(1e-4), np.zeros(1)
+def test_the_lost_probability_grows_with_edges_that_do_not_fit_and_falls_with_edges_that_do() -> None:
+    nothing, fits = np.log1p(-INLIER_RATES)[:, None] * 20, np.linspace(0, 20, len(INLIER_RATES))[:, None]
+    lost, one = LostProbability.of(1e-4), np.zeros(1)
     for _ in range(3):
-        before, doubt = doubt, doubt.after(nothing, one, 1.0, 1e-3)
-        assert doubt.probability > before.probability
+        before, lost = lost, lost.after(nothing, one, 1.0, 1e-3)
+        assert lost.probability > before.probability
     for _ in range(20):
-        doubt = doubt.after(nothing, one, 1.0, 1e-3)
-    assert doubt.probability <= 0.5, "what is not on the map explains such edges as well"
-    assert doubt.after(fits, one, 1.0, 1e-3).probability < 1e-3
+        lost = lost.after(nothing, one, 1.0, 1e-3)
+    assert lost.probability <= 0.5, "what is not on the map explains such edges as well"
+    assert lost.after(fits, one, 1.0, 1e-3).probability < 1e-3
 
 
-def test_an_image_seen_before_leaves_doubt_as_it_was() -> None:
-    nothing = np.log1p(-INLIER_SHARES)[:, None] * 20
-    assert Doubt.of(0.1).after(nothing, np.zeros(1), 0.0, 1e-3).probability == pytest.approx(0.1)
+def test_an_image_seen_before_leaves_the_lost_probability_as_it_was() -> None:
+    nothing = np.log1p(-INLIER_RATES)[:, None] * 20
+    assert LostProbability.of(0.1).after(nothing, np.zeros(1), 0.0, 1e-3).probability == pytest.approx(0.1)
 
 
-def test_a_place_that_fits_is_doubted_until_others_would_have_been_found() -> None:
-    fits = np.linspace(0, 20, len(INLIER_SHARES))[:, None]
-    doubt = Doubt.of_anywhere()
-    assert doubt.probability == pytest.approx(OVERLOOKED)
+def test_a_place_that_fits_may_be_wrong_until_others_would_have_been_found() -> None:
+    fits = np.linspace(0, 20, len(INLIER_RATES))[:, None]
+    lost = LostProbability.of_anywhere()
+    assert lost.probability == pytest.approx(OVERLOOKED)
     chances = []
     for _ in range(6):
-        doubt = doubt.after(fits, np.zeros(1), 1.0, 0.0)
-        chances.append(doubt.probability)
+        lost = lost.after(fits, np.zeros(1), 1.0, 0.0)
+        chances.append(lost.probability)
     assert (np.diff(chances) < 0).all() and OVERLOOKED**7 < chances[-1] < 0.01
 
 
-# -- search and rival -------------------------------------------------------------------------------------------------
+# -- alternative hypothesis -------------------------------------------------------------------------------------------
 
 
-def test_fresh_poses_keep_the_biases_and_see_through_them() -> None:
+def test_fresh_poses_keep_the_constant_errors_and_see_through_them() -> None:
     """A robot whose camera is turned by 0.02 has a heading that is as much less, and is as likely."""
-    clues = SEARCH.clues(drive(1).events[1].edges)  # type: ignore[attr-defined]
+    clues = SEARCH.clues(drive(1).events[1])  # type: ignore[attr-defined]
     straight, turned = (
         Particles((*POSE, CAMERA_YAW), np.array([[0.0, 0.0, 0.0, yaw]]).T, np.zeros(1)) for yaw in (0.0, 0.02)
     )
     (one, evidence), (other, same) = (
-        SEARCH.fresh(like, clues, Doubt.of(0.1).inliers, 500, np.random.default_rng(0)) for like in (straight, turned)
+        SEARCH.fresh(like, clues, LostProbability.of(0.1).inliers, 500, np.random.default_rng(0))
+        for like in (straight, turned)
     )
     assert (other[CAMERA_YAW] == 0.02).all() and same == evidence
     np.testing.assert_allclose(geometry.wrap_angle(one["heading"] - other["heading"]), 0.02)
-    np.testing.assert_allclose(clues.by_share(one), clues.by_share(other), atol=1e-6)
+    np.testing.assert_allclose(clues.by_rate(one), clues.by_rate(other), atol=1e-6)
 
 
 def test_joined_clouds_have_the_odds_that_are_asked_for() -> None:
@@ -190,21 +191,21 @@ def test_fewer_particles_are_kept_where_they_occupy_fewer_cells() -> None:
     assert counts[0] == 2000 and counts[1] < 300
 
 
-def test_a_rival_is_not_where_the_robot_is_believed_to_be() -> None:
+def test_an_alternative_is_not_where_the_robot_is_believed_to_be() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [3.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
-    rival = Rival(cloud(poses), Doubt.of_anywhere(), 1.0).elsewhere(np.zeros(3))
-    assert rival is not None
-    np.testing.assert_array_equal(rival.particles.poses, poses[2:])
-    assert rival.log_odds == pytest.approx(1.0 + np.log(0.5))
-    assert Rival(cloud(poses[:2]), Doubt.of_anywhere(), 1.0).elsewhere(np.zeros(3)) is None
+    alternative = AlternativeHypothesis(cloud(poses), LostProbability.of_anywhere(), 1.0).elsewhere(np.zeros(3))
+    assert alternative is not None
+    np.testing.assert_array_equal(alternative.particles.poses, poses[2:])
+    assert alternative.log_odds == pytest.approx(1.0 + np.log(0.5))
+    assert AlternativeHypothesis(cloud(poses[:2]), LostProbability.of_anywhere(), 1.0).elsewhere(np.zeros(3)) is None
 
 
-def test_a_rival_wins_with_one_place_not_with_many() -> None:
+def test_an_alternative_wins_with_one_place_not_with_many() -> None:
     rng = np.random.default_rng(0)
     one, many = rng.normal(0, 0.05, (500, 3)), rng.uniform(-3, 3, (500, 3))
-    assert Rival(cloud(one), Doubt.of_anywhere(), 10.0).has_won
-    assert not Rival(cloud(many), Doubt.of_anywhere(), 10.0).has_won
-    assert not Rival(cloud(one), Doubt.of_anywhere(), 1.0).has_won
+    assert AlternativeHypothesis(cloud(one), LostProbability.of_anywhere(), 10.0).has_won
+    assert not AlternativeHypothesis(cloud(many), LostProbability.of_anywhere(), 10.0).has_won
+    assert not AlternativeHypothesis(cloud(one), LostProbability.of_anywhere(), 1.0).has_won
 
 
 # -- what is said of it -----------------------------------------------------------------------------------------------
@@ -222,13 +223,11 @@ def test_a_rival_wins_with_one_place_not_with_many() -> None:
 )
 def test_confidence(poses: list[list[float]], lost: float, edges: int, p_correct: float, reason: str) -> None:
     particles = cloud(np.array(poses))
-    clusters = find_clusters(particles.poses, particles.weight)
-    sure = confidence_of(particles, np.zeros(3), lost, edges, clusters)
-    assert sure.p_correct == pytest.approx(p_correct)
-    assert sure.reason == reason
+    found = confidence_of(particles, np.zeros(3), lost, edges == 0)
+    assert found == (pytest.approx(p_correct), reason)
 
 
-def test_clusters_of_belief_and_rival_share_the_weight() -> None:
+def test_clusters_of_belief_and_alternative_share_the_weight() -> None:
     rng = np.random.default_rng(0)
     here, there = (find_clusters(rng.normal(at, 0.02, (200, 3)), np.ones(200), mass=1.0) for at in (0.1, 2.0))
     both: Clusters = here.beside(there, 0.7)

@@ -22,8 +22,10 @@ PRIOR = np.diag([0.2, 0.2, 0.05]) ** 2
 class WithArrays(EdgeObservation):
     """The observation as its oracle has it."""
 
-    def by_share(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> Array:
-        return self.by_share_plain(particles, edges, landmark_map, blur_rad)
+    def by_rate(
+        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+    ) -> Array:
+        return self.by_rate_plain(particles, sighting, landmark_map, blur_rad)
 
 
 def drive(images: int) -> tuple[LandmarkMap, list[Event]]:

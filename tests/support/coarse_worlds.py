@@ -9,9 +9,7 @@ import numpy as np
 from localiser.edges import Edges
 from localiser.edges.bearings import BearingSensor, complete
 from localiser.geometry import Array, between, compose, wrap_angle
-from localiser.mapping import Sightings
-from localiser.mapping.factors import Wheels
-from localiser.mapping.sightings import direction_of
+from localiser.mapping import Sightings, Wheels, direction_of
 
 SENSOR = BearingSensor()
 CAMERA = SENSOR.camera()
@@ -48,7 +46,9 @@ def coarse_drive(seed: int, wheel_error: float, seconds: float = 600.0) -> Coars
     noise = wheel_error * np.stack([path * heading / 2, ahead, heading], axis=-1)
     sigma = np.hypot(noise, _LEAST_SIGMA)
     measured = motion * _SCALES + sigma * rng.standard_normal(motion.shape)
-    return CoarseDrive(Sightings.from_edges(frames, CAMERA), Wheels(measured, path, sigma), truth, posts)
+    return CoarseDrive(
+        Sightings.from_edges(frames, CAMERA), Wheels(measured, path, np.eye(3) * sigma[:, None] ** 2), truth, posts
+    )
 
 
 def _wandering(rng: np.random.Generator, images: int) -> Array:

@@ -11,7 +11,8 @@ from pathlib import Path
 from threading import Event, Thread
 
 from localiser.live.sources import Network
-from localiser.live.stand_in import IMAGE, ODOMETRY, Passage, StandIn, drive
+from localiser.live.stand_in import IMAGE, ODOMETRY, Passage, StandIn
+from localiser.storage import open_log
 
 ODOMETRY_HZ = 50
 EVERY = {IMAGE: 7, ODOMETRY: 3}
@@ -73,7 +74,7 @@ def _without_end(content: bytes) -> bytes:
 def main(log: Path, endpoint: str) -> None:
     with Network(connect=[], listen=[endpoint]) as network:
         faulty, stop = FaultyNetwork(network), Event()
-        robot = StandIn(faulty, Passage.of(drive(log, 0), ODOMETRY_HZ))
+        robot = StandIn(faulty, Passage.of(open_log(log), ODOMETRY_HZ))
         robot.wait_for_listener(stop)
         running = Thread(target=robot.run, args=(stop,))
         running.start()

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from short_log import CORRIDOR
 
+from localiser.camera import Camera
 from localiser.config import Config, load_config
 from localiser.filter import mcl
 from localiser.live.inbound import TOPICS, CameraFinder
-from localiser.live.located import Filter
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published
 from localiser.live.prepare import LiveOptions, begun_recording
 from localiser.live.run import LiveRun
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Resumed
-from localiser.observation import EdgeObservation
+from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags.messages import ODOM, Messages
 
@@ -46,9 +46,9 @@ def arrival(role: str, t_ns: int, content: bytes) -> Arrival:
     return Arrival(role, TOPICS[role], content, at_ns=t_ns, wall_ns=BEGIN_NS + t_ns)
 
 
-def camera(t_ns: int = 0) -> list[Arrival]:
-    info = MAKE.encode(MAKE.camera_info(BEGIN_NS + t_ns, LOG.camera))
-    mount = MAKE.encode(MAKE.mount(BEGIN_NS + t_ns, LOG.camera))
+def camera(t_ns: int = 0, of: Camera = LOG.camera) -> list[Arrival]:
+    info = MAKE.encode(MAKE.camera_info(BEGIN_NS + t_ns, of))
+    mount = MAKE.encode(MAKE.mount(BEGIN_NS + t_ns, of))
     return [arrival("camera_info", t_ns, info), arrival("transforms", t_ns, mount)]
 
 
@@ -74,18 +74,16 @@ class Feed:
     now_ns: int = 0
 
     def __post_init__(self) -> None:
-        def filter_of(camera: object) -> Filter:
-            observation = EdgeObservation(LOG.camera, self.config.observation)
-            rng = np.random.default_rng(self.config.seed)
+        def localiser_of(camera: Camera) -> Localiser:
             assert LOG.landmark_map is not None
-            return Filter(camera, LOG.landmark_map, self.config, [], rng, observation)
+            return Localiser(LOG.landmark_map, camera, self.config)
 
         options = LiveOptions(CORRIDOR / "map.yaml", self.config, record=self.record)
         self.recording = begun_recording(options, self.said.append)
         self.run = LiveRun(
             Inbox(),
             CameraFinder(None, TOPICS["image"]),
-            filter_of,
+            localiser_of,
             Monitor(lambda text, level: self.said.append(text)),
             [self.published.append],
             self.recording,

@@ -20,6 +20,9 @@ from typing import Any
 PATIENCE_S = 90.0
 """For what takes seconds: a machine that is busy must not fail a test."""
 
+START = "0.11,0.60,1.2"
+"""Where the log that ships starts."""
+
 LEAST_HZ = 0.8 * 5.0
 """What is left of the rate of the log that ships, whatever goes wrong."""
 

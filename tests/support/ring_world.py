@@ -8,7 +8,8 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Array, between, compose, robot_from_map
-from localiser.mapping.factors import Bearings, Prior, Problem, SmoothParameters, Wheels
+from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
+from localiser.motion import MotionParameters
 
 CAMERA = Camera(
     640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9, yaw_rad=0.03, right_m=0.02, back_m=-0.1)
@@ -29,7 +30,7 @@ def circle(noise: float, seed: int = 0, frames: int = 80, laps: int = 1) -> tupl
     measured = motion * [1 + CONSTANTS[0], 1 + CONSTANTS[0], 1 + CONSTANTS[1]]
     measured[:, 2] += path * CONSTANTS[2]
     sigma = np.tile([2e-3, 5e-3, 4e-3], (frames - 1, 1))
-    wheels = Wheels(measured + noise * sigma * rng.standard_normal(sigma.shape), path, sigma)
+    wheels = Wheels(measured + noise * sigma * rng.standard_normal(sigma.shape), path, np.eye(3) * sigma[:, None] ** 2)
     turned = CAMERA.with_mount(yaw_rad=CAMERA.mount.yaw_rad + CONSTANTS[3])
     frame, landmark = (index.ravel() for index in np.indices((frames, 30)))
     level = robot_from_map(turned.pose_in_map(poses)[frame], points[landmark])
@@ -37,6 +38,6 @@ def circle(noise: float, seed: int = 0, frames: int = 80, laps: int = 1) -> tupl
     seen = np.abs(bearing) < 0.5
     error = noise * 1e-3 * rng.standard_normal(seen.sum())
     bearings = Bearings(frame[seen], landmark[seen], bearing[seen] + error, np.full(seen.sum(), 1e-3))
-    prior = Prior.of(SmoothParameters())
+    prior = Prior.of(MotionParameters())
     known = replace(prior, mean=np.array([CONSTANTS[0], 0, 0, 0]), sigma=np.array([1e-4, *prior.sigma[1:]]))
     return Problem(wheels, bearings, CAMERA, known), poses, points

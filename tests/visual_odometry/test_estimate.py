@@ -11,13 +11,13 @@ from two_views import CAMERA, INVERSE_SIGMA, POINTS, edges_from
 from localiser import geometry
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
-from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, IncrementParameters, Odometer, follow
+from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, Odometer, VisualOdometryParameters, follow
 from localiser.visual_odometry import twist_kernel as loops
 from localiser.visual_odometry.fuse import at_least, mixture
 from localiser.visual_odometry.sights import Sights
 from localiser.visual_odometry.twist import motion_by_twist, motion_gaussian, motion_of, twist_gaussian, twist_of
 
-ANYTHING = IncrementParameters().twist(None, 0.2)
+ANYTHING = VisualOdometryParameters().twist(None, 0.2)
 
 
 def followed(before: Edges, after: Edges) -> Followed:
@@ -231,7 +231,7 @@ def test_edges_that_the_border_cuts_off_have_no_foot() -> None:
 
 
 def odometer(source: str) -> Odometer:
-    return Odometer(CAMERA, IncrementParameters(source=source))
+    return Odometer(CAMERA, VisualOdometryParameters(source=source))
 
 
 WHEEL_COV = np.diag([1e-4, 9e-3, np.radians(0.5)]) ** 2

@@ -15,14 +15,14 @@ from localiser.filter import mcl
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.visual_odometry import IncrementParameters, Odometer
+from localiser.visual_odometry import Odometer, VisualOdometryParameters
 
 STEP, SLIP = np.array([0.0, -0.02, 0.0]), np.array([0.0, -0.1, np.radians(4.0)])
 
 
 def worst_error_m(source: str) -> float:
     """Return how far off the filter is at worst after wheels slipped by 0.5 m and 20° in five steps."""
-    odometer = Odometer(CAMERA, IncrementParameters(source=source))
+    odometer = Odometer(CAMERA, VisualOdometryParameters(source=source))
     observation = EdgeObservation(CAMERA, ObservationParameters())
     filter_ = mcl.Mcl(LandmarkMap.from_points(POINTS, name="points"), observation, odometer=odometer)
     state, rng, noise = mcl.FilterState(), np.random.default_rng(1), np.random.default_rng(2)
@@ -47,7 +47,7 @@ def test_wheels_alone_the_default_never_follow_edges(monkeypatch: pytest.MonkeyP
     def never(*_: object) -> None:
         raise AssertionError("edges were followed")
 
-    assert IncrementParameters().source == "wheel"
+    assert VisualOdometryParameters().source == "wheel"
     monkeypatch.setattr(Odometer, "increment", never)
     assert worst_error_m("wheel") > 0.0
     with pytest.raises(AssertionError, match="followed"):

@@ -6,7 +6,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, Quiet, progress, show
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
     from localiser.calibration import Board
     from localiser.commands.camera.calibrate import Calibration
-    from localiser.replay import Tilt
+    from localiser.commands.camera.tilt import Tilt
 
 _WELL_REACHED = 0.7
 
@@ -69,8 +68,8 @@ def tilt(
     quiet: Quiet = False,
 ) -> None:
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
+    from localiser.commands.camera.tilt import find_tilt, usable_images, write_plot, write_tilt
     from localiser.config import load_config
-    from localiser.replay import find_tilt, usable_images, write_plot, write_tilt
     from localiser.storage import open_log, require_new_file
 
     if plot is not None:
@@ -193,6 +192,8 @@ def _board(
 
 
 def _show_calibration(found: Calibration) -> None:
+    import numpy as np
+
     intrinsics = found.intrinsics
     outliers = intrinsics.outliers
     views = _table("image", "corners", "error (px)", "")
@@ -207,30 +208,20 @@ def _show_calibration(found: Calibration) -> None:
         digits = 2 if name in ("fx", "fy", "cx", "cy") else 5
         values.add_row(f"{name} (px)" if digits == 2 else name, f"{value:.{digits}f}", f"{sigma:.{digits}f}")
     if found.floor is not None:
-        scale = np.array([np.rad2deg(1.0), np.rad2deg(1.0), 1.0])
-        rows = zip(
-            ("tilt (°)", "roll (°)", "height (m)"), found.floor.values * scale, found.floor.sigma * scale, strict=True
-        )
-        for name, value, sigma in rows:
-            values.add_row(name, f"{value:.4f}", f"{sigma:.4f}")
+        for index, (name, unit) in enumerate((("tilt (°)", 180 / np.pi), ("roll (°)", 180 / np.pi), ("height (m)", 1))):
+            values.add_row(name, *(f"{of[index] * unit:.4f}" for of in (found.floor.values, found.floor.sigma)))
     show(values)
-    if outliers:
-        typer.secho(
-            f"Look at {', '.join(outliers)}: blurred, bent or not this board? Leave out what is.", fg="yellow", err=True
-        )
-    if found.without_board:
-        typer.secho(
-            f"No board was found in {', '.join(found.without_board)}: blurred, too small or, a chessboard, cut off?",
-            fg="yellow",
-            err=True,
-        )
-    if intrinsics.reach < _WELL_REACHED:
-        typer.secho(
-            f"Corners were seen up to {intrinsics.reach:.0%} of the way from the centre to the image's corners; "
-            "further out the lens is a guess. Add images with the board there.",
-            fg="yellow",
-            err=True,
-        )
+    doubts = {
+        f"Look at {', '.join(outliers)}: blurred, bent or not this board? Leave out what is.": outliers,
+        f"No board was found in {', '.join(found.without_board)}: blurred, too small or, a chessboard, cut off?": (
+            found.without_board
+        ),
+        f"Corners were seen up to {intrinsics.reach:.0%} of the way from the centre to the image's corners; "
+        "further out the lens is a guess. Add images with the board there.": intrinsics.reach < _WELL_REACHED,
+    }
+    for text, is_so in doubts.items():
+        if is_so:
+            typer.secho(text, fg="yellow", err=True)
 
 
 def _table(*columns: str) -> Table:
@@ -243,6 +234,8 @@ def _table(*columns: str) -> Table:
 
 
 def _show_tilt(tilt: Tilt) -> None:
+    import numpy as np
+
     found = tilt.found
     table = _table("", "stated", "found", "1σ", "found - stated")
     rows = zip(("tilt (°)", "roll (°)"), *np.rad2deg([found.stated, found.mount, found.sigma]), strict=True)

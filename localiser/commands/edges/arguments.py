@@ -42,7 +42,7 @@ def edges(
     """Find the vertical edges in images; write them as CSV and JSON, and a picture of each image."""
     from localiser.commands.edges.inputs import inputs_of
     from localiser.commands.edges.mount import mount_warnings
-    from localiser.commands.edges.run import EdgeRun, Outputs
+    from localiser.commands.edges.run import EdgeRun
     from localiser.commands.edges.tables import tables_of
     from localiser.config import load_config
 
@@ -50,7 +50,7 @@ def edges(
     names = detector or [settings.edges.detector]
     _require_detectors(names)
     taken_by, taken = inputs_of(images, camera)
-    run = EdgeRun(taken_by, taken, settings, names, Outputs(out, pictures))
+    run = EdgeRun(taken_by, taken, settings, names, out, pictures)
     with progress("Finding edges", len(taken), quiet or len(taken) == 1) as advance:
         run.run(advance)
     if not quiet:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -19,65 +19,50 @@ _COVERED_SHARE = 0.5
 _STEPS = 41
 
 
-@dataclass(slots=True)
-class Tally:
-    """What one detector found. also: how many of its edges each other detector found as well, and bearings apart."""
-
-    images: int = 0
-    edges: int = 0
-    rejected: int = 0
-    feet: float = 0.0
-    length_px: list[float] = field(default_factory=list)
-    sigma_rad: list[float] = field(default_factory=list)
-    ms: list[float] = field(default_factory=list)
-    also: dict[str, int] = field(default_factory=dict)
-    apart_rad: dict[str, list[float]] = field(default_factory=dict)
-
-
 class Comparison:
-    """Tallies of detectors over images."""
+    """Counts and figures of detectors over images, as lists by name: a value an image, an edge, or an edge found again.
+
+    also, apart_rad: of each other detector, how many edges it found as well (an image each), and bearings apart.
+    """
 
     def __init__(self, detectors: list[str]) -> None:
-        self.tallies = {name: Tally() for name in detectors}
+        self._lists: dict[str, dict[str, list[float]]] = {name: defaultdict(list) for name in detectors}
 
     def add(self, found: dict[str, Edges], ms: dict[str, float], camera: Camera) -> None:
         """Count the edges that the detectors found in one image."""
         for name, edges in found.items():
-            tally = self.tallies[name]
-            tally.images += 1
-            tally.edges += len(edges)
-            tally.rejected += len(edges.rejected_px)
-            tally.feet += float(np.nansum(edges.foot_probability))
-            tally.length_px += edges.length_px.tolist()
-            tally.sigma_rad += edges.bearing_sigma.tolist()
-            tally.ms.append(ms[name])
+            of = self._lists[name]
+            of["ms"].append(ms[name])
+            of["rejected"].append(len(edges.rejected_px))
+            of["feet"].append(float(np.nansum(edges.foot_probability)))
+            of["length_px"] += edges.length_px.tolist()
+            of["sigma_rad"] += edges.bearing_sigma.tolist()
             for other, others in found.items():
-                if other != name:
-                    match = matches(edges, others, camera)
-                    again = match >= 0
-                    apart = edges.bearing[again] - others.bearing[match[again]]
-                    tally.also[other] = tally.also.get(other, 0) + int(again.sum())
-                    tally.apart_rad.setdefault(other, []).extend(apart.tolist())
+                match = matches(edges, others, camera) if other != name else np.arange(len(edges))
+                again = match >= 0
+                of[f"also {other}"].append(int(again.sum()))
+                of[f"apart_rad {other}"] += (edges.bearing[again] - others.bearing[match[again]]).tolist()
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row a detector: counts, median length and sigma, median time, and shares found by the others."""
-        return [self._row(name, tally) for name, tally in self.tallies.items()]
+        return [self._row(name, lists) for name, lists in self._lists.items()]
 
-    def _row(self, name: str, tally: Tally) -> dict[str, Any]:
+    def _row(self, name: str, of: dict[str, list[float]]) -> dict[str, Any]:
+        images, edges = len(of["ms"]), len(of["length_px"])
         row: dict[str, Any] = {
             "detector": name,
-            "images": tally.images,
-            "edges": tally.edges,
-            "edges_per_image": tally.edges / max(tally.images, 1),
-            "rejected_per_image": tally.rejected / max(tally.images, 1),
-            "feet_per_image": tally.feet / max(tally.images, 1),
-            "length_median_px": _median(tally.length_px),
-            "bearing_sigma_median_deg": np.rad2deg(_median(tally.sigma_rad)),
-            "ms_median": _median(tally.ms),
+            "images": images,
+            "edges": edges,
+            "edges_per_image": edges / max(images, 1),
+            "rejected_per_image": sum(of["rejected"]) / max(images, 1),
+            "feet_per_image": sum(of["feet"], start=0.0) / max(images, 1),
+            "length_median_px": _median(of["length_px"]),
+            "bearing_sigma_median_deg": np.rad2deg(_median(of["sigma_rad"])),
+            "ms_median": _median(of["ms"]),
         }
-        for other in self.tallies:
-            apart = np.rad2deg(np.abs(tally.apart_rad.get(other, [])))
-            row[f"share_also_{other}"] = 1.0 if other == name else tally.also.get(other, 0) / max(tally.edges, 1)
+        for other in self._lists:
+            apart = np.rad2deg(np.abs(of[f"apart_rad {other}"]))
+            row[f"share_also_{other}"] = 1.0 if other == name else sum(of[f"also {other}"]) / max(edges, 1)
             row[f"apart_median_{other}_deg"] = 0.0 if other == name else _median(apart.tolist())
         return row
 
@@ -90,13 +75,10 @@ def matches(edges: Edges, others: Edges, camera: Camera) -> NDArray[np.int64]:
     """
     if len(edges) == 0 or len(others) == 0:
         return np.full(len(edges), -1, dtype=np.int64)
-    near = _near(_straight(edges, camera), _straight(others, camera))
+    straight = camera.undistorted()
+    near = _near(*(straight.pixels_from_image(camera.image_from_pixels(each.ends_px)) for each in (edges, others)))
     covered = near.any(axis=2).mean(axis=1) >= _COVERED_SHARE
     return np.where(covered, near.mean(axis=1).argmax(axis=1), -1).astype(np.int64)
-
-
-def _straight(edges: Edges, camera: Camera) -> Array:
-    return camera.undistorted().pixels_from_image(camera.image_from_pixels(edges.ends_px))
 
 
 def _near(ends: Array, others: Array) -> NDArray[np.bool_]:

@@ -16,25 +16,36 @@ _LEAST_DEPTH = 0.02
 
 def bearings_shown(camera: Camera) -> Array:
     """Return round bearings in degrees across the view, so few that they stay apart."""
-    _, tangent = _reach(camera)
-    low, high = np.rad2deg(np.arctan(tangent)).clip(-_WIDEST_DEG, _WIDEST_DEG)
+    a, e = _border(camera)
+    depth = _depth(camera, e)
+    tangent = (a / depth)[depth > _LEAST_DEPTH]
+    low, high = np.rad2deg(np.arctan([tangent.min(), tangent.max()])).clip(-_WIDEST_DEG, _WIDEST_DEG)
     step = next((step for step in (1, 2, 5, 10) if high - low <= _FEW_LINES * step), 20)
     return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
 
 
 def meridian(camera: Camera, bearing_rad: float) -> Array:
     """Return pixels (S, 2) along the image line of a vertical edge at this bearing, those inside the image."""
-    (low, high), _ = _reach(camera)
-    e = np.linspace(low, high, _STEPS)
-    e = e[np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad) > _LEAST_DEPTH]
+    _, border_e = _border(camera)
+    e = np.linspace(border_e.min(), border_e.max(), _STEPS)
+    e = e[_depth(camera, e) > _LEAST_DEPTH]
     return _inside(camera, np.stack([geometry.edge_a_at(e, bearing_rad, camera.mount.tilt_rad), e], axis=-1))
 
 
 def horizon(camera: Camera) -> Array:
     """Return pixels (S, 2) of points infinitely far away at the camera's height, those inside the image."""
-    reach = np.abs(camera.image_from_pixels(_border(camera))).max() * 1.5
+    reach = np.abs(camera.image_from_pixels(camera.border_px(33, 0.5))).max() * 1.5
     a = np.linspace(-reach, reach, 2 * _STEPS)
     return _inside(camera, np.stack([a, np.full_like(a, np.tan(camera.mount.tilt_rad))], axis=-1))
+
+
+def _border(camera: Camera) -> Array:
+    """Return upright coordinates a and e (2, P) of the image's border."""
+    return camera.upright_from_pixels(camera.border_px(33, 0.5).reshape(-1, 2)).T
+
+
+def _depth(camera: Camera, e: Array) -> Array:
+    return np.asarray(np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad))
 
 
 def _inside(camera: Camera, upright: Array) -> Array:
@@ -42,19 +53,3 @@ def _inside(camera: Camera, upright: Array) -> Array:
     pixels = camera.pixels_from_upright(upright)
     size = np.array([camera.width, camera.height])
     return np.asarray(pixels[np.all((pixels > -1.5) & (pixels < size + 0.5), axis=-1)])
-
-
-def _reach(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ranges of upright height e and of tan(bearing) on the image's border."""
-    a, e = camera.upright_from_pixels(_border(camera)).T
-    depth = np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad)
-    ahead = depth > _LEAST_DEPTH
-    tangent = a[ahead] / depth[ahead]
-    return (float(e.min()), float(e.max())), (float(tangent.min()), float(tangent.max()))
-
-
-def _border(camera: Camera) -> Array:
-    u, v = np.linspace(-0.5, camera.width - 0.5, 33), np.linspace(-0.5, camera.height - 0.5, 33)
-    rows = [np.stack([u, np.full_like(u, row)], axis=-1) for row in (v[0], v[-1])]
-    columns = [np.stack([np.full_like(v, column), v], axis=-1) for column in (u[0], u[-1])]
-    return np.concatenate(rows + columns)

@@ -112,32 +112,37 @@ def _draw_guides(axes: Axes, camera: Camera) -> None:
 def _draw_lines(axes: Axes, camera: Camera, edges: Edges) -> None:
     from matplotlib.collections import LineCollection
 
-    rejected = LineCollection(
-        list(_bent(edges.rejected_px, camera)), colors=_REJECTED, linewidths=0.8, alpha=0.55, zorder=3
-    )
-    axes.add_collection(rejected)
-    lines = _bent(edges.ends_px, camera)
-    axes.add_collection(LineCollection(list(lines), colors="black", linewidths=4.2, alpha=0.55, zorder=4))
-    colours = _certainty()(_scale()(np.rad2deg(edges.bearing_sigma)))
-    axes.add_collection(LineCollection(list(lines), colors=colours, linewidths=2.2, zorder=5))
-    known = edges.polarity[np.isfinite(edges.ends_px).all(axis=(1, 2))]
+    known = np.isfinite(edges.ends_px).all(axis=(1, 2))
+    lines = _bent(edges.ends_px[known], camera)
+    colours = _certainty()(_scale()(np.rad2deg(edges.bearing_sigma[known])))
+    for polylines, colour, width, alpha, order in (
+        (_bent(edges.rejected_px, camera), _REJECTED, 0.8, 0.55, 3),
+        (lines, "black", 4.2, 0.55, 4),
+        (lines, colours, 2.2, None, 5),
+    ):
+        axes.add_collection(LineCollection(list(polylines), colors=colour, linewidths=width, alpha=alpha, zorder=order))
     middle = lines[:, [0, -1]].mean(axis=1) if lines.shape[1] == 2 else lines[:, lines.shape[1] // 2]
     for sign, marker in ((1, 5), (-1, 4)):  # carets to the right and to the left, with their bases on the edge
-        side = known == sign
-        style: dict[str, Any] = {"markeredgecolor": "black", "markeredgewidth": 0.5, "zorder": 6}
-        axes.plot(*middle[side].T, linestyle="none", marker=marker, color=_INK, markersize=6, **style)
+        _mark(axes, middle[edges.polarity[known] == sign], marker, 6, (_INK, "black", 0.5), 6)
 
 
 def _draw_rings(axes: Axes, edges: Edges) -> None:
     """Ring every lower end that likely stands on the floor, dot what rather does not, cross out what is not seen."""
     flag = foot_flag(edges)
     on_floor, elsewhere, unseen = (edges.ends_px[flag == name, 0] for name in ("floor", "hidden", "outside"))
-    axes.plot(*elsewhere.T, "o", color=_INK, markeredgecolor="black", markersize=4, markeredgewidth=1, zorder=6)
     beside = unseen.clip([0, 0], [axes.get_xlim()[1] - 3, axes.get_ylim()[0] - 3])  # whole, inside the picture
-    axes.plot(*beside.T, "x", color="black", markersize=7, markeredgewidth=3.5, zorder=6)
-    axes.plot(*beside.T, "x", color=_INK, markersize=6, markeredgewidth=1.5, zorder=7)
-    axes.plot(*on_floor.T, "o", color="none", markeredgecolor="black", markersize=9, markeredgewidth=3, zorder=6)
-    axes.plot(*on_floor.T, "o", color="none", markeredgecolor=_INK, markersize=9, markeredgewidth=1.5, zorder=7)
+    _mark(axes, elsewhere, "o", 4, (_INK, "black", 1), 6)
+    _mark(axes, beside, "x", 7, ("black", "black", 3.5), 6)
+    _mark(axes, beside, "x", 6, (_INK, _INK, 1.5), 7)
+    _mark(axes, on_floor, "o", 9, ("none", "black", 3), 6)
+    _mark(axes, on_floor, "o", 9, ("none", _INK, 1.5), 7)
+
+
+def _mark(axes: Axes, points: Array, marker: str | int, size: float, paint: tuple[str, str, float], order: int) -> None:
+    """Mark points (K, 2) of the image. paint: colour inside, colour and width of the border."""
+    inside, border, width = paint
+    style: dict[str, Any] = {"markeredgecolor": border, "markeredgewidth": width, "zorder": order}
+    axes.plot(*points.T, linestyle="none", marker=marker, markersize=size, color=inside, **style)
 
 
 def _annotate(axes: Axes, edges: Edges, zoom: int) -> None:
@@ -199,12 +204,8 @@ def _draw_title(axes: Axes, name: str, edges: Edges) -> None:
 def _draw_head(figure: Figure, size: Array, camera: Camera, title: str, zoom: int) -> None:
     mount = camera.mount
     tilt, roll = np.rad2deg([mount.tilt_rad, mount.roll_rad])
-    parts = [
-        f"{camera.width}×{camera.height}",
-        f"tilt {tilt:.2f}°",
-        f"roll {roll:.2f}°",
-        f"height {mount.height_m:.2f} m",
-    ]
+    size_px = f"{camera.width}×{camera.height}"
+    parts = [size_px, f"tilt {tilt:.2f}°", f"roll {roll:.2f}°", f"height {mount.height_m:.2f} m"]
     if abs(tilt) > 1:
         u, v = camera.nadir_px
         parts.append(f"nadir point ({u:.0f}, {v:.0f}) px")
@@ -226,25 +227,16 @@ def _draw_legend(figure: Figure, size: Array) -> None:
     bar.set_title("sigma of the bearing", fontsize=9.5, loc="left", pad=5)
     bar.spines[:].set_visible(False)
     ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.5}
-    handles = [
-        Line2D([], [], color=_INK, linestyle="none", marker=5, label="lighter side"),
-        Line2D([], [], color=_INK, linestyle="none", label="lower end on the floor, with range", **ring),
-        Line2D(
-            [], [], color=_INK, linestyle="none", marker="o", markersize=4, label="lower end, hidden or above the floor"
-        ),
-        Line2D(
-            [],
-            [],
-            color=_INK,
-            linestyle="none",
-            marker="x",
-            markersize=6,
-            label="lower end outside, or above the horizon",
-        ),
-        Line2D([], [], color=_REJECTED, alpha=0.7, linewidth=1, label="segment, not vertical"),
-        Line2D([], [], color=_INK, alpha=0.6, linestyle=":", linewidth=1.2, label="bearing, to the nadir point"),
-        Line2D([], [], color=_HORIZON, linestyle="--", linewidth=1.2, label="horizon"),
-    ]
+    signs: dict[str, dict[str, Any]] = {
+        "lighter side": {"linestyle": "none", "marker": 5},
+        "lower end on the floor, with range": {"linestyle": "none", **ring},
+        "lower end, hidden or above the floor": {"linestyle": "none", "marker": "o", "markersize": 4},
+        "lower end outside, or above the horizon": {"linestyle": "none", "marker": "x", "markersize": 6},
+        "segment, not vertical": {"color": _REJECTED, "alpha": 0.7, "linewidth": 1},
+        "bearing, to the nadir point": {"alpha": 0.6, "linestyle": ":", "linewidth": 1.2},
+        "horizon": {"color": _HORIZON, "linestyle": "--", "linewidth": 1.2},
+    }
+    handles = [Line2D([], [], label=label, **{"color": _INK, **style}) for label, style in signs.items()]
     figure.legend(
         handles=handles, loc="center right", bbox_to_anchor=(1 - _MARGIN_PX / size[0] / 2, 40 / size[1]),
         ncols=4, frameon=False, fontsize=9.5, labelcolor=_INK, handlelength=1.6, columnspacing=1.6,

@@ -20,6 +20,13 @@ Row = dict[str, Any]
 FLOOR = 0.5
 """A lower end that is as likely as this stands on the floor."""
 
+
+def foot_flag(edges: Edges) -> NDArray[np.str_]:
+    """Return (E,) floor, hidden or outside: what the lower end most likely is; empty where that is not known."""
+    unseen = np.where(edges.foot_probability == 0, "outside", "")
+    return np.where(np.isnan(edges.foot_range_m), unseen, np.where(edges.foot_probability >= FLOOR, "floor", "hidden"))
+
+
 COLUMNS = {
     "edge": "number in the picture, from left to right",
     "bearing_rad": "direction from the camera's forward axis, positive right, of the line held through the nadir point",
@@ -51,45 +58,19 @@ PROFILE = (
 
 def rows_of(edges: Edges) -> list[Row]:
     """Return one row an edge with the keys of `COLUMNS`; what is not known is nan."""
-    bottom, top = edges.ends_px[:, 0], edges.ends_px[:, 1]
-    columns = (
-        np.arange(1, len(edges) + 1),
-        edges.bearing,
-        edges.bearing_sigma,
-        edges.lean,
-        edges.lean_sigma,
-        geometry.slope_from_lean(edges.lean),
-        slope_deg(edges),
-        edges.vertical_probability,
-        edges.length_px,
-        edges.polarity,
-        *bottom.T,
-        *top.T,
-        edges.foot_range_m,
-        edges.foot_range_sigma_m,
-        edges.foot_probability,
-        foot_flag(edges),
-        edges.foot_range_m * np.sin(edges.bearing),
-        -edges.foot_range_m * np.cos(edges.bearing),
-    )
-    values = [column.tolist() for column in columns]
+    computed = {
+        "edge": np.arange(1, len(edges) + 1),
+        "slope": geometry.slope_from_lean(edges.lean),
+        "slope_deg": 90.0 - np.rad2deg(edges.lean),
+        "foot": foot_flag(edges),
+        "foot_right_m": edges.foot_range_m * np.sin(edges.bearing),
+        "foot_back_m": -edges.foot_range_m * np.cos(edges.bearing),
+    }
+    ends = ("bottom_u_px", "bottom_v_px", "top_u_px", "top_v_px")
+    computed |= dict(zip(ends, edges.ends_px.reshape(-1, 4).T, strict=True))
+    columns = (computed.get(name, getattr(edges, name.removesuffix("_rad"), None)) for name in COLUMNS)
+    values = [np.asarray(column).tolist() for column in columns]
     return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*values, strict=True)]
-
-
-def records_of(edges: Edges) -> list[Row]:
-    """Return the rows for JSON: those of CSV, and what is more than a number."""
-    return [{**row, "profile": profile} for row, profile in zip(rows_of(edges), edges.profile.tolist(), strict=True)]
-
-
-def foot_flag(edges: Edges) -> NDArray[np.str_]:
-    """Return (E,) floor, hidden or outside: what the lower end most likely is; empty where that is not known."""
-    unseen = np.where(edges.foot_probability == 0, "outside", "")
-    return np.where(np.isnan(edges.foot_range_m), unseen, np.where(edges.foot_probability >= FLOOR, "floor", "hidden"))
-
-
-def slope_deg(edges: Edges) -> geometry.Array:
-    """Return the angle (E,) of edges from the image's horizontal, 0 to 180 degrees, as in the paper's tables."""
-    return np.asarray(90.0 - np.rad2deg(edges.lean))
 
 
 def mount_by_edges(edges: Edges, camera: Camera, parameters: EdgeParameters) -> dict[str, float]:
@@ -97,9 +78,8 @@ def mount_by_edges(edges: Edges, camera: Camera, parameters: EdgeParameters) -> 
     stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
     prior_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
     error = mount_error_of_edges(edges, camera, prior_rad, float(np.deg2rad(parameters.plumb_sigma_deg)))
-    found, sigma = np.rad2deg(stated + error.mean), np.rad2deg(np.sqrt(np.diag(error.cov)))
-    names = ("tilt_deg", "roll_deg", "tilt_sigma_deg", "roll_sigma_deg")
-    return dict(zip(names, (*found.tolist(), *sigma.tolist()), strict=True))
+    found = np.rad2deg([stated + error.mean, np.sqrt(np.diag(error.cov))])
+    return dict(zip(("tilt_deg", "roll_deg", "tilt_sigma_deg", "roll_sigma_deg"), found.ravel().tolist(), strict=True))
 
 
 def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> str:

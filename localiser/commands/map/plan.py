@@ -1,26 +1,55 @@
-"""A floor plan's file becomes a landmark map."""
+"""`localiser map plan`: a floor plan's file becomes a landmark map."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import typer
 
+from localiser.commands.map.options import Force, NewMap, require_writable
+from localiser.commands.options import Quiet
 from localiser.errors import InputError
-from localiser.landmarks import LandmarkMap
-from localiser.mapping import FloorPlan, plan_landmarks
-from localiser.storage import is_plan, load_map, load_plan
+
+if TYPE_CHECKING:
+    from localiser.landmarks import LandmarkMap
+    from localiser.mapping import FloorPlan
+
+
+def plan(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Floor plan: YAML of ROS map_server, PGM or PNG.")],
+    out: NewMap,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn the corners of walls, jambs and pillars of a floor PLAN into landmarks."""
+    from localiser.storage import save_map
+
+    require_writable(out, overwrite=force)
+    landmark_map, drawn = map_of_plan(plan)
+    save_map(landmark_map, out)
+    if not quiet:
+        rows, columns = drawn.shape
+        typer.echo(
+            f"{len(landmark_map)} landmarks in {out}, from a plan of {columns * drawn.resolution_m:.1f} m × "
+            f"{rows * drawn.resolution_m:.1f} m; `localiser map show {out}` draws them."
+        )
 
 
 def map_or_plan(path: Path) -> LandmarkMap:
     """Return the landmark map of a file, or of a floor plan where it is one. Raises InputError."""
+    from localiser.storage import is_plan, load_map
+
     return map_of_plan(path)[0] if is_plan(path) else load_map(path)
 
 
 def map_of_plan(path: Path) -> tuple[LandmarkMap, FloorPlan]:
     """Return the landmarks of a map_server floor plan, and the plan. Raises InputError for one without walls."""
+    from localiser.mapping import plan_landmarks
+    from localiser.storage import load_plan
+
     plan = load_plan(path)
-    share = float(np.mean(plan.occupied))
+    share = float(plan.occupied.mean())
     if not plan.occupied.any():
         raise InputError(
             "expected walls, found no pixel above occupied_thresh: are negate and the thresholds right?", path=path

@@ -1,62 +1,59 @@
-"""Bring a map up to date with a log: what is gone, what is new, what is known better."""
+"""`localiser map update`: bring a map up to date with a log."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-import numpy as np
+import typer
 
-from localiser import mapping
-from localiser.camera import Camera
-from localiser.commands.map.build import MapBuilt
-from localiser.config import Config
-from localiser.errors import InputError
-from localiser.landmarks import LandmarkMap
-from localiser.storage import write_bytes
-
-_GONE = 0.1
-"""Probability of existence below which a landmark leaves the map: one miss or two only make it less certain."""
+from localiser.commands.map.build import poses_named
+from localiser.commands.map.options import Force, MapFile, MapOut, Within, require_writable
+from localiser.commands.options import BagCamera, ConfigFile, Overrides, Quiet, Topics, opened, progress, topics_by_role
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Updated:
-    """A map after an update; gone, new: ids of landmarks that went and came. again: how many were seen again."""
+def update(
+    map_file: MapFile,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A log of the building as it is now.")],
+    out: MapOut,
+    poses: Annotated[
+        str, typer.Option(metavar="truth|FILE|odometry", help="Where the robot was, in the map's frame.")
+    ] = "truth",
+    within: Within = 0.1,
+    topics: Topics = None,
+    camera: BagCamera = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
+    from localiser.mapping import build_map, cache_folder, updated
+    from localiser.storage import load_map, save_map
 
-    landmark_map: LandmarkMap
-    gone: tuple[int | str, ...]
-    new: tuple[int | str, ...]
-    again: int
+    require_writable(out, overwrite=force)
+    old = load_map(map_file)
+    recorded, effective = opened(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
+    with progress("Finding edges", len(recorded.frames), quiet) as advance:
+        track, source = poses_named(poses)
+        built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
+    changed = updated(old, built, recorded.camera, effective.mapping.tracks.found, within)
+    kept = keep_old(map_file) if out.resolve() == map_file.resolve() else None
+    save_map(changed.landmark_map, out)
+    if not quiet:
+        if kept is not None:
+            typer.echo(f"The map as it was is {kept}")
+        typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")
+        typer.echo(f"Gone: {', '.join(map(str, changed.gone)) or 'none'}")
+        typer.echo(f"New: {', '.join(map(str, changed.new)) or 'none'}")
 
 
 def keep_old(path: Path) -> Path:
     """Copy a map file beside itself, under the first free name MAP.1.yaml, MAP.2.yaml, …; return that name."""
+    from localiser.storage import write_bytes
+
     number = 1
     while (kept := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
         number += 1
     write_bytes(kept, path.read_bytes())
     return kept
-
-
-def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, config: Config, within_m: float) -> Updated:
-    """Return the map with what a build of a log in its frame says: fused, lost, added.
-
-    Raises InputError when hardly any landmark is found again: then the poses are not in the map's frame.
-    """
-    new = built.landmark_map
-    pairs = mapping.matches(old.points, new.points, within_m)
-    pairs = pairs[mapping.agreeing(old, new, pairs, within_m)]
-    if len(pairs) < max(3, len(new) // 10):
-        raise InputError(
-            f"expected landmarks of the map in the log, found {len(pairs)} of the {len(new)} that it shows: "
-            "are its poses in the map's frame?",
-            field="--poses",
-        )
-    cameras = (built.slam.camera if built.slam else camera).pose_in_map(built.trajectory.poses)
-    existence = mapping.existence_after(old, built.sightings, built.built, camera, cameras, config.mapping.tracks.found)
-    existence[pairs[:, 0]] = np.nan  # what the log says of those it shows counts
-    whole = mapping.fused(mapping.with_existence(old, existence), new, pairs)
-    assert whole.quality is not None
-    gone = np.flatnonzero(whole.quality.existence[: len(old)] < _GONE)
-    kept = np.setdiff1d(np.arange(len(whole)), gone)
-    return Updated(whole.take(kept), tuple(old.ids[k] for k in gone), whole.ids[len(old) :], len(pairs))

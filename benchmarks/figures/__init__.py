@@ -1,0 +1,1 @@
+"""What the baseline measures: a group of figures a file."""

@@ -1,0 +1,145 @@
+"""Maps as pictures: landmarks with their certainty, how many are in view from where, and what looks alike."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping import ENOUGH, Coverage, Lookalikes
+from localiser.storage import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_CHI2_95 = 5.991  # squared Mahalanobis distance that holds 95 % of a Gaussian in the plane
+_POLARITY = {1: ("#1f6fb4", "light on the right"), -1: ("#c2571a", "light on the left"), 0: ("#555555", "unknown")}
+
+
+def draw_map(landmark_map: LandmarkMap, path: Path) -> None:
+    """Draw the map from above, map -z up, with the 95 % ellipse of each landmark. Raises OutputError."""
+    from matplotlib.figure import Figure
+
+    points = landmark_map.points
+    low, high = points.min(axis=0), points.max(axis=0)
+    width, depth = np.maximum(high - low, 2.0)
+    scale = 9.0 / max(width, depth)
+    figure = Figure(figsize=(max(4.5, width * scale + 1.2), max(3.5, depth * scale + 1.6)), dpi=120)
+    axes = figure.add_subplot()
+    _draw_ellipses(axes, landmark_map)
+    _draw_landmarks(axes, landmark_map)
+    axes.set(xlabel="x, m", ylabel="z, m (map −z is up)", title=landmark_map.name or path.stem)
+    axes.set_aspect("equal")
+    margin = 0.04 * max(width, depth) + 0.1
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(high[1] + margin, low[1] - margin)
+    axes.grid(color="#e6e8eb", linewidth=0.6)
+    axes.set_axisbelow(True)
+    figure.legend(loc="lower center", ncols=4, frameon=False, fontsize=8)
+    figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    write_bytes(path, buffer.getvalue())
+
+
+def _draw_landmarks(axes: Axes, landmark_map: LandmarkMap) -> None:
+    quality = landmark_map.quality or Quality.unknown(len(landmark_map))
+    opacity = np.where(np.isnan(quality.existence), 1.0, 0.25 + 0.75 * quality.existence)
+    for polarity, (colour, meaning) in _POLARITY.items():
+        chosen = landmark_map.polarity == polarity
+        if chosen.any():
+            x, z = landmark_map.points[chosen].T
+            axes.scatter(x, z, s=9, color=colour, alpha=opacity[chosen], zorder=3, linewidths=0, label=meaning)
+
+
+def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
+    from matplotlib.collections import EllipseCollection
+
+    known = np.isfinite(landmark_map.cov).all(axis=(1, 2))
+    if not known.any():
+        return
+    variance, vectors = np.linalg.eigh(landmark_map.cov[known])
+    diameter = 2 * np.sqrt(_CHI2_95 * np.maximum(variance, 0.0))
+    angle = np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    ellipses: Any = EllipseCollection(
+        diameter[:, 1],
+        diameter[:, 0],
+        angle,
+        units="xy",
+        offsets=landmark_map.points[known],
+        offset_transform=axes.transData,
+        facecolors="#8fb8de55",
+        edgecolors="#3f6f9f",
+        linewidths=0.6,
+        zorder=2,
+    )
+    axes.add_collection(ellipses)
+    axes.plot([], [], color="#3f6f9f", linewidth=0.8, label="95 % of its place")
+
+
+def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Lookalikes, path: Path) -> None:
+    """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
+    from matplotlib.figure import Figure
+
+    width, depth = np.ptp(found.x) + 1.0, np.ptp(found.z) + 1.0
+    scale = 7.0 / max(width, depth)
+    figure = Figure(figsize=(2 * max(4.0, width * scale + 1.6), max(4.0, depth * scale + 1.4)), dpi=120)
+    left, right = figure.subplots(1, 2)
+    half = found.step_m / 2
+    extent = (found.x[0] - half, found.x[-1] + half, found.z[-1] + half, found.z[0] - half)
+    all_x, all_z = np.append(look.places[:, 0], extent[:2]), np.append(look.places[:, 1], extent[2:])
+    limits = (all_x.min(), all_x.max(), all_z.max(), all_z.min())
+    few = left.imshow(100 * found.share, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
+    alike = _draw_lookalikes(look, right)
+    for axes, shown, title, label in (
+        (left, few, "coverage", f"headings with fewer than {ENOUGH} landmarks in view, %"),
+        (right, alike, "ambiguity", "headings from which another place (arrows) looks the same, %"),
+    ):
+        axes.scatter(*landmark_map.points.T, s=10, color="#1f3f66", linewidths=0, label="landmark")
+        axes.set(xlabel="x, m", ylabel="z, m (map −z is up)", title=f"{landmark_map.name or path.stem}: {title}")
+        axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
+        figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04).set_label(label)
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=2, frameon=False, fontsize=8)
+    figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
+    _save(figure, path)
+
+
+def _draw_lookalikes(look: Lookalikes, axes: Axes) -> Any:
+    """Draw from which share of headings a place looks like another, where that other is, and the spots that help."""
+    x, z = look.places.T
+    columns = np.round((x - x.min()) / look.step_m).astype(int)
+    rows = np.round((z - z.min()) / look.step_m).astype(int)
+    picture = np.full((rows.max() + 1, columns.max() + 1), np.nan)
+    picture[rows, columns] = 100 * look.share
+    half = look.step_m / 2
+    extent = (x.min() - half, x.max() + half, z.max() + half, z.min() - half)
+    shown = axes.imshow(picture, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
+    for pose, twin in zip(*look.examples(), strict=True):
+        axes.annotate(
+            "",
+            twin[:2],
+            pose[:2],
+            arrowprops={"arrowstyle": "->", "color": "#333333", "linewidth": 0.9, "connectionstyle": "arc3,rad=0.15"},
+        )
+    if look.spots:
+        axes.scatter(
+            look.spots_at[:, 0],
+            look.spots_at[:, 1],
+            s=90,
+            marker="*",
+            color="#2a9d3f",
+            edgecolors="white",
+            linewidths=0.8,
+            zorder=5,
+            label="a landmark here would help most",
+        )
+    return shown

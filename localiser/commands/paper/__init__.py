@@ -1,1 +1,0 @@
-"""`localiser paper`: the founding paper, reproduced."""

@@ -1,0 +1,138 @@
+"""`localiser replay`: localise a robot along a recorded log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from localiser.commands.options import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Quiet,
+    Seed,
+    Topics,
+    opened,
+    paced,
+    progress,
+    show,
+    topics_by_role,
+    working,
+)
+
+if TYPE_CHECKING:
+    from localiser.view import LiveView
+
+EPILOG = """Examples:
+
+`localiser replay logs/corridor`
+
+`localiser replay logs/corridor --observation slope --seed 1 --set mcl.particles=500`
+
+`localiser replay logs/corridor --odometry vision`
+
+`localiser replay logs/corridor --view web --speed 1`
+
+`localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`
+
+`localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
+
+
+Kind = Literal["line", "slope"]
+Source = Literal["wheel", "vision", "both"]
+View = Literal["native", "web", "none"]
+
+
+def replay(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set.")
+    ],
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="MAP", help="Landmark map; by default the log's own.")
+    ] = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    seed: Seed = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="x,z,heading_deg|global|truth",
+            help="Where the robot starts, to 0.1 m and 3°. `global`: anywhere on the map. `truth`: the true pose plus "
+            "such an error. By default what the log states, else global.",
+        ),
+    ] = None,
+    observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
+    odometry: Annotated[Source | None, typer.Option(help="What says how the robot moved.")] = None,
+    log_format: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
+    ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/log/1, DIR/log/2, …")] = Path(
+        "results"
+    ),
+    rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
+    view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = "none",
+    speed: Annotated[
+        float | None,
+        typer.Option(min=0.01, metavar="X", help="X times as fast as the robot drove; by default as fast as possible."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
+    from localiser.replay import FolderRun, Outputs, prepare
+
+    options = {"seed": seed, "observation.kind": observation, "increments.source": odometry}
+    settings = [*(overrides or []), *(f"{name}={value}" for name, value in options.items() if value is not None)]
+    recorded, effective = opened(log, config, settings, format=log_format, topics=topics_by_role(topics), camera=camera)
+    with working("Getting ready; the first run compiles …", quiet):
+        ready = prepare(recorded, effective, start, map_file=map_file)
+        ready.inputs.localiser.warm_up(images=recorded.has_images)
+        run = FolderRun.open(ready, Outputs(out, rrd, view))
+    if run.viewer is not None and run.viewer.address:
+        typer.echo(f"Watch at {run.viewer.address}", err=True)
+    if start is None and ready.inputs.start is None and not quiet:
+        typer.echo("The log states no start: the robot is looked for on the whole map.", err=True)
+    with progress("Localising", len(recorded.frames), quiet) as advance:
+        times_ns = [frame.t_ns for frame in recorded.frames]
+        figures = run.run(advance if speed is None else paced(advance, times_ns, speed))
+    if not quiet:
+        _show_run(figures, run.folder.path, rrd)
+        for warning in figures["warnings"]:
+            typer.secho(warning, fg="yellow", err=True)
+    if run.viewer is not None:
+        _wait_for(run.viewer)
+
+
+def _wait_for(viewer: LiveView) -> None:
+    """Say what became of the viewer, and serve its page until Ctrl-C."""
+    if not viewer.is_running:
+        typer.secho(
+            "The viewer was closed or could not start (is there a display?); the run went on without it.",
+            fg="yellow",
+            err=True,
+        )
+    elif viewer.address:
+        typer.echo("The page is served until Ctrl-C.", err=True)
+        viewer.wait()
+
+
+def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
+    from localiser.evaluate import errors_table
+
+    show(errors_table({folder.name: figures}))
+    typer.echo(_how_sure(figures["confidence"]))
+    recording = "run.rrd for `rerun`, " if rrd else ""
+    typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
+
+
+def _how_sure(confidence: Any) -> str:
+    """Return in words how sure a run was of its poses."""
+    reasons = [f"{reason} ({count} images)" for reason, count in confidence["reasons"].items()]
+    why = f"; else: {', '.join(reasons)}" if reasons else ""
+    found = "never" if confidence["found_s"] is None else f"after {confidence['found_s']:.1f} s"
+    return (
+        f"Sure of the pose (p_correct > 0.9) first {found}, in {100 * (confidence['sure'] or 0):.0f} % of images{why}."
+    )

@@ -1,0 +1,136 @@
+"""The detector along columns: which lines are no accident, where they begin and end, and what a blurred image needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges.columns import GradientField, clutter, gradient_field, linked, peaks_of
+from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
+from localiser.edges.parameters import EdgeParameters
+from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
+from localiser.edges.segments import Segments
+from localiser.edges.undistort import Image, half_camera, ideal_camera
+from localiser.geometry import Array
+
+_SAME_EDGE_SHARE = 0.25
+"""Where the gradient falls below this share of its mean, the edge has ended or is hidden."""
+_BLURRED_STEEPNESS = 0.85
+"""Of a sharp edge, the gradient at twice the scale is half as steep; of one blurred by 7 px of motion, this."""
+_LEAST_HALVED_PX = 200
+"""Images smaller than this are not halved: too little would remain."""
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The detector `columns`. min_step: faintest edge that counts (grey levels)."""
+
+    min_step: float
+
+    def configured(self, parameters: EdgeParameters) -> Columns:
+        """Return the detector with the settings of a configuration."""
+        return Columns(parameters.min_step)
+
+    def __call__(self, image: Image, camera: Camera, /) -> Segments:
+        """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
+        return _found(image, camera, self.min_step)
+
+
+def _found(image: Image, camera: Camera, min_step: float) -> Segments:
+    field = gradient_field(image, camera)
+    peaks = peaks_of(field)
+    rough = rough_lines(peaks, linked(peaks, field.fine.shape))
+    cells = cells_of(rough, field)
+    fitted = refined(rough, cells, field)
+    kept, top, bottom = _significant(fitted, cells, field, min_step)
+    if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
+        return _found_in_half(image, camera, min_step)
+    fit, view = fitted.fit.take(kept), column_view(camera)
+    reach = np.sqrt(fit.spread / fit.weight)
+    points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
+    column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
+    upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
+    ideal_px = ideal_camera(camera).pixels_from_upright(upright)
+    to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
+    return Segments(
+        ends_px=ideal_px[:, :2],
+        support_px=ideal_px[:, 2:],
+        sigma_px=to_px * np.sqrt(2 / fit.weight),
+        shift_sigma_px=to_px * fitted.shift[kept],
+        offset_sigma_px=to_px * fitted.offset[kept],
+        polarity=rough.polarity[kept],
+    )
+
+
+def _found_in_half(image: Image, camera: Camera, min_step: float) -> Segments:
+    """Return the segments of an image of half the size, where a blurred edge is a sharp one, in pixels of the whole."""
+    half = half_camera(camera)
+    smaller = cv2.resize(image[: 2 * half.height, : 2 * half.width], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    found = _found(np.asarray(smaller, dtype=np.uint8), half, min_step)
+    sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px, 2 * found.offset_sigma_px
+    return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
+
+
+def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
+    """Return whether most edges are as steep at twice the scale: blurred by some 7 px of motion, or 2.4 px of lens.
+
+    A sharp step is half as steep there. One so wide shows two peaks at the fine scale, at either end of its slope.
+    """
+    groups = cells.groups
+    at_coarse = sampled(field.coarse, cells, fitted.fit.at(groups.of, cells.row))[0]
+    coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
+    return len(kept) > 0 and float(np.median(coarse / fine)) > _BLURRED_STEEPNESS
+
+
+def _significant(
+    fitted: Fitted, cells: Cells, field: GradientField, min_step: float
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return which lines are no accident of noise or texture, and where all lines (G,) begin and end, in blocks."""
+    groups, line = cells.groups, cells.groups.of
+    faintest = np.maximum(2.0, _SAME_EDGE_SHARE * cells.mean(fitted.height)[line])
+    on = cells.in_chain & fitted.on_line & (fitted.height > faintest)
+    column = np.rint(fitted.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
+    blocks = groups.sum(on)
+    score = groups.sum(on * fitted.height / clutter(field.change[cells.row, column])) / np.sqrt(np.maximum(blocks, 1))
+    kept = (blocks >= LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.step >= min_step)
+    top, bottom = _extent(fitted.height, on, cells)
+    return np.flatnonzero(kept), top, bottom
+
+
+def _least_score(shape: tuple[int, ...]) -> float:
+    """Return the score, in sigmas, that noise alone exceeds less than once in an image: tests · exp(-z²/2) = 1.
+
+    Tested are all runs of blocks in all columns, leaning left, right or not.
+    """
+    return float(np.sqrt(2 * np.log(3 * shape[1] * shape[0] ** 2 / 2)))
+
+
+def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, Array]:
+    """Return where (G,) lines begin and end, in blocks from the top of the rectified image.
+
+    The gradient of a block that the edge covers in part is as much lower; compared with the next one inwards it tells
+    which part. Both the last block that counts and the one beyond may be covered in part.
+    """
+    groups, index = cells.groups, np.arange(len(on))
+    first, last = groups.lowest(index, on), groups.highest(index, on)
+    first_cell, last_cell = (np.where(np.isfinite(end), end, 0).astype(np.int64) for end in (first, last))
+
+    def covered(end: NDArray[np.int64], outwards: int) -> Array:
+        inner = np.maximum(_neighbour(height, groups.of, end, -outwards), 1e-6)
+        beyond = _neighbour(height, groups.of, end, outwards)
+        return np.asarray((height[end] / inner).clip(0, 1) + (beyond / inner).clip(0, 1))
+
+    if len(on) == 0:
+        return np.zeros(0), np.zeros(0)
+    return cells.row[first_cell] + 1 - covered(first_cell, -1), cells.row[last_cell] + covered(last_cell, 1)
+
+
+def _neighbour(values: Array, group: NDArray[np.int64], cell: NDArray[np.int64], by: int) -> Array:
+    """Return the value (G,) of the cell one above or below, 0 where that is none of the same line."""
+    at = cell + by
+    inside = at.clip(0, len(values) - 1)
+    return np.where((at == inside) & (group[inside] == group[cell]), values[inside], 0.0)

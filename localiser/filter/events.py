@@ -1,0 +1,58 @@
+"""What goes into the filter, in the order of time, and what comes out after each image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from localiser.edges import Edges
+from localiser.filter.attitude import Attitude
+from localiser.filter.confidence import Reason
+from localiser.geometry import Array, Increment
+from localiser.observation import Sighting
+from localiser.particles import Clusters, Estimate, Particles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where the robot is said to be: pose (3,) in the map and its covariance (3, 3)."""
+
+    t_ns: int
+    mean: Array
+    cov: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """A pose (3,) in the odometry's own frame; only increments between two of them count."""
+
+    t_ns: int
+    pose: Array
+
+
+Event = Start | Odometry | Sighting
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """What the filter knows after one image.
+
+    estimate: from the weighted particles, before resampling; where several places are possible, from those at the
+    likeliest one. particles: all of them. ess: effective sample size. edges: as they were measured. increment: motion
+    since the last image. odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is
+    within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
+    first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. sighting: what
+    particles were weighed by, edges corrected by the attitude.
+    """
+
+    t_ns: int
+    estimate: Estimate
+    particles: Particles
+    ess: float
+    edges: Edges
+    increment: Increment
+    odometry: Array
+    p_correct: float = 1.0
+    reason: Reason = ""
+    clusters: Clusters | None = None
+    attitude: Attitude | None = None
+    sighting: Sighting | None = None

@@ -1,0 +1,34 @@
+"""The landmark map, its index by place, and how a landmark is seen from a pose."""
+
+from localiser.landmarks.index import CELL_M, HEADINGS, LandmarkIndex, in_view_of_cells
+from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality
+from localiser.landmarks.visibility import (
+    Sight,
+    SightParameters,
+    field_of_view_rad,
+    half_view_rad,
+    image_heights,
+    in_camera,
+    sight,
+    visible_length_px,
+    widest_tangent,
+)
+
+__all__ = [
+    "CELL_M",
+    "FRAME",
+    "HEADINGS",
+    "LandmarkIndex",
+    "LandmarkMap",
+    "Quality",
+    "Sight",
+    "SightParameters",
+    "field_of_view_rad",
+    "half_view_rad",
+    "image_heights",
+    "in_camera",
+    "in_view_of_cells",
+    "sight",
+    "visible_length_px",
+    "widest_tangent",
+]

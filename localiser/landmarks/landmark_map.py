@@ -1,0 +1,110 @@
+"""The landmark map: vertical edges of a building, where they stand and how well that is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array
+
+FRAME = {"axes": "x right, y up, z backward", "units": "m"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quality:
+    """How well landmarks (L) are known, besides their covariance; nan where something is not known.
+
+    sightings: (L,) images that showed it. parallax_rad: (L,) widest angle between the directions it was seen from.
+    existence: (L,) probability that it is there. profile: (L, P) grey values across it, P may be 0.
+    """
+
+    sightings: Array
+    parallax_rad: Array
+    existence: Array
+    profile: Array
+
+    @classmethod
+    def unknown(cls, count: int) -> Quality:
+        """Return the quality of `count` landmarks of which nothing is known."""
+        nothing = np.full(count, np.nan)
+        return cls(nothing, nothing, nothing, np.zeros((count, 0)))
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Quality:
+        """Return the quality of the landmarks at `index`."""
+        return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index], self.profile[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkMap:
+    """Vertical edges of a building, L of them, as columns; nan where something is not known.
+
+    ids: L unique names. points: (L, 2) x, z in metres. cov: (L, 2, 2) m². bottom_m, top_m: (L,) heights above the
+    floor between which the edge can be seen. polarity: (L,) as in `Edges`, seen from where it was measured, 0 unknown.
+    source: how each was obtained. extra: unknown keys of each landmark, header: unknown keys of the file; both are
+    kept so that a newer version's file survives being saved. quality: how well each is known, None where the map does
+    not say.
+    """
+
+    name: str
+    ids: tuple[int | str, ...]
+    points: Array
+    cov: Array
+    bottom_m: Array
+    top_m: Array
+    polarity: NDArray[np.int8]
+    source: tuple[str, ...]
+    frame: dict[str, Any] = field(default_factory=lambda: dict(FRAME))
+    extra: tuple[dict[str, Any], ...] = ()
+    header: dict[str, Any] = field(default_factory=dict)
+    quality: Quality | None = None
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def from_points(
+        cls,
+        points: Array,
+        *,
+        name: str = "",
+        ids: tuple[int | str, ...] | None = None,
+        bottom_m: Array | None = None,
+        top_m: Array | None = None,
+        source: str = "",
+    ) -> LandmarkMap:
+        """Return a map of points (L, 2) with heights where given; the rest is unknown."""
+        count = len(points)
+        return cls(
+            name=name,
+            ids=tuple(range(count)) if ids is None else ids,
+            points=np.asarray(points, dtype=np.float64).reshape(count, 2),
+            cov=np.full((count, 2, 2), np.nan),
+            bottom_m=np.full(count, np.nan) if bottom_m is None else bottom_m,
+            top_m=np.full(count, np.nan) if top_m is None else top_m,
+            polarity=np.zeros(count, dtype=np.int8),
+            source=(source,) * count,
+            extra=({},) * count,
+        )
+
+    def sigma_m(self, unknown_m: float) -> Array:
+        """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
+        trace = np.trace(self.cov, axis1=1, axis2=2)
+        return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
+
+    def take(self, index: NDArray[np.int64]) -> LandmarkMap:
+        """Return the map of the landmarks at `index` (K,), in that order."""
+        return replace(
+            self,
+            ids=tuple(self.ids[i] for i in index),
+            points=self.points[index],
+            cov=self.cov[index],
+            bottom_m=self.bottom_m[index],
+            top_m=self.top_m[index],
+            polarity=self.polarity[index],
+            source=tuple(self.source[i] for i in index),
+            extra=tuple(self.extra[i] for i in index) if self.extra else (),
+            quality=None if self.quality is None else self.quality.take(index),
+        )

@@ -1,0 +1,174 @@
+"""How a landmark is seen from a pose: its bearing, its range, and where its ends are in the image.
+
+These plain functions are the one model of it. Compiled loops that repeat a part of it for speed are held against them
+by tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from localiser.camera import Camera
+from localiser.geometry import Array, robot_from_map
+from localiser.landmarks.landmark_map import LandmarkMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """Landmarks that cameras can see: P pairs (camera pose, landmark), sorted by pose.
+
+    pose, landmark: (P,) indices. tangent: (P,) tan(bearing). range_m: (P,) floor distance. length_px: (P,) length in
+    the image of the part that can be seen. e_bottom, e_top: (P,) upright image heights of the two ends, which may lie
+    outside the image; infinite where unknown.
+    """
+
+    pose: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    tangent: Array
+    range_m: Array
+    length_px: Array
+    e_bottom: Array
+    e_top: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SightParameters:
+    """Which landmarks count as visible."""
+
+    range_max_m: Annotated[float, Field(gt=0, description="landmarks farther away are not expected (m)")] = 12.0
+    range_min_m: Annotated[float, Field(ge=0, description="landmarks nearer than this are not expected (m)")] = 0.2
+    length_min_px: Annotated[
+        float, Field(ge=0, description="an edge whose part inside the image is shorter is not expected (px)")
+    ] = 15.0
+    margin_px: Annotated[
+        float, Field(ge=0, description="how far outside the image an edge still counts as visible (px)")
+    ] = 5.0
+
+
+def sight(
+    camera: Camera, camera_poses: Array, landmark_map: LandmarkMap, parameters: SightParameters | None = None
+) -> Sight:
+    """Return which landmarks (L) the camera sees from each of its floor poses (N, 3) in the map.
+
+    A landmark is seen where its vertical edge, from bottom to top (the whole vertical line where these are unknown),
+    crosses the image within the range limits. Walls do not hide anything: the map holds edges, not surfaces.
+    """
+    parameters = parameters or SightParameters()
+    near = _near_any_pose(camera_poses, landmark_map.points, parameters.range_max_m)
+    right, ahead = in_camera(camera_poses, landmark_map.points[near])
+    range_squared = right**2 + ahead**2
+    possible = (
+        (ahead > 0)
+        & (range_squared <= parameters.range_max_m**2)
+        & (range_squared >= parameters.range_min_m**2)
+        & (np.abs(right) <= ahead * widest_tangent(camera, parameters))
+    )
+    pose, column = np.nonzero(possible)
+    right, ahead, landmark = right[pose, column], ahead[pose, column], near[column]
+    length_px = visible_length_px(
+        camera,
+        right / ahead,
+        ahead,
+        landmark_map.bottom_m[landmark],
+        landmark_map.top_m[landmark],
+        parameters.margin_px,
+    )
+    seen = length_px >= max(parameters.length_min_px, 1e-9)
+    ahead, landmark = ahead[seen], landmark[seen]
+    e_bottom, e_top = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
+    return Sight(
+        pose=pose[seen],
+        landmark=landmark,
+        tangent=right[seen] / ahead,
+        range_m=np.sqrt(range_squared[pose, column][seen]),
+        length_px=length_px[seen],
+        e_bottom=e_bottom,
+        e_top=e_top,
+    )
+
+
+def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
+    """Return (right, ahead), each (N, L) m: points (L, 2) of the map in the level frames of camera poses (N, 3)."""
+    seen = robot_from_map(camera_poses[:, None], points)
+    return seen[..., 0], -seen[..., 1]
+
+
+def visible_length_px(
+    camera: Camera, tangent: Array, ahead_m: Array, bottom_m: Array, top_m: Array, margin_px: float = 0.0
+) -> Array:
+    """Return the length (P,) in pixels of the part of vertical edges that lies inside the image, 0 where none does.
+
+    tangent: (P,) tan(bearing). ahead_m: (P,) distance along the camera's level axis, > 0. bottom_m, top_m: (P,)
+    heights above the floor, nan where unknown. The edge is the line a = tan b (c + e s) of the upright image; its
+    ends are cut to the rectangle of the image, widened by `margin_px`.
+    """
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    margin = margin_px / camera.focal_px
+    a_left, a_right, e_low, e_high = np.array(camera.upright_bounds) + margin * np.array([-1.0, 1.0, -1.0, 1.0])
+    e_bottom, e_top = image_heights(camera, ahead_m, bottom_m, top_m)
+    start, end = np.maximum(e_bottom, e_low), np.minimum(e_top, e_high)
+    # Left and right border: (c + e s) <= limit, which bounds e from above (tilt down) or from below (tilt up).
+    with np.errstate(divide="ignore"):
+        limit = np.where(tangent > 0, a_right, a_left) / np.where(tangent == 0, np.copysign(0.0, a_left), tangent)
+    if s > 1e-12:
+        end = np.minimum(end, (limit - c) / s)
+    elif s < -1e-12:
+        start = np.maximum(start, (limit - c) / s)
+    else:
+        end = np.where(c <= limit, end, -np.inf)
+    return np.asarray(np.maximum(end - start, 0.0) * np.sqrt(1.0 + (s * tangent) ** 2) * camera.focal_px)
+
+
+def image_heights(camera: Camera, ahead_m: Array, bottom_m: Array, top_m: Array) -> tuple[Array, Array]:
+    """Return the upright image heights e, each (P,), of the bottoms and tops of vertical edges.
+
+    ahead_m: (P,) distance along the camera's level axis, > 0. bottom_m, top_m: (P,) above the floor; where unknown
+    (nan) the edge goes on for ever. An end beyond the image plane is infinitely high or low.
+    """
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+
+    def height(end_m: Array, unknown: float) -> Array:
+        above_camera_m = end_m - camera.mount.height_m
+        depth = ahead_m * c - above_camera_m * s
+        with np.errstate(divide="ignore", invalid="ignore"):
+            e = (above_camera_m * c + ahead_m * s) / depth
+        e = np.where(depth > 0, e, np.copysign(np.inf, above_camera_m))
+        return np.where(np.isnan(above_camera_m), unknown, e)
+
+    return height(bottom_m, -np.inf), height(top_m, np.inf)
+
+
+def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
+    """Return a bound on |tan(bearing)| inside the image: at its narrow end, where c + e s is smallest."""
+    a_left, a_right, e_low, e_high = camera.upright_bounds
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    margin = parameters.margin_px / camera.focal_px
+    nearest = min(c + (e_low - margin) * s, c + (e_high + margin) * s)
+    return (max(-a_left, a_right) + margin) / nearest if nearest > 1e-6 else np.inf
+
+
+def _near_any_pose(camera_poses: Array, points: Array, range_max_m: float) -> NDArray[np.int64]:
+    """Return indices of the points (L, 2) that can be within range of some pose: those near the box of all poses."""
+    low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)
+    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
+    return np.flatnonzero((outside**2).sum(axis=1) <= range_max_m**2)
+
+
+def field_of_view_rad(camera: Camera) -> float:
+    """Return the angle between the bearings of the image's left and right border, on its middle row."""
+    a_left, a_right, _, _ = camera.upright_bounds
+    left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
+    return float(right - left)
+
+
+def half_view_rad(camera: Camera) -> float:
+    """Return the largest angle to either side that the image sees, at whichever height it sees widest."""
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    a_left, a_right, e_low, e_high = camera.upright_bounds
+    narrowest = max(min(c + e_low * s, c + e_high * s), 0.25 * c)
+    return float(np.arctan(max(-a_left, a_right) / narrowest))

@@ -1,0 +1,258 @@
+"""Build a landmark map from a recorded log: edges, poses, landmarks, and what is known of each.
+
+Robot poses are known (a truth, a trajectory, odometry as it is), or they are found along with the map (SLAM). Errors
+say why no map comes out: the robot stands still, too little parallax, clutter alone, wheels too bad for the bearings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from localiser.edges import EdgeParameters, Edges
+from localiser.errors import InputError
+from localiser.geometry import Array, Trajectory
+from localiser.landmarks import LandmarkMap
+from localiser.mapping.factors import Prior, Wheels
+from localiser.mapping.known import build_from_poses, build_from_votes
+from localiser.mapping.landmarks import Built, measured_sigma
+from localiser.mapping.log_edges import edges_of_log
+from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.quality import landmark_map_of
+from localiser.mapping.recorded import (
+    KNOWN_TURN_RAD,
+    ODOMETRY,
+    SLAM,
+    TRUTH,
+    RecordedLog,
+    known_poses,
+    turn_sigmas,
+    wheels_of,
+)
+from localiser.mapping.sightings import Sightings
+from localiser.mapping.slam import Slam, build_from_log
+from localiser.mapping.tracks import follow
+from localiser.mapping.votes import COARSE_RAD
+from localiser.motion import MotionParameters
+
+_LEAST_EXPLAINED = 0.1
+"""Share of a log's edges below which its landmarks may be chance: poses that are free bend to fit some clutter."""
+_MOST_DRIFT_RAD = np.deg2rad(8.0)
+"""Heading error of the wheels in a full turn that coarse bearings still tell from the next landmark; see the docs."""
+_FEWEST_FRAMES = 2
+_STANDING_M = 0.05
+
+
+class BuildSettings(Protocol):
+    """The parts of a configuration that building a map needs."""
+
+    @property
+    def edges(self) -> EdgeParameters: ...  # noqa: D102
+    @property
+    def motion(self) -> MotionParameters: ...  # noqa: D102
+    @property
+    def mapping(self) -> MappingParameters: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class BuildParameters:
+    """The settings of a build where there is no whole configuration."""
+
+    edges: EdgeParameters = field(default_factory=EdgeParameters)
+    motion: MotionParameters = field(default_factory=MotionParameters)
+    mapping: MappingParameters = field(default_factory=MappingParameters)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapBuilt:
+    """A map, and how it came about.
+
+    trajectory: robot poses at the frames used, whose edges are in `sightings`. built: all landmarks that were tried, of
+    which the map holds those worth keeping. slam: what else was found out where poses were not known.
+    """
+
+    landmark_map: LandmarkMap
+    trajectory: Trajectory
+    sightings: Sightings
+    built: Built
+    slam: Slam | None = None
+
+
+class BuildWatch(Protocol):
+    """What looks on while a map is built."""
+
+    def begin(self, path: Trajectory, turn_sigma: Array) -> None:
+        """Take the poses (T, 3) as known while driving, and the errors (T,) rad of their turns."""
+
+    def frame(self, t_ns: int, edges: Edges) -> None:
+        """Take the edges of one image."""
+
+    def finish(self, built: MapBuilt) -> None:
+        """Take what came out."""
+
+
+def build_map(
+    log: RecordedLog,
+    poses: str | Trajectory = TRUTH,
+    config: BuildSettings | None = None,
+    *,
+    progress: Callable[[], None] | None = None,
+    watch: BuildWatch | None = None,
+    cache: Path | None = None,
+    source: str = "a trajectory",
+) -> MapBuilt:
+    """Return the landmark map of a log. Nothing is written but the cache, where there is one.
+
+    poses: `truth`, `odometry`, `slam`, or the robot's poses in the map; source: what these are called in the map.
+    progress: is called after each image. cache: folder in which edges are kept for the next build; see `edges_of_log`.
+    Raises InputError when poses are missing, the robot stands still, or nothing is seen from two sides.
+    """
+    config = config or BuildParameters()
+    name = poses if isinstance(poses, str) else source
+    known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
+    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
+    inside = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))
+    if len(inside) < _FEWEST_FRAMES:
+        raise InputError(
+            f"expected poses at two images at least, found poses from {known.t_ns[0]} to {known.t_ns[-1]} ns and "
+            f"images from {t_ns[0]} to {t_ns[-1]} ns",
+            path=log.path,
+            field="--poses",
+        )
+    trajectory = known.sampled(t_ns[inside])
+    _require_motion(log, trajectory)
+    exact = name not in (ODOMETRY, SLAM)
+    turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
+    if watch is not None:
+        watch.begin(trajectory, turn_sigma)
+
+    def step(t_ns: int, edges: Edges) -> None:
+        if watch is not None:
+            watch.frame(t_ns, edges)
+        if progress is not None:
+            progress()
+
+    edges = edges_of_log(log, config.edges, step, cache)
+    sightings = Sightings.from_edges([edges[index] for index in inside], log.camera)
+    if len(sightings) == 0:
+        raise InputError(
+            f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
+        )
+    parameters, camera, slam = config.mapping, log.camera, None
+    if name == SLAM:
+        wheels = wheels_of(log.odometry, trajectory.t_ns, config.motion)
+        require_association(log.path, sightings, wheels)
+        prior = Prior.of(config.motion)
+        slam = build_from_log(sightings, wheels, prior, trajectory.poses[0], camera, parameters)
+        trajectory, camera = Trajectory(trajectory.t_ns, slam.poses), slam.camera
+        sigma, built = slam.sigma, slam.built
+    else:
+        cameras = camera.pose_in_map(trajectory.poses)
+        sigma = measured_sigma(sightings, camera.focal_px, parameters)
+        if exact and np.median(sigma) > COARSE_RAD:
+            built = build_from_votes(sightings, cameras, sigma, parameters)
+        else:
+            track = follow(sightings, cameras, turn_sigma, parameters.tracks)
+            built = build_from_poses(sightings, track, cameras, sigma, parameters)
+    cameras = camera.pose_in_map(trajectory.poses)
+    landmark_map = landmark_map_of(
+        sightings, built, cameras, sigma, camera, parameters, log.name, f"{log.name}, poses: {name}"
+    )
+    _require_landmarks(log, landmark_map, sightings, built, parameters)
+    result = MapBuilt(landmark_map, trajectory, sightings, built, slam)
+    if watch is not None:
+        watch.finish(result)
+    return result
+
+
+def _require_motion(log: RecordedLog, trajectory: Trajectory) -> None:
+    moved = trajectory.poses[:, :2] - trajectory.poses[0, :2]
+    farthest = float(np.hypot(moved[:, 0], moved[:, 1]).max())
+    if farthest < _STANDING_M:
+        raise InputError(
+            f"expected a robot that drives, found one that stays within {farthest:.3f} m: without motion an edge is "
+            "seen from one side only, and its distance cannot be told",
+            path=log.path,
+        )
+
+
+def require_association(path: Path, sightings: Sightings, wheels: Wheels) -> None:
+    """Raise InputError when bearings are too coarse, and wheels too bad, to tell which landmark was seen.
+
+    A robot meets its landmarks again when it has turned round. Coarse bearings (median over `COARSE_RAD`) are
+    not followed from image to image reliably, so that wheels must say by then which landmark is which.
+    """
+    sigma = float(np.median(sightings.sigma))
+    drift = turn_drift(wheels)
+    if sigma > COARSE_RAD and drift > _MOST_DRIFT_RAD:
+        raise InputError(
+            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, or wheels whose heading is good to "
+            f"{np.rad2deg(_MOST_DRIFT_RAD):g}° after a full turn; found {np.rad2deg(sigma):.1f}° and "
+            f"{np.rad2deg(drift):.0f}° (motion.alpha1, motion.alpha2): nothing tells which landmark was seen, and the "
+            f"map would be wrong; --poses {TRUTH} or the trajectory of another program makes one",
+            path=path,
+            field="--poses",
+        )
+
+
+def turn_drift(wheels: Wheels) -> float:
+    """Return how far (rad, one sigma) the wheels' heading is off after a full turn, or at the end if that is sooner."""
+    turned = float(np.abs(wheels.motion[:, 2]).sum())
+    return float(np.sqrt(wheels.cov[:, 2, 2].sum() * min(1.0, 2 * np.pi / max(turned, 1e-9))))
+
+
+def _require_landmarks(
+    log: RecordedLog,
+    landmark_map: LandmarkMap,
+    sightings: Sightings,
+    built: Built,
+    parameters: MappingParameters,
+) -> None:
+    """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
+    if not len(landmark_map):
+        raise nothing_built(log, built, parameters)
+    assert landmark_map.quality is not None
+    explained = float(landmark_map.quality.sightings.sum()) / len(sightings)
+    if explained >= _LEAST_EXPLAINED:
+        return
+    narrow = (built.count >= parameters.sightings_min) & (np.rad2deg(built.parallax) < parameters.parallax_min_deg)
+    one_sided = float(built.count[narrow].sum()) / len(sightings)
+    if one_sided > 0.5:
+        raise _too_little_parallax(log, parameters, f"that {100 * one_sided:.0f} % of the edges are not")
+    raise InputError(
+        f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
+        "of the edges: what the images show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
+
+
+def nothing_built(log: RecordedLog, built: Built, parameters: MappingParameters) -> InputError:
+    """Return the error that says why no landmark came out."""
+    followed = built.count >= parameters.sightings_min
+    if not followed.any():
+        most = int(built.count.max(initial=0))
+        return InputError(
+            f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
+            f"(at most {most}): what the images show is clutter, or too few of them overlap",
+            path=log.path,
+        )
+    widest = float(np.rad2deg(built.parallax[followed].max()))
+    if widest < parameters.parallax_min_deg:
+        return _too_little_parallax(log, parameters, f"at most {widest:.1f}°")
+    return InputError(
+        "expected edges that are found again where they should be, found none likely enough to exist: what the images "
+        "show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
+
+
+def _too_little_parallax(log: RecordedLog, parameters: MappingParameters, found: str) -> InputError:
+    return InputError(
+        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found {found}: "
+        "too little parallax to tell distances; drive past things, not only towards them",
+        path=log.path,
+    )

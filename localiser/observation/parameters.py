@@ -1,0 +1,58 @@
+"""What can be set of the observation of edges, and how much of an image is new."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from localiser.geometry import Increment
+from localiser.landmarks import SightParameters
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationParameters:
+    """The mixture of landmarks and clutter."""
+
+    kind: Annotated[
+        Literal["line", "slope"],
+        Field(description="what is compared: the line held through the nadir point, or the slope alone (the paper's)"),
+    ] = "line"
+    landmark_sigma_m: Annotated[
+        float,
+        Field(ge=0, description="how far a landmark may stand from where the map has it, where that is silent (m)"),
+    ] = 0.01
+    decorrelation_m: Annotated[
+        float, Field(ge=0, description="driving after which errors of an edge are new (m); 0: always new")
+    ] = 0.07
+    decorrelation_deg: Annotated[
+        float, Field(ge=0, description="turning after which errors of an edge are new (degrees); 0: always new")
+    ] = 4.0
+    association: Annotated[
+        Literal["unknown", "known"],
+        Field(description="whether to believe what edges of a log say of which landmark they belong to"),
+    ] = "unknown"
+    threads: Annotated[
+        int, Field(ge=1, le=64, description="threads that weigh particles; results do not depend on it")
+    ] = 1
+    sight: SightParameters = field(default_factory=SightParameters)
+
+
+def novelty_of(increment: Increment, parameters: ObservationParameters) -> float:
+    """Return the share of a frame's log-likelihood that is new after moving by `increment`, 0 … 1.
+
+    Errors of an edge are taken as a first-order Markov process over the path: their correlation between two frames is
+    ρ = exp(-path/decorrelation_m - turned/decorrelation_rad). Such a chain tells as much about a constant as if each
+    frame counted (1 - ρ)/(1 + ρ); so a robot that stands still learns nothing from seeing the same image again.
+    """
+    exponent = 0.0
+    for moved, scale in (
+        (increment.path_m, parameters.decorrelation_m),
+        (increment.turned_rad, np.radians(parameters.decorrelation_deg)),
+    ):
+        if scale == 0:
+            return 1.0
+        exponent += moved / scale
+    return float(np.tanh(exponent / 2))

@@ -1,0 +1,165 @@
+"""What a filter asks of an observation: one method, and abilities that an observation may have besides.
+
+The one method is `Observation.log_likelihood`. Every further ability is a protocol of its own. The filter asks for it
+with `isinstance` and goes on without it where it is missing: without inlier rates particles are weighed by
+`log_likelihood` alone, without targets they are moved by odometry alone, and so on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, Increment
+from localiser.landmarks import LandmarkMap
+from localiser.observation.inlier_rate import INLIER_RATES
+from localiser.observation.parameters import ObservationParameters
+from localiser.particles import Particles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What was measured at one time.
+
+    edges: of an image. measurement: an array that an observation of another kind understands, None where there is none.
+    """
+
+    t_ns: int
+    edges: Edges = field(default_factory=Edges.none)
+    measurement: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Edges (K) whose landmark is known.
+
+    points: (K, 2) of the landmarks. angle: (K,) measured, rad. variance: (K,) rad². is_slope: whether angles are leans,
+    not bearings.
+    """
+
+    points: Array
+    angle: Array
+    variance: Array
+    is_slope: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Which landmark each edge belongs to, seen from one pose.
+
+    landmark: (E,) index into the map, -1 for clutter. residual: (E,) measured minus predicted, rad, nan for clutter.
+    visible: (L,) whether the landmark is inside the field of view.
+    """
+
+    landmark: NDArray[np.int64]
+    residual: Array
+    visible: NDArray[np.bool_]
+
+    @classmethod
+    def none(cls, edges: int, landmarks: int) -> Matches:
+        """Return that no edge belongs to any landmark."""
+        return cls(np.full(edges, -1), np.full(edges, np.nan), np.zeros(landmarks, dtype=bool))
+
+
+@runtime_checkable
+class Observation(Protocol):
+    """Anything that weighs particles by what was measured."""
+
+    def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
+        """Return log p(sighting | particle) (N,), up to a constant that all particles share."""
+        ...
+
+
+@runtime_checkable
+class RatesInliers(Observation, Protocol):
+    """An observation whose likelihood depends on the inlier rate, so that the filter can learn it."""
+
+    def by_rate(
+        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+    ) -> Array:
+        """Return log p(sighting | particle, w_k) (K, N) for each of `INLIER_RATES`, relative to clutter alone.
+
+        blur_rad: sigma that is added to the sigma of every edge.
+        """
+        ...
+
+
+@runtime_checkable
+class TempersByScale(RatesInliers, Protocol):
+    """An observation that can be blurred where it is much sharper than the cloud of particles is wide."""
+
+    def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
+        """Return how far (rad) the particles' predictions of an edge spread, and the sigma (rad) of measuring it."""
+        ...
+
+
+@runtime_checkable
+class GuidesSteps(Observation, Protocol):
+    """An observation that the optimal proposal can draw steps from."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera whose angles the targets are."""
+        ...
+
+    def targets(
+        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, inlier_rate: float
+    ) -> Targets:
+        """Return the edges whose landmark is known, `inlier_rate` being the expected rate of edges of landmarks."""
+        ...
+
+
+@runtime_checkable
+class FollowsClutter(Observation, Protocol):
+    """An observation that knows persistent clutter: things on no map that are seen again in the next image."""
+
+    def with_persistent_clutter(
+        self, sighting: Sighting, before: Sighting, increment: Increment, turn_var: float
+    ) -> Sighting:
+        """Return the sighting with the clutter density at each edge, after the robot moved by `increment`."""
+        ...
+
+
+@runtime_checkable
+class Associates(Observation, Protocol):
+    """An observation that can say which landmark each edge shows, for display."""
+
+    def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
+        """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
+        ...
+
+
+@runtime_checkable
+class LocalisesGlobally(RatesInliers, Protocol):
+    """An observation of edges that poses can be proposed from with no idea where the robot is."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that saw the edges."""
+        ...
+
+    @property
+    def parameters(self) -> ObservationParameters:
+        """What the observation is of, and which landmarks count as visible."""
+        ...
+
+
+def likelihood_by_rate(
+    observation: Observation, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+) -> Array:
+    """Return log p(sighting | particle, w_k) (K, N): the same for all rates where the observation knows none."""
+    if isinstance(observation, RatesInliers):
+        return observation.by_rate(particles, sighting, landmark_map, blur_rad)
+    return np.tile(observation.log_likelihood(particles, sighting, landmark_map), (len(INLIER_RATES), 1))
+
+
+def matches_of(observation: Observation, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
+    """Return which landmark each edge shows, seen from `pose` (3,); none where the observation cannot say."""
+    if isinstance(observation, Associates):
+        return observation.associate(pose, sighting, landmark_map)
+    return Matches.none(len(sighting.edges), len(landmark_map))

@@ -1,0 +1,114 @@
+"""The figures of a run: its metrics, and the bound on its accuracy where that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser import evaluate, motion
+from localiser.calibration import check_mount
+from localiser.edges import Edges
+from localiser.evaluate import Track
+from localiser.filter import LocatedFrame
+from localiser.geometry import Array, Trajectory
+from localiser.replay.inputs import RunInputs
+
+
+def run_metrics(inputs: RunInputs, frames: Sequence[LocatedFrame], bound: Array | None) -> dict[str, Any]:
+    """Return the metrics of a run and what it learnt of wheels and camera, without timing. bound: see `bound_of`."""
+    located = [frame.located for frame in frames]
+    edges = [result.edges for result in located]
+    track = track_of(frames)
+    figures = evaluate.metrics(
+        track,
+        truth_of(inputs, frames),
+        log=inputs.log.name,
+        about=inputs.about,
+        bound=bound,
+        sighted=_sighted(edges),
+        reasons=[result.reason for result in located],
+    )
+    return figures | {"biases": _constants(inputs, frames)} | _mount(inputs, edges, track.odometry)
+
+
+def track_of(frames: Sequence[LocatedFrame]) -> Track:
+    """Return what a run says at each of its images."""
+    located = [frame.located for frame in frames]
+    return Track.from_poses(
+        [result.t_ns for result in located],
+        np.array([result.estimate.pose for result in located]).reshape(-1, 3),
+        covs=np.array([result.estimate.pose_cov for result in located]).reshape(-1, 3, 3),
+        odometry=np.array([result.odometry for result in located]).reshape(-1, 3),
+        edges=[len(result.edges) for result in located],
+        matched=[int((frame.matches.landmark >= 0).sum()) for frame in frames],
+        p_correct=[result.p_correct for result in located],
+    )
+
+
+def truth_of(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> Trajectory | None:
+    """Return the truth, None where there is none or the run ended before it begins."""
+    truth = inputs.log.groundtruth
+    return truth if truth is not None and any(truth.covers(frame.located.t_ns) for frame in frames) else None
+
+
+def bound_of(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> Array | None:
+    """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
+    log, config, landmark_map = inputs.log, inputs.localiser.config, inputs.localiser.landmark_map
+    located = [frame.located for frame in frames]
+    if log.groundtruth is None or inputs.start is None or _sighted([result.edges for result in located]) is None:
+        return None
+    if landmark_map is not log.landmark_map:
+        return None  # the log's associations are those of its own map
+    poses = log.groundtruth.sampled([result.t_ns for result in located]).poses
+    steps = zip(poses[:-1], located[1:], strict=True)
+    moves = [motion.linearised(pose, result.increment, config.motion) for pose, result in steps]
+    informations = [
+        evaluate.bearing_information(pose, log.camera, landmark_map.points, result.edges, config.observation.kind)
+        for pose, result in zip(poses, located, strict=True)
+    ]
+    return evaluate.posterior_bound(
+        inputs.start.cov,
+        np.array([jac for jac, _ in moves]).reshape(-1, 3, 3),
+        np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
+        np.array(informations),
+    )
+
+
+def _sighted(all_edges: Sequence[Edges]) -> NDArray[np.bool_] | None:
+    """Return whether (T,) a landmark was seen, where the log tells which; None where it does not."""
+    sighted = np.array([(edges.landmark_id >= 0).any() for edges in all_edges])
+    return sighted if sighted.any() else None
+
+
+def _constants(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> dict[str, Any]:
+    """Return what the run has learnt of its wheels, beside what the truth says of them."""
+    truth, fit = inputs.log.groundtruth, {}
+    first, last = frames[0].located, frames[-1].located
+    if truth is not None and inputs.localiser.config.increments.source == "wheel":
+        fit = evaluate.fit_wheels(inputs.log.odometry, truth, first.t_ns, last.t_ns)
+    return evaluate.bias_figures(last.estimate, fit)
+
+
+def _mount(inputs: RunInputs, frames: Sequence[Edges], odometry: Array) -> dict[str, Any]:
+    """Return what the edges of all images together say about tilt and roll.
+
+    odometry: (F, 3) poses at the images. `warnings` has a text when they contradict what is stated; see `check_mount`.
+    """
+    log, parameters = inputs.log, inputs.localiser.config.edges
+    if not log.has_images:
+        return {"warnings": []}
+    check = check_mount(
+        frames, odometry, log.camera, np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
+    )
+    stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
+    warning = (
+        f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
+        f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log.path}`."
+    )
+    figures: dict[str, Any] = {"warnings": [warning] if check.disagrees else []}
+    for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):
+        figures |= {f"{name}_found_deg": round(float(value), 6), f"{name}_found_sigma_deg": round(float(one), 6)}
+    return figures

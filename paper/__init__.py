@@ -1,0 +1,1 @@
+"""The founding paper, reproduced: `localiser paper` in a clone of the project."""

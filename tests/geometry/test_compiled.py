@@ -1,0 +1,309 @@
+"""Machine code is kept between runs, is never out of date, and nothing fails where it cannot be kept."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+from typing import Any
+
+import pytest
+
+import localiser
+from localiser.geometry import compiled
+
+PACKAGE = Path(str(localiser.__file__)).parent
+NOWHERE = "/proc/nonexistent"  # where nobody can make a folder, root neither
+
+OTHER = """
+from typing import NamedTuple
+import numpy as np
+from localiser.geometry.compiled import inlined
+
+FACTOR = 3.0
+TABLE = np.array([5.0, 7.0])
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+@inlined
+def deeper(x):
+    return FACTOR * x
+
+@inlined
+def helper(x):
+    return deeper(x) + TABLE[0]
+"""
+LOOP = """
+import numpy as np
+import other
+from other import FACTOR, TABLE, Pair, helper
+from localiser.geometry.compiled import compiled, entry
+
+@entry
+def loop(x, pair):
+    made = Pair(x, 5.0)
+    return helper(x) + 100.0 * pair.first + 1000.0 * made.first
+"""
+START = 6.0 + 5.0 + 1100.0 + 2000.0  # of x = 2 and the pair 11, 13
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Keep machine code in a folder of this test."""
+    monkeypatch.setenv("LOCALISER_CACHE", str(tmp_path / "cache"))
+    compiled.folder.cache_clear()
+    yield tmp_path / "cache" / "compiled"
+    compiled.folder.cache_clear()
+
+
+@pytest.fixture
+def chosen(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Tell which folder is chosen in an environment, or where the user has no home."""
+
+    def choose(**environment: object) -> Path | None:
+        for name in ("LOCALISER_CACHE", "XDG_CACHE_HOME"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in environment.items():
+            monkeypatch.setenv(name, str(value))
+        monkeypatch.setattr("tempfile.tempdir", None)
+        compiled.folder.cache_clear()
+        return compiled.folder()
+
+    yield choose
+    compiled.folder.cache_clear()
+
+
+class Modules:
+    """A loop and what it inlines, in two modules that are imported anew, as a new process would."""
+
+    def __init__(self, where: Path) -> None:
+        self.where = where
+        self.content = {"other": OTHER, "loop": LOOP}
+
+    def edit(self, name: str, old: str, new: str) -> None:
+        assert old in self.content[name]
+        self.content[name] = self.content[name].replace(old, new)
+
+    def run(self) -> tuple[float, bool]:
+        """Return what the loop gives, and whether its code was kept."""
+        for name, content in self.content.items():
+            sys.modules.pop(name, None)
+            (self.where / f"{name}.py").write_text(content)
+        importlib.invalidate_caches()
+        module = importlib.import_module("loop")
+        value = module.loop(2.0, module.other.Pair(11.0, 13.0))
+        return value, sum(module.loop.stats.cache_hits.values()) == 1
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: Path) -> Iterator[Modules]:
+    (tmp_path / "source").mkdir()
+    monkeypatch.syspath_prepend(tmp_path / "source")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it goes by time, to the second
+    yield Modules(tmp_path / "source")
+    for name in ("other", "loop"):
+        sys.modules.pop(name, None)
+
+
+def python(code: str, package: Path, **environment: str) -> str:
+    """Run code in a process of its own and return what it prints."""
+    base = {name: value for name, value in os.environ.items() if name not in ("LOCALISER_CACHE", "XDG_CACHE_HOME")}
+    done = subprocess.run(
+        [sys.executable, "-c", dedent(code)],
+        env={**base, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment},
+        cwd=package.parent,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Copy the package, so that it can be changed."""
+    copy = tmp_path / "installed" / "localiser"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy
+
+
+# -- never out of date ------------------------------------------------------------------------------------------------
+
+
+def test_code_is_compiled_once_and_then_loaded(modules: Modules, kept: Path) -> None:
+    assert modules.run() == (START, False)
+    assert modules.run() == (START, True)
+    assert len(list(kept.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "new", "value"),
+    [
+        ("other", "deeper(x) + TABLE[0]", "deeper(x) + TABLE[1]", START + 2.0),
+        ("other", "FACTOR * x", "FACTOR + x", START - 1.0),
+        ("other", "FACTOR = 3.0", "FACTOR = 4.0", START + 2.0),
+        ("other", "[5.0, 7.0]", "[6.0, 7.0]", START + 1.0),
+        ("other", "first: float\n    second: float", "second: float\n    first: float", START + 200.0 + 3000.0),
+        ("loop", "1000.0", "2000.0", START + 2000.0),
+        ("loop", "+ 100.0 * pair.first", "+ 100.0 * FACTOR", START - 800.0),
+        ("loop", "def loop(x, pair)", "def loop(x, pair, more=1.0)", START),
+        ("loop", "@entry", "@compiled", START),
+    ],
+)
+def test_what_changes_the_code_has_it_compiled_anew(
+    modules: Modules, module: str, old: str, new: str, value: float
+) -> None:
+    modules.run()
+    modules.edit(module, old, new)
+    assert modules.run() == (value, False)
+
+
+def test_what_does_not_change_the_code_leaves_it_kept(modules: Modules) -> None:
+    modules.run()
+    modules.edit("other", "FACTOR = 3.0", "# a comment moves lines\nUNUSED = 1.0\nFACTOR = 3.0")
+    assert modules.run() == (START, True)
+
+
+def test_two_versions_are_kept_side_by_side(modules: Modules) -> None:
+    modules.run()
+    modules.edit("other", "FACTOR = 3.0", "FACTOR = 4.0")
+    modules.run()
+    modules.edit("other", "FACTOR = 4.0", "FACTOR = 3.0")
+    assert modules.run() == (START, True)
+
+
+def test_a_global_of_unknown_content_is_compiled_in_every_run(modules: Modules, kept: Path) -> None:
+    modules.edit("loop", "100.0 * pair.first", "100.0 * pair.first * (other.FACTOR / FACTOR)")
+    for _ in range(2):
+        with pytest.warns(RuntimeWarning, match="loop is compiled anew in every run: it uses <module 'other'"):
+            assert modules.run() == (START, False)
+    assert list(kept.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [b"", b"no checksum", None])
+def test_a_damaged_file_is_made_anew(modules: Modules, kept: Path, content: bytes | None) -> None:
+    modules.run()
+    (file,) = kept.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    assert modules.run() == (START, False)
+    assert modules.run() == (START, True)
+
+
+def test_code_that_was_used_last_stays(modules: Modules, kept: Path) -> None:
+    modules.run()
+    (used,) = kept.iterdir()
+    for n in range(1200):
+        (kept / f"old-{n}").write_bytes(b"")
+        os.utime(kept / f"old-{n}", (n, n))
+    os.utime(used, (0, 0))
+    modules.run()
+    modules.edit("other", "FACTOR = 3.0", "FACTOR = 4.0")
+    modules.run()
+    left = {file.name for file in kept.iterdir()}
+    assert used.name in left
+    assert len(left) == 1000
+    assert "old-1199" in left
+    assert "old-0" not in left
+
+
+BY_SHARE = """
+    import numpy as np
+    from localiser.camera import Camera, Mount
+    from localiser.edges import Edges
+    from localiser.landmarks import LandmarkMap
+    from localiser.observation import EdgeObservation, ObservationParameters, Sighting
+    from localiser.particles import POSE, Particles
+
+    camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
+    nothing = np.full(2, np.nan)
+    edges = Edges.from_columns(np.array([-0.1, 0.2]), np.full(2, 0.01), nothing, nothing)
+    particles = Particles(POSE, np.tile([[0.0], [0.0], [0.3]], 1000), np.zeros(1000))
+    right, ahead = np.array([-0.4, 0.8]), 4.0
+    x, z = right * np.cos(0.3) - ahead * np.sin(0.3), -right * np.sin(0.3) - ahead * np.cos(0.3)
+    landmark_map = LandmarkMap.from_points(np.column_stack([x, z]))
+    print(EdgeObservation(camera, ObservationParameters()).by_rate(particles, Sighting(0, edges), landmark_map).sum())
+"""
+
+
+def test_likelihood_follows_a_change_of_the_cosine_it_inlines(package: Path) -> None:
+    before = python(BY_SHARE, package)
+    assert python(BY_SHARE, package) == before
+    kernel = package / "geometry" / "angle_kernel.py"
+    source = kernel.read_text()
+    assert "    return cos, sin\n" in source
+    kernel.write_text(source.replace("    return cos, sin\n", "    return cos / 2, sin\n"))
+    assert python(BY_SHARE, package) != before
+
+
+# -- anywhere ---------------------------------------------------------------------------------------------------------
+
+COSINE = """
+    import tempfile, numpy as np
+    {without}
+    from localiser.geometry import angle_kernel, compiled
+    cos, sin = angle_kernel.cos_sin_of(np.zeros(1))
+    print(angle_kernel.__file__, compiled.folder(), cos[0], sin[0])
+"""
+
+
+@pytest.mark.parametrize("has_temporary", [True, False])
+def test_a_read_only_installation_runs_without_a_home(package: Path, tmp_path: Path, has_temporary: bool) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    installed = sorted(package.rglob("*"))
+    for path in [*installed, package]:
+        path.chmod(path.stat().st_mode & ~0o222)
+    without = "" if has_temporary else f"tempfile.tempdir = '{NOWHERE}'"
+    said = python(COSINE.format(without=without), package, HOME=NOWHERE, TMPDIR=str(temporary))
+    where = temporary / f"localiser-compiled-{os.getuid()}" if has_temporary else None
+    assert said == f"{package}/geometry/angle_kernel.py {where} 1.0 0.0"
+    assert sorted(package.rglob("*")) == installed
+    if where:
+        assert stat.S_IMODE(where.stat().st_mode) == 0o700
+        assert len(list(where.iterdir())) == 1
+
+
+def test_the_first_folder_that_can_be_written_is_chosen(chosen: Any, tmp_path: Path) -> None:
+    temporary = tmp_path / "t"
+    temporary.mkdir()
+    own = temporary / f"localiser-compiled-{os.getuid()}"
+    cache, home = tmp_path / "cache", tmp_path / "home"
+    assert chosen(LOCALISER_CACHE=cache, HOME=home, TMPDIR=temporary) == cache / "compiled"
+    assert chosen(XDG_CACHE_HOME=cache, HOME=home, TMPDIR=temporary) == cache / "localiser" / "compiled"
+    assert chosen(HOME=home, TMPDIR=temporary) == home / ".cache" / "localiser" / "compiled"
+    assert chosen(LOCALISER_CACHE=NOWHERE, HOME=NOWHERE, TMPDIR=temporary) == own
+    (tmp_path / "file").write_bytes(b"")
+    assert chosen(HOME=tmp_path / "file", TMPDIR=temporary) == own
+
+
+@pytest.mark.parametrize("fault", ["link", "open to others", "file", "of another user"])
+def test_a_folder_that_others_could_write_into_is_not_used(chosen: Any, tmp_path: Path, fault: str) -> None:
+    temporary, elsewhere = tmp_path / "t", tmp_path / "elsewhere"
+    temporary.mkdir()
+    elsewhere.mkdir(mode=0o700)
+    own = temporary / f"localiser-compiled-{os.getuid()}"
+    if fault == "link":
+        own.symlink_to(elsewhere)
+    elif fault == "file":
+        own.write_bytes(b"")
+    else:
+        own.mkdir(mode=0o700)
+    if fault == "open to others":
+        own.chmod(0o770)
+    if fault == "of another user":
+        if os.getuid() != 0:
+            pytest.skip("only root can give a folder away")
+        os.chown(own, 65534, 65534)
+    assert chosen(HOME=NOWHERE, TMPDIR=temporary) is None
+    assert not own.is_dir() or not list(own.iterdir())

@@ -1,0 +1,313 @@
+"""The one object: it locates what a replay does, goes on from a saved state, and refuses what cannot work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_feed import CONFIG, LOG, Feed, camera, drive
+from short_log import CORRIDOR, FRAMES, cut_log
+from short_log import Localiser as CommandLine
+from small_log import write_edge_log
+
+from localiser.camera import Mount
+from localiser.config import Config, load_config
+from localiser.edges import Edges
+from localiser.errors import InputError
+from localiser.filter import LocatedFrame, Odometry, Sighting, Start
+from localiser.landmarks import LandmarkMap
+from localiser.live import LiveOptions, opened
+from localiser.localiser import Localiser
+from localiser.replay import replay_log
+from localiser.storage import ImageEvent, load_track, open_log, save_camera
+from localiser.storage.log import Event
+
+SECOND = 1_000_000_000
+KNOWN = "observation.association=known"
+SLOPE = "observation.kind=slope"
+
+
+def feed(localiser: Localiser, events: Iterable[Event]) -> list[LocatedFrame]:
+    """Give a localiser what a log holds."""
+    found = []
+    for event in events:
+        match event:
+            case Start():
+                found += localiser.start(event.mean, event.cov, event.t_ns)
+            case Odometry():
+                found += localiser.odometry(event.t_ns, event.pose)
+            case Sighting():
+                found += localiser.edges(event.t_ns, event.edges)
+            case ImageEvent():
+                found += localiser.image(event.t_ns, event.encoded())
+    return found
+
+
+def first_events(images: int) -> list[Event]:
+    end_ns = LOG.frames[images].t_ns
+    return [event for event in LOG.events() if event.t_ns < end_ns]
+
+
+def of_corridor(config: Config = CONFIG, seed: int | None = None) -> Localiser:
+    assert LOG.landmark_map is not None
+    return Localiser(LOG.landmark_map, LOG.camera, config, seed)
+
+
+def poses(frames: list[LocatedFrame]) -> np.ndarray:
+    return np.array([frame.located.estimate.pose for frame in frames])
+
+
+# -- what is located --------------------------------------------------------------------------------------------------
+
+
+def test_it_locates_what_a_replay_does(localiser: CommandLine, tmp_path: Path) -> None:
+    """Also the last images, which no odometry has reached, and as the function of the library does."""
+    log = cut_log(CORRIDOR, tmp_path / "log", FRAMES)
+    rows = (log / "odometry.csv").read_text().splitlines()
+    last_ns = LOG.frames[FRAMES - 3].t_ns
+    kept = [row for row in rows[1:] if int(row.split(",")[0]) <= last_ns]
+    (log / "odometry.csv").write_text("\n".join([rows[0], *kept]) + "\n")
+    few = ["mcl.particles=200", "mcl.start_particles=300"]
+    settings = ("--seed", 4, "--set", few[0], "--set", few[1])
+    track = load_track(localiser.replay(log, tmp_path / "out", *settings) / "trajectory.csv")
+
+    recorded = open_log(log)
+    config = load_config(None, few, recorded.settings)
+    one = of_corridor(config, seed=4)
+    found = feed(one, recorded.events())
+    assert 0 < len(found) < FRAMES
+    found += one.finish()
+    assert [frame.located.t_ns for frame in found] == track.t_ns.tolist()
+    np.testing.assert_allclose(poses(found), track.poses, atol=1e-9)
+    assert set(found[0].stage_ms) == {"load", "edges", "filter"} and min(found[0].stage_ms.values()) > 0
+
+    by_library = replay_log(log, load_config(None, ["seed=4", *few], recorded.settings))
+    np.testing.assert_array_equal(by_library.track.poses, poses(found))
+    assert by_library.metrics["frames"] == FRAMES and by_library.metrics["seed"] == 4
+
+
+def test_pixels_and_files_and_edges_are_the_same_image() -> None:
+    results = []
+    for kind in ("file", "pixels", "edges"):
+        one = of_corridor()
+        feed(one, [event for event in first_events(1) if not isinstance(event, ImageEvent)])
+        image = LOG.frames[0]
+        assert isinstance(image, ImageEvent)
+        if kind == "edges":
+            one.edges(image.t_ns, one.measure(image.load()).edges)
+        else:
+            one.image(image.t_ns, image.encoded() if kind == "file" else image.load())
+        results.append(poses(one.finish()))
+    np.testing.assert_array_equal(results[0], results[1])
+    np.testing.assert_array_equal(results[0], results[2])
+
+
+def test_bearings_of_ones_own_are_enough() -> None:
+    """Eight landmarks, their bearings to half a degree from ten places, and a start to half a metre."""
+    points = [[-1.0, -3.0], [0.8, -2.5], [0.2, -4.0], [1.5, -5.0], [-2.0, -6.0], [-0.6, -5.0], [0.7, -7.0], [2.2, -6.5]]
+    landmark_map = LandmarkMap.from_points(np.array(points))
+    one = Localiser(landmark_map, LOG.camera, seed=3)
+    one.start([0.0, 0.0, 0.0], np.diag([0.5, 0.5, 0.2]) ** 2)
+    for k in range(10):
+        true = np.array([0.1, -0.3 - 0.1 * k, 0.05])
+        one.odometry(k * SECOND, [0.0, -0.1 * k, 0.0])
+        bearing = bearings_from(one, true, landmark_map)
+        unknown = np.full(len(bearing), np.nan)
+        sigma = np.full(len(bearing), math.radians(0.5))
+        (found,) = one.edges(k * SECOND, Edges.from_columns(bearing, sigma, unknown, unknown))
+    assert np.hypot(*(found.located.estimate.pose - true)[:2]) < 0.1
+    matched = np.flatnonzero(found.matches.landmark >= 0)
+    assert len(matched) and (found.matches.landmark[matched] == matched).all()
+
+
+def bearings_from(localiser: Localiser, pose: np.ndarray, landmark_map: LandmarkMap) -> np.ndarray:
+    x, z, heading = localiser.camera.pose_in_map(pose)
+    right = np.array([math.cos(heading), -math.sin(heading)])
+    back = np.array([math.sin(heading), math.cos(heading)])
+    relative = landmark_map.points - [x, z]
+    return np.arctan2(relative @ right, -(relative @ back))
+
+
+def test_a_start_without_a_time_holds_from_the_next_measurement() -> None:
+    assert LOG.start is not None
+    measured = [event for event in first_events(3) if not isinstance(event, Start)]
+    timed, untimed = of_corridor(), of_corridor()
+    timed.start(LOG.start.mean, LOG.start.cov, measured[0].t_ns)
+    untimed.start(LOG.start.mean, LOG.start.cov)
+    np.testing.assert_array_equal(poses(feed(untimed, measured)), poses(feed(timed, measured)))
+
+
+def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
+    """With a tilt that is stated wrongly the edges are corrected before they are weighed, and so are the matches."""
+    assert LOG.landmark_map is not None
+    tilted = LOG.camera.with_mount(tilt_rad=LOG.camera.mount.tilt_rad + math.radians(1.0))
+    config = load_config(None, ["edges.tilt_sigma_deg=2", "mcl.particles=500"])
+    one = Localiser(LOG.landmark_map, tilted, config)
+    last = feed(one, first_events(8))[-1]
+    assert last.located.sighting is not None
+    as_weighed, as_measured = last.located.sighting.edges, last.located.edges
+    assert as_weighed is not None and np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
+    expected = one.observation.associate(last.located.estimate.pose_as_seen, as_weighed, LOG.landmark_map)
+    np.testing.assert_array_equal(last.matches.landmark, expected.landmark)
+    np.testing.assert_array_equal(last.matches.residual, expected.residual)
+
+
+def test_an_image_after_silent_wheels_is_located_at_once() -> None:
+    one = of_corridor()
+    events = first_events(6)
+    last = max(k for k, event in enumerate(events) if isinstance(event, ImageEvent))
+    heard_until_ns = LOG.frames[4].t_ns + SECOND // 20
+    feed(one, [event for event in events[:last] if not isinstance(event, Odometry) or event.t_ns <= heard_until_ns])
+    image = events[last]
+    assert isinstance(image, ImageEvent) and LOG.groundtruth is not None
+    assert of_corridor().needs_wheels
+    (found,) = one.image(image.t_ns, image.encoded(), by_wheels=False)
+    assert found.located.increment.source == "vision"
+    assert np.hypot(*(found.located.estimate.pose - LOG.groundtruth.at(image.t_ns))[:2]) < 0.3
+
+
+# -- the state --------------------------------------------------------------------------------------------------------
+
+
+def test_a_saved_state_goes_on_to_the_last_bit() -> None:
+    """Also with an image that waits for the wheels, and after a warm-up, which changes nothing."""
+    events = first_events(8)
+    whole = of_corridor()
+    expected = feed(whole, events)
+    place = [k for k, event in enumerate(events) if isinstance(event, ImageEvent)][4] + 1
+    first = of_corridor()
+    begun = feed(first, events[:place])
+    assert first.state.waiting
+    again = of_corridor(seed=CONFIG.seed)
+    again.warm_up()
+    again.restore(first.save())
+    assert again.save() == first.save()
+    rest = feed(again, events[place:])
+    np.testing.assert_array_equal(poses([*begun, *rest]), poses(expected))
+    assert again.save() == whole.save()
+
+
+def test_a_state_of_another_map_camera_or_setting_is_refused() -> None:
+    assert LOG.landmark_map is not None
+    content = of_corridor().save()
+    others = {
+        "seed: expected 0": of_corridor(seed=1),
+        "search.fresh: expected 300": of_corridor(
+            CONFIG.model_copy(update={"search": replace(CONFIG.search, fresh=301)})
+        ),
+        "map: expected": Localiser(LOG.landmark_map.take(np.arange(5)), LOG.camera, CONFIG),
+        "camera: expected": Localiser(LOG.landmark_map, LOG.camera.with_mount(height_m=1.5), CONFIG),
+    }
+    for told, other in others.items():
+        with pytest.raises(InputError, match=told):
+            other.restore(content)
+    with pytest.raises(InputError, match=r"here: expected a whole checkpoint"):
+        of_corridor().restore(content[:-1], "here")
+
+
+def test_a_state_can_be_moved_to_another_clock() -> None:
+    one = of_corridor()
+    feed(one, first_events(2))
+    moved = of_corridor()
+    moved.restore(one.save(shift_ns=7 * SECOND))
+    assert moved.state.at_ns - one.state.at_ns == 7 * SECOND
+    assert [pose.t_ns for pose in moved.state.odometry] == [pose.t_ns + 7 * SECOND for pose in one.state.odometry]
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_measurements_that_cannot_be_are_refused() -> None:
+    one = of_corridor()
+    one.start([0, 0, 0], np.eye(3), SECOND)
+    one.odometry(SECOND, [0, 0, 0])
+    nothing = Edges.none()
+    with pytest.raises(InputError, match="odometry: expected a time after"):
+        one.odometry(SECOND, [0, 0, 0])
+    with pytest.raises(InputError, match="image: expected a time after the start"):
+        one.edges(SECOND - 1, nothing)
+    assert len(one.edges(SECOND, nothing)) == 1
+    with pytest.raises(InputError, match="image: expected a later time"):
+        one.edges(SECOND, nothing)
+    one.edges(SECOND + 1, nothing)
+    with pytest.raises(InputError, match="image: expected a later time"):
+        one.edges(SECOND + 1, nothing)
+    with pytest.raises(InputError, match=r"pose: expected \(3,\) finite numbers"):
+        one.start([0, 0, math.nan], np.eye(3))
+    with pytest.raises(InputError, match=r"cov: expected \(3, 3\) finite numbers"):
+        one.start([0, 0, 0], np.eye(2))
+    with pytest.raises(InputError, match="image: expected a JPEG or PNG image"):
+        one.image(2 * SECOND, b"no image")
+    with pytest.raises(InputError, match="expected 640×480 as the camera says, found 320×240"):
+        one.image(2 * SECOND, np.zeros((240, 320), dtype=np.uint8))
+
+
+def test_a_mount_of_its_own_is_refused_and_the_cameras_is_not() -> None:
+    one = of_corridor()
+    one.start([0, 0, 0], np.eye(3))
+    one.edges(1, Edges.none(), LOG.camera.mount)
+    for take in (lambda mount: one.edges(2, Edges.none(), mount), lambda mount: one.image(2, b"", mount)):
+        with pytest.raises(InputError, match="mount: an image with a mount of its own is not supported yet"):
+            take(Mount(0.1, 1.0))
+
+
+NOT_KNOWN = "observation.association: `known` believes edges that say which landmark they belong to, found images"
+LEVEL = "mount.tilt_deg: the observation `slope` needs a tilted camera, found a tilt of 0°"
+UNTILTED = LOG.camera.with_mount(tilt_rad=0.0)
+
+
+def refused_by_replay(command: CommandLine, log: Path, out: Path, *settings: str) -> str:
+    """Return the words with which a replay refuses settings, before it makes a folder."""
+    result = command("replay", log, "--out", out, *(part for setting in settings for part in ("--set", setting)))
+    assert result.exit_code == 2 and not out.exists()
+    return result.err.strip()
+
+
+@pytest.mark.parametrize(("settings", "told"), [([KNOWN], NOT_KNOWN), ([SLOPE], LEVEL), ([KNOWN, SLOPE], NOT_KNOWN)])
+def test_replay_and_live_refuse_the_same_settings_with_the_same_words(
+    localiser: CommandLine, tmp_path: Path, settings: list[str], told: str
+) -> None:
+    """All that a live run may refuse; a replay also says which file of the log does not fit."""
+    log = cut_log(CORRIDOR, tmp_path / "log", 2)
+    save_camera(UNTILTED, log / "camera.yaml")
+    options = LiveOptions(log / "map.yaml", load_config(None, settings), camera=log / "camera.yaml")
+    with pytest.raises(InputError) as by_live, opened(options, lambda text, level: None):
+        pass
+    assert str(by_live.value).startswith(told)
+    assert refused_by_replay(localiser, log, tmp_path / "out", *settings).endswith(str(by_live.value))
+
+
+def test_a_camera_that_live_learns_of_later_is_refused_with_the_same_words() -> None:
+    with pytest.raises(InputError, match=LEVEL):
+        Feed(config=load_config(None, [SLOPE]))([*camera(of=UNTILTED), *drive(1)])
+    with pytest.raises(InputError, match=LEVEL):
+        Localiser(LandmarkMap.from_points(np.zeros((1, 2))), UNTILTED, load_config(None, [SLOPE]))
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("increments.source=vision", "increments.source: `vision` follows edges from image to image"),
+        ("increments.source=both", "increments.source: `both` follows edges from image to image"),
+        (KNOWN, "observation.association: `known` cannot look for a robot on the whole map"),
+    ],
+)
+def test_settings_that_only_edges_measured_elsewhere_do_not_fit(
+    localiser: CommandLine, tmp_path: Path, setting: str, told: str
+) -> None:
+    """A live run has images; users of the library may have bearings alone."""
+    log = write_edge_log(tmp_path / "log")
+    one = Localiser(open_log(log).landmark_map, LOG.camera, load_config(None, [setting]))
+    with pytest.raises(InputError) as by_library:
+        one.edges(1, Edges.from_columns(*np.zeros((4, 1))))
+    assert str(by_library.value).startswith(told)
+    assert refused_by_replay(localiser, log, tmp_path / "out", setting).endswith(str(by_library.value))
+
+
+def test_edges_that_are_known_to_be_no_landmarks_of_images_are_refused() -> None:
+    with pytest.raises(InputError, match=NOT_KNOWN):
+        of_corridor(load_config(None, [KNOWN])).image(1, LOG.frames[0].encoded())
