@@ -3,7 +3,7 @@
 from localiser.storage.bags import KINDS, write_bag
 from localiser.storage.bags.label import motion_settings
 from localiser.storage.cameras import camera_error, camera_file, load_camera, save_camera, update_mount
-from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of, load_checkpoint, save_checkpoint
+from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.files import output_errors, require_new, require_new_file, write_bytes, write_text
 from localiser.storage.folder import FolderReader, write_log
 from localiser.storage.images import (
@@ -54,7 +54,6 @@ __all__ = [
     "is_plan",
     "json_text",
     "load_camera",
-    "load_checkpoint",
     "load_image",
     "load_json",
     "load_map",
@@ -72,7 +71,6 @@ __all__ = [
     "require_new_file",
     "safe_name",
     "save_camera",
-    "save_checkpoint",
     "save_map",
     "save_plan",
     "save_poses",

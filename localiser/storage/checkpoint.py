@@ -16,23 +16,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from localiser.documents import read_bytes
 from localiser.errors import InputError
 from localiser.filter import FilterState
-from localiser.storage.files import write_bytes
 from localiser.storage.packing import decode, encode, fingerprint, form_of
 
 FORMAT = "localiser-checkpoint/2"
-MAX_BYTES = 2**30  # a state of ten million particles with five biases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Where a run goes on from. kept: what else it kept, None where nothing was. identity: what it belongs to."""
+    """Where a run goes on from. identity: what the state belongs to."""
 
     state: FilterState
     rng: np.random.Generator
-    kept: Any
     identity: Mapping[str, str]
 
 
@@ -43,7 +39,6 @@ class _File(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     identity: dict[str, str]
     rng: str
     state: msgspec.Raw
-    kept: msgspec.Raw
 
 
 def identity_of(settings: Mapping[str, Any], **parts: Any) -> dict[str, str]:
@@ -62,34 +57,19 @@ def _flat(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str]]
             yield f"{prefix}{name}", str(value)
 
 
-def save_checkpoint(
-    path: Path, state: FilterState, rng: np.random.Generator, identity: Mapping[str, str], kept: Any = None
-) -> None:
-    """Write a checkpoint, whole or not at all, also when the power fails. Raises OutputError."""
-    write_bytes(path, checkpoint_bytes(state, rng, identity, kept), durably=True)
-
-
-def checkpoint_bytes(
-    state: FilterState, rng: np.random.Generator, identity: Mapping[str, str], kept: Any = None
-) -> bytes:
-    """Return the content of a checkpoint. kept: anything that `packing` can encode."""
+def checkpoint_bytes(state: FilterState, rng: np.random.Generator, identity: Mapping[str, str]) -> bytes:
+    """Return the content of a checkpoint. identity: what the state belongs to, see `identity_of`."""
     random = json.dumps(rng.bit_generator.state)  # its integers have more than 64 bits
-    body = encode((form_of(FilterState), identity, random, state, kept))
+    body = encode((form_of(FilterState), identity, random, state))
     return f"{FORMAT}\n{sha256(body).hexdigest()}\n".encode() + body
 
 
-def load_checkpoint(path: Path, identity: Mapping[str, str], kept: Any = None) -> Checkpoint:
-    """Return what was saved. kept: the type of what else was.
+def checkpoint_of(content: bytes, path: Path, identity: Mapping[str, str] | None = None) -> Checkpoint:
+    """Return what the content of a checkpoint holds. path: what errors name.
 
-    Raises InputError where the file is damaged, or was made with another `identity`: another map, another setting.
+    Raises InputError where it is damaged, or was made with another `identity`: another map, another setting. Without
+    `identity`, the state may belong to anything.
     """
-    return checkpoint_of(read_bytes(path, MAX_BYTES), path, identity, kept)
-
-
-def checkpoint_of(
-    content: bytes, path: Path, identity: Mapping[str, str] | None = None, kept: Any = None
-) -> Checkpoint:
-    """Return what the content of a checkpoint holds, as `load_checkpoint` does; without `identity`, any run's."""
     magic, _, rest = content.partition(b"\n")
     if magic != FORMAT.encode():
         raise InputError(f"expected a checkpoint ({FORMAT}), found something else", path=path)
@@ -102,13 +82,12 @@ def checkpoint_of(
             _require_same(path, file.identity, identity)
         if file.form != form_of(FilterState):
             raise ValueError("the filter keeps other things")
-        state, rest_of_it = decode(FilterState, file.state), decode(kept or None, file.kept)
         rng = np.random.default_rng()
         rng.bit_generator.state = json.loads(file.rng)
+        return Checkpoint(decode(FilterState, file.state), rng, file.identity)
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         problem = f"expected a checkpoint that this version of the program made; {error}"
         raise InputError(problem, path=path) from None
-    return Checkpoint(state, rng, rest_of_it, file.identity)
 
 
 def _require_same(path: Path, saved: Mapping[str, str], identity: Mapping[str, str]) -> None:

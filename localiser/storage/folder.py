@@ -23,7 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, load_camera, named, save_camera
 from localiser.storage.edge_tables import load_edges, save_edges
 from localiser.storage.files import inside, output_errors, require_new, write_bytes, write_text
-from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, whole_image, suffix_of
+from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of, whole_image
 from localiser.storage.log import Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import load_map, save_map
 from localiser.storage.tables import Column, integer, read_table, text
