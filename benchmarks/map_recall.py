@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from edge_data import HouseView, house_views
 
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.geometry import Array, wrap_angle
 from localiser.mapping import build_map, cache_folder
 from localiser.storage import open_log
@@ -55,7 +55,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("log", type=Path)
     log = open_log(parser.parse_args().log)
-    made = build_map(log, "truth", load_config(None, [], log.settings), cache=cache_folder()).landmark_map.points
+    made = build_map(log, "truth", read_config(None, [], log.settings), cache=cache_folder()).landmark_map.points
     well, edges = shown_well(house_views(log.path))
     off = np.array([nearest(each, made).min() for each in well])
     print(

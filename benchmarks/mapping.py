@@ -22,7 +22,7 @@ import numpy as np
 
 from localiser import mapping
 from localiser.camera import Camera
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import (
@@ -163,7 +163,7 @@ def slam(logs: list[Path]) -> None:
     print("| log | wheels, RMSE m | alone, RMSE m | largest m | landmarks | seconds after edges |")
     for path in logs:
         log = open_log(path)
-        config = load_config(None, [], log.settings)
+        config = read_config(None, [], log.settings)
         build_map(log, "odometry", config, cache=cache_folder())  # so that edges are in the cache
         begin = process_time()
         built = build_map(log, "slam", config, cache=cache_folder())
@@ -185,7 +185,7 @@ def bearings(logs: list[Path]) -> None:
     for path in logs:
         log = open_log(path)
         begin = process_time()
-        made = build_map(log, "truth", load_config(None, [], log.settings), cache=cache_folder()).landmark_map
+        made = build_map(log, "truth", read_config(None, [], log.settings), cache=cache_folder()).landmark_map
         seconds = process_time() - begin
         error = matched(log.landmark_map.points, made.points)
         print(

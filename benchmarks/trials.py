@@ -11,7 +11,7 @@ import scenarios
 from observable import is_observable
 from scenarios import Trial
 
-from localiser.config import Config, load_config
+from localiser.config import Config, read_config
 from localiser.filter import Event, FilterState, Mcl, Odometry, Sighting, step
 from localiser.geometry import Array, wrap_angle
 from localiser.observation import EdgeObservation
@@ -103,7 +103,7 @@ def run(scenario: str, observation: str, seed: int, settings: tuple[str, ...] = 
 @cache
 def configured(observation: str, settings: tuple[str, ...]) -> Config:
     """Return the configuration as it ships, with `settings` on top."""
-    return load_config(None, [f"observation.kind={observation}", *settings])
+    return read_config(None, [f"observation.kind={observation}", *settings])
 
 
 def told_by(trial: Trial, config: Config, seed: int) -> Told:

@@ -48,7 +48,7 @@ class Config(BaseModel):
     ] = {}
 
 
-def load_config(
+def read_config(
     path: Path | None = None,
     overrides: Iterable[str] = (),
     log_overrides: Mapping[str, Any] | None = None,
@@ -116,7 +116,7 @@ def schema() -> dict[str, Any]:
 
 
 def to_yaml(config: Config) -> str:
-    """Return the configuration as YAML that `load_config` reads, each value with its meaning, unit and range."""
+    """Return the configuration as YAML that `read_config` reads, each value with its meaning, unit and range."""
     return "".join(_lines(config.model_dump(), (), Schema(TypeAdapter(Config)))).lstrip("\n")
 
 

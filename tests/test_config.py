@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser import __version__
-from localiser.config import Config, in_force, load_config, schema, to_yaml
+from localiser.config import Config, in_force, read_config, schema, to_yaml
 from localiser.errors import InputError
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
@@ -26,12 +26,12 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_nothing_given_is_the_defaults() -> None:
-    assert load_config() == Config()
+    assert read_config() == Config()
 
 
 def test_later_sources_win_and_leave_the_rest_alone(tmp_path: Path) -> None:
     path = write(tmp_path, "mcl: {particles: 300}\nmotion:\n  alpha1: 1e-3\n  alpha2: 2e-3\n")
-    config = load_config(
+    config = read_config(
         path, ["motion.alpha2=5e-3", "seed=1", "seed = 2"], {"motion.alpha1": 9e-3, "mcl.resample_below": 0.25}
     )
     assert config.seed == 2
@@ -42,7 +42,7 @@ def test_later_sources_win_and_leave_the_rest_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "mcl: {}\n"])
 def test_file_that_says_nothing_changes_nothing(tmp_path: Path, text: str) -> None:
-    assert load_config(write(tmp_path, text)) == Config()
+    assert read_config(write(tmp_path, text)) == Config()
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_file_that_says_nothing_changes_nothing(tmp_path: Path, text: str) -> No
 )
 def test_errors_of_a_file_name_line_column_and_field(tmp_path: Path, text: str, expected: str) -> None:
     with pytest.raises(InputError) as caught:
-        load_config(write(tmp_path, text))
+        read_config(write(tmp_path, text))
     assert expected in str(caught.value)
 
 
@@ -84,18 +84,18 @@ def test_errors_of_a_file_name_line_column_and_field(tmp_path: Path, text: str, 
 )
 def test_errors_of_an_option_name_the_option(option: str, expected: str) -> None:
     with pytest.raises(InputError) as caught:
-        load_config(None, [option])
+        read_config(None, [option])
     assert str(caught.value).startswith(expected)
 
 
 def test_place_is_that_of_the_source_the_value_came_from(tmp_path: Path) -> None:
     path = write(tmp_path, "mcl:\n  particles: 3\n  resample_below: 7\n")
     with pytest.raises(InputError, match=r"config\.yaml:3:3: mcl\.resample_below"):
-        load_config(path, ["mcl.particles=5"])
+        read_config(path, ["mcl.particles=5"])
     with pytest.raises(InputError, match=r"^--set mcl\.particles=-5: "):
-        load_config(write(tmp_path, "mcl:\n  particles: 3\n"), ["mcl.particles=-5"])
+        read_config(write(tmp_path, "mcl:\n  particles: 3\n"), ["mcl.particles=-5"])
     with pytest.raises(InputError, match=r"^the log's own settings: mcl\.particls: unknown key"):
-        load_config(None, [], {"mcl.particls": 3})
+        read_config(None, [], {"mcl.particls": 3})
 
 
 # -- what is written --------------------------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def test_place_is_that_of_the_source_the_value_came_from(tmp_path: Path) -> None
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 10**7), st.floats(0, 1e3), st.sampled_from(["line", "slope"]))
 def test_config_of_a_run_gives_the_same_run_again(seed: int, particles: int, alpha: float, kind: str) -> None:
-    config = load_config(
+    config = read_config(
         None, [f"seed={seed}", f"mcl.particles={particles}", f"motion.alpha1={alpha!r}", f"observation.kind={kind}"]
     )
     assert (config.seed, config.mcl.particles, config.motion.alpha1) == (seed, particles, alpha)
@@ -112,7 +112,7 @@ def test_config_of_a_run_gives_the_same_run_again(seed: int, particles: int, alp
 
 
 def test_config_of_a_run_says_what_made_it(tmp_path: Path) -> None:
-    config = load_config(write(tmp_path, to_yaml(in_force(Config()))))
+    config = read_config(write(tmp_path, to_yaml(in_force(Config()))))
     assert config.versions["localiser"] == __version__
     assert set(config.versions) >= {"python", "numpy"}
 
@@ -136,7 +136,7 @@ def test_every_parameter_has_a_meaning_and_is_refused_as_nan() -> None:
         line = next(place for place, content in enumerate(text) if content.strip().startswith(f"{key[-1]}:"))
         assert text[line - 1].strip().startswith("# "), f"{key} has no description"
         with pytest.raises(InputError):
-            load_config(None, [f"{'.'.join(key)}=.nan"])
+            read_config(None, [f"{'.'.join(key)}=.nan"])
 
 
 def test_schema_knows_every_parameter() -> None:
@@ -156,4 +156,4 @@ def test_default_yaml_is_what_config_show_prints() -> None:
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.name)
 def test_every_shipped_configuration_loads(path: Path) -> None:
-    assert isinstance(load_config(path), Config)
+    assert isinstance(read_config(path), Config)

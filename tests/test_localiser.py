@@ -15,7 +15,7 @@ from short_log import Localiser as CommandLine
 from small_log import write_edge_log
 
 from localiser.camera import Mount
-from localiser.config import Config, load_config
+from localiser.config import Config, read_config
 from localiser.edges import Edges
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
@@ -23,7 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.live import LiveOptions, opened
 from localiser.localiser import Localiser
 from localiser.replay import replay_log
-from localiser.storage import ImageEvent, load_track, open_log, save_camera
+from localiser.storage import ImageEvent, open_log, read_track, write_camera
 from localiser.storage.log import Event
 
 SECOND = 1_000_000_000
@@ -73,10 +73,10 @@ def test_it_locates_what_a_replay_does(localiser: CommandLine, tmp_path: Path) -
     (log / "odometry.csv").write_text("\n".join([rows[0], *kept]) + "\n")
     few = ["mcl.particles=200", "mcl.start_particles=300"]
     settings = ("--seed", 4, "--set", few[0], "--set", few[1])
-    track = load_track(localiser.replay(log, tmp_path / "out", *settings) / "trajectory.csv")
+    track = read_track(localiser.replay(log, tmp_path / "out", *settings) / "trajectory.csv")
 
     recorded = open_log(log)
-    config = load_config(None, few, recorded.settings)
+    config = read_config(None, few, recorded.settings)
     one = of_corridor(config, seed=4)
     found = feed(one, recorded.events())
     assert 0 < len(found) < FRAMES
@@ -85,7 +85,7 @@ def test_it_locates_what_a_replay_does(localiser: CommandLine, tmp_path: Path) -
     np.testing.assert_allclose(poses(found), track.poses, atol=1e-9)
     assert set(found[0].stage_ms) == {"load", "edges", "filter"} and min(found[0].stage_ms.values()) > 0
 
-    by_library = replay_log(log, load_config(None, ["seed=4", *few], recorded.settings))
+    by_library = replay_log(log, read_config(None, ["seed=4", *few], recorded.settings))
     np.testing.assert_array_equal(by_library.track.poses, poses(found))
     assert by_library.metrics["frames"] == FRAMES and by_library.metrics["seed"] == 4
 
@@ -145,7 +145,7 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     """With a tilt that is stated wrongly the edges are corrected before they are weighed, and so are the matches."""
     assert LOG.landmark_map is not None
     tilted = LOG.camera.with_mount(tilt_rad=LOG.camera.mount.tilt_rad + math.radians(1.0))
-    config = load_config(None, ["edges.tilt_sigma_deg=2", "mcl.particles=500"])
+    config = read_config(None, ["edges.tilt_sigma_deg=2", "mcl.particles=500"])
     one = Localiser(LOG.landmark_map, tilted, config)
     last = feed(one, first_events(8))[-1]
     assert last.located.sighting is not None
@@ -273,8 +273,8 @@ def test_replay_and_live_refuse_the_same_settings_with_the_same_words(
 ) -> None:
     """All that a live run may refuse; a replay also says which file of the log does not fit."""
     log = cut_log(CORRIDOR, tmp_path / "log", 2)
-    save_camera(UNTILTED, log / "camera.yaml")
-    options = LiveOptions(log / "map.yaml", load_config(None, settings), camera=log / "camera.yaml")
+    write_camera(UNTILTED, log / "camera.yaml")
+    options = LiveOptions(log / "map.yaml", read_config(None, settings), camera=log / "camera.yaml")
     with pytest.raises(InputError) as by_live, opened(options, lambda text, level: None):
         pass
     assert str(by_live.value).startswith(told)
@@ -283,9 +283,9 @@ def test_replay_and_live_refuse_the_same_settings_with_the_same_words(
 
 def test_a_camera_that_live_learns_of_later_is_refused_with_the_same_words() -> None:
     with pytest.raises(InputError, match=LEVEL):
-        Feed(config=load_config(None, [SLOPE]))([*camera(of=UNTILTED), *drive(1)])
+        Feed(config=read_config(None, [SLOPE]))([*camera(of=UNTILTED), *drive(1)])
     with pytest.raises(InputError, match=LEVEL):
-        Localiser(LandmarkMap.from_points(np.zeros((1, 2))), UNTILTED, load_config(None, [SLOPE]))
+        Localiser(LandmarkMap.from_points(np.zeros((1, 2))), UNTILTED, read_config(None, [SLOPE]))
 
 
 @pytest.mark.parametrize(
@@ -301,7 +301,7 @@ def test_settings_that_only_edges_measured_elsewhere_do_not_fit(
 ) -> None:
     """A live run has images; users of the library may have bearings alone."""
     log = write_edge_log(tmp_path / "log")
-    one = Localiser(open_log(log).landmark_map, LOG.camera, load_config(None, [setting]))
+    one = Localiser(open_log(log).landmark_map, LOG.camera, read_config(None, [setting]))
     with pytest.raises(InputError) as by_library:
         one.edges(1, Edges.from_columns(*np.zeros((4, 1))))
     assert str(by_library.value).startswith(told)
@@ -310,4 +310,4 @@ def test_settings_that_only_edges_measured_elsewhere_do_not_fit(
 
 def test_edges_that_are_known_to_be_no_landmarks_of_images_are_refused() -> None:
     with pytest.raises(InputError, match=NOT_KNOWN):
-        of_corridor(load_config(None, [KNOWN])).image(1, LOG.frames[0].encoded())
+        of_corridor(read_config(None, [KNOWN])).image(1, LOG.frames[0].encoded())

@@ -60,12 +60,12 @@ def one_pass() -> list[tuple[float, float, float]]:
     from localiser.identified import observation_of
 
     from localiser import mcl
-    from localiser.config import load_config
+    from localiser.config import read_config
     from localiser.edges import find_edges
     from localiser.storage import ImageEvent, open_log
 
     log = open_log(CORRIDOR)
-    config = load_config(None, [], log.settings)
+    config = read_config(None, [], log.settings)
     located_by = filter_of(log.camera, log.landmark_map, observation_of(log.camera, config.observation), config)
     state, rng, detector = mcl.FilterState(), np.random.default_rng(0), cv2.createLineSegmentDetector()
     taken = []

@@ -103,7 +103,7 @@ def live(
     """Localise a running robot; see docs/live.md."""
     if context.invoked_subcommand is not None:
         return
-    from localiser.config import load_config
+    from localiser.config import read_config
     from localiser.errors import InputError
     from localiser.live import LiveOptions
     from localiser.live.sources import ENDPOINT
@@ -116,7 +116,7 @@ def live(
     settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
     options = LiveOptions(
         map_file,
-        load_config(config, settings),
+        read_config(config, settings),
         topics_by_role(topics),
         connect or ([] if listen else [ENDPOINT]),
         listen or [],
@@ -149,10 +149,10 @@ def demo(
     from tempfile import TemporaryDirectory
 
     from localiser.commands.simulate import driven as driven_log
-    from localiser.config import load_config
+    from localiser.config import read_config
     from localiser.errors import InputError
     from localiser.live import LiveOptions
-    from localiser.storage import save_map
+    from localiser.storage import write_map
 
     driven = driven_log(log, 0)
     if driven.landmark_map is None:
@@ -161,10 +161,10 @@ def demo(
     endpoint = _free_endpoint()
     with TemporaryDirectory() as folder:
         map_file = Path(folder) / "map.yaml"
-        save_map(driven.landmark_map, map_file)
+        write_map(driven.landmark_map, map_file)
         options = LiveOptions(
             map_file,
-            load_config(config, settings, driven.settings),
+            read_config(config, settings, driven.settings),
             connect=[endpoint],
             start=_start_of(driven),
             record=record,

@@ -45,11 +45,11 @@ def opened(log: Path, config: Path | None, settings: list[str], **how: Any) -> t
 
     how: see `storage.open_log`.
     """
-    from localiser.config import load_config
+    from localiser.config import read_config
     from localiser.storage import open_log
 
-    recorded = open_log(log, sensor=load_config(config, settings).sensor, **how)
-    return recorded, load_config(config, settings, recorded.settings)
+    recorded = open_log(log, sensor=read_config(config, settings).sensor, **how)
+    return recorded, read_config(config, settings, recorded.settings)
 
 
 def show(renderable: object) -> None:

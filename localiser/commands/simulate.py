@@ -58,10 +58,10 @@ def simulate(
 
 def simulated(world: Path, seed: int) -> SimulatedLog:
     """Return the simulated log of a world file; its images are rendered when they are asked for. Raises InputError."""
-    from localiser.documents import load_model
+    from localiser.documents import read_model
     from localiser.simulate import World, simulate_log, world_of
 
-    log = simulate_log(load_model(world, World, world_of), seed)
+    log = simulate_log(read_model(world, World, world_of), seed)
     if not len(log.landmark_map):
         raise InputError(
             "expected a drive on which landmarks are seen long enough for the map, found none",

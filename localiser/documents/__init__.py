@@ -2,7 +2,7 @@
 
 from localiser.documents.document import Document, Key, Place, dump, field_name, shown
 from localiser.documents.files import MAX_DOCUMENT_BYTES, read_bytes, read_text
-from localiser.documents.models import Schema, load_model, nearest, validate
+from localiser.documents.models import Schema, nearest, read_model, validate
 from localiser.documents.parse import load, parse
 
 __all__ = [
@@ -14,10 +14,10 @@ __all__ = [
     "dump",
     "field_name",
     "load",
-    "load_model",
     "nearest",
     "parse",
     "read_bytes",
+    "read_model",
     "read_text",
     "shown",
     "validate",

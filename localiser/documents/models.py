@@ -20,7 +20,7 @@ _UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
 _NOT_A_MAPPING = {"model_type", "dataclass_type", "dict_type", "model_attributes_type"}
 
 
-def load_model(path: Path, model: type[Model], build: Callable[[Any], Model] | None = None) -> Model:
+def read_model(path: Path, model: type[Model], build: Callable[[Any], Model] | None = None) -> Model:
     """Return the model (pydantic, or a dataclass) that a YAML file describes; see `validate`. Raises InputError."""
     return validate(load(path), model, build)
 

@@ -5,7 +5,7 @@ from localiser.evaluate.bound import bearing_information, posterior_bound, rms_p
 from localiser.evaluate.consistency import nees, nees_band, share_inside
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
-from localiser.evaluate.report import save_report
+from localiser.evaluate.report import write_report
 from localiser.evaluate.table import errors_table
 from localiser.evaluate.wheels import bias_figures, fit_wheels
 
@@ -24,7 +24,7 @@ __all__ = [
     "nees_band",
     "posterior_bound",
     "rms_position",
-    "save_report",
     "share_inside",
     "timing_metrics",
+    "write_report",
 ]

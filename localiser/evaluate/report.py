@@ -67,7 +67,7 @@ KEY_FIGURES = (
 )
 
 
-def save_report(path: Path, track: Track, figures: Mapping[str, Any], **known: Any) -> None:
+def write_report(path: Path, track: Track, figures: Mapping[str, Any], **known: Any) -> None:
     """Write the report of a run as a PNG of 1600×1000 pixels; the same run gives the same bytes.
 
     known: see `draw_report`. Raises InputError when truth and run share no time.

@@ -27,7 +27,7 @@ from localiser.live.state import Checkpoints, Resumed
 from localiser.live.warm_up import warm_up
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
-from localiser.storage import encode_image, load_camera, load_map
+from localiser.storage import encode_image, read_camera, read_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, TEXT, Messages, live_label_text
 
 JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
@@ -62,8 +62,8 @@ class LiveOptions:
 def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
-    landmark_map = load_map(options.map_file)
-    given = load_camera(options.camera) if options.camera else None
+    landmark_map = read_map(options.map_file)
+    given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
     topics = _topics(options.topics)
     viewers: list[view.LiveView] = []
@@ -106,7 +106,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
             if role != "image" or options.image is None:
                 network.subscribe(role, topic, type_of(role, topic), inbox)
         if options.image is not None:
-            stack.callback(read_camera(options.image, topics["image"], inbox).close)
+            stack.callback(open_camera(options.image, topics["image"], inbox).close)
         yield run
 
 
@@ -146,7 +146,7 @@ def _changed_settings(config: Config) -> dict[str, Any]:
     return found
 
 
-def read_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
+def open_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
     """Return the camera whose frames come into the inbox as compressed images, as a robot would send them."""
     make = Messages()
 

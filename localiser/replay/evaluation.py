@@ -24,10 +24,10 @@ def evaluate_run(path: Path | str, truth: Path | str | None = None) -> dict[str,
             raise InputError("a trajectory file needs --truth FILE, found none", path=path)
         return _judged(_track(path), Path(truth), path.stem)
     run = storage.find_run(path)
-    recorded = storage.load_json(run / "metrics.json")
+    recorded = storage.read_json(run / "metrics.json")
     if truth is None:
         return recorded
-    return _judged(storage.load_track(run / "trajectory.csv"), Path(truth), str(recorded.get("log")), recorded)
+    return _judged(storage.read_track(run / "trajectory.csv"), Path(truth), str(recorded.get("log")), recorded)
 
 
 def _judged(track: Track, truth: Path, log: str, about: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -39,11 +39,11 @@ def _judged(track: Track, truth: Path, log: str, about: Mapping[str, Any] | None
 
 
 def _poses(path: Path) -> Trajectory:
-    return storage.load_poses(path) if path.suffix == ".csv" else storage.load_tum(path)
+    return storage.read_poses(path) if path.suffix == ".csv" else storage.read_tum(path)
 
 
 def _track(path: Path) -> Track:
     if path.suffix == ".csv":
-        return storage.load_track(path)
-    trajectory = storage.load_tum(path)
+        return storage.read_track(path)
+    trajectory = storage.read_tum(path)
     return Track.from_poses(trajectory.t_ns, trajectory.poses)

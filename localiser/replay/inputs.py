@@ -13,7 +13,7 @@ from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser
-from localiser.storage import Log, fingerprint, load_map
+from localiser.storage import Log, fingerprint, read_map
 
 _SHORT = 6
 """As many digits of a fingerprint tell two maps, or two sets of settings, apart."""
@@ -93,7 +93,7 @@ def _described_start(start: Start) -> dict[str, Any]:
 
 def map_of(log: Log, map_file: Path | None) -> LandmarkMap:
     """Return the map in a file, else the log's own. Raises InputError."""
-    landmark_map = load_map(map_file) if map_file else log.landmark_map
+    landmark_map = read_map(map_file) if map_file else log.landmark_map
     if landmark_map is None:
         raise InputError("the log has no map; expected --map MAP", path=log.path, field="map")
     return landmark_map

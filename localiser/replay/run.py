@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from localiser import evaluate, view
-from localiser.config import Config, in_force, load_config, to_yaml
+from localiser.config import Config, in_force, read_config, to_yaml
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
-from localiser.evaluate import Track, save_report
+from localiser.evaluate import Track, write_report
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
@@ -162,7 +162,7 @@ def replay_log(
     """
     log = log if isinstance(log, Log) else open_log(Path(log))
     run = prepare(
-        log, load_config(None, (), log.settings) if config is None else config, start, landmark_map=landmark_map
+        log, read_config(None, (), log.settings) if config is None else config, start, landmark_map=landmark_map
     )
     complete = False
     try:
@@ -246,7 +246,7 @@ class FolderRun:
         times = evaluate.timing_metrics(replay.timing)
         folder.write_json("metrics.json", figures | times)
         folder.write_json("timing.json", times)
-        save_report(
+        write_report(
             folder.path / "report.png",
             replay.track,
             figures,

@@ -2,7 +2,7 @@
 
 from localiser.storage.bags import KINDS, write_bag
 from localiser.storage.bags.label import motion_settings
-from localiser.storage.cameras import camera_error, camera_file, load_camera, save_camera, update_mount
+from localiser.storage.cameras import camera_error, camera_file, read_camera, update_mount, write_camera
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.files import output_errors, require_new, require_new_file, write_bytes, write_text
 from localiser.storage.folder import FolderReader, write_log
@@ -13,17 +13,17 @@ from localiser.storage.images import (
     check_whole,
     decoded,
     encode_image,
-    load_image,
     measure,
+    read_image,
 )
 from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions
-from localiser.storage.maps import load_map, save_map
+from localiser.storage.maps import read_map, write_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import fingerprint
-from localiser.storage.plans import is_plan, load_plan, plan_picture, save_plan
-from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, load_json, safe_name
-from localiser.storage.tracks import TrackWriter, load_track
-from localiser.storage.trajectories import load_poses, load_tum, save_poses, save_tum
+from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan
+from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
+from localiser.storage.tracks import TrackWriter, read_track
+from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum
 from localiser.storage.video import read_video
 
 __all__ = [
@@ -53,31 +53,31 @@ __all__ = [
     "identity_of",
     "is_plan",
     "json_text",
-    "load_camera",
-    "load_image",
-    "load_json",
-    "load_map",
-    "load_plan",
-    "load_poses",
-    "load_track",
-    "load_tum",
     "measure",
     "motion_settings",
     "open_log",
     "output_errors",
     "plan_picture",
+    "read_camera",
+    "read_image",
+    "read_json",
+    "read_map",
+    "read_plan",
+    "read_poses",
+    "read_track",
+    "read_tum",
     "read_video",
     "require_new",
     "require_new_file",
     "safe_name",
-    "save_camera",
-    "save_map",
-    "save_plan",
-    "save_poses",
-    "save_tum",
     "update_mount",
     "write_bag",
     "write_bytes",
+    "write_camera",
     "write_log",
+    "write_map",
+    "write_plan",
+    "write_poses",
     "write_text",
+    "write_tum",
 ]

@@ -63,7 +63,7 @@ class CameraFile(BaseModel):
     projection_matrix: MatrixFile | None = None
 
 
-def load_camera(path: Path) -> Camera:
+def read_camera(path: Path) -> Camera:
     """Return the camera that a file describes. Raises InputError."""
     return camera_from_document(load(path))
 
@@ -115,7 +115,7 @@ def _distortion(document: Document, file: CameraFile) -> tuple[float, ...]:
     return tuple(found)
 
 
-def save_camera(camera: Camera, path: Path, *, with_mount: bool = True, comment: str = "") -> None:
+def write_camera(camera: Camera, path: Path, *, with_mount: bool = True, comment: str = "") -> None:
     """Write a camera file. Raises OutputError.
 
     with_mount: whether the mount is known; without, the file lacks it and the program asks for it. comment: lines to

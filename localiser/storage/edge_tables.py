@@ -35,7 +35,7 @@ COLUMNS = (
 )
 
 
-def load_edges(path: Path, camera: Camera) -> list[Sighting]:
+def read_edges(path: Path, camera: Camera) -> list[Sighting]:
     """Return one sighting for each time in the table, at least one.
 
     A row with a time and nothing else is a frame in which no edge was found. Of bearing and lean the one that is
@@ -83,7 +83,7 @@ def _check_row(table: Table, row: int, measured: Array, found: np.bool_) -> None
             raise table.error(row, f"{name}_rad", f"expected a {name} within ±90° of the camera's axis, found {given}")
 
 
-def save_edges(frames: Iterable[Sighting], camera: Camera, path: Path) -> None:
+def write_edges(frames: Iterable[Sighting], camera: Camera, path: Path) -> None:
     """Write the table of edges, a frame without any as a row with the time alone. Raises OutputError."""
     lines = [",".join(column.name for column in COLUMNS)]
     for frame in frames:

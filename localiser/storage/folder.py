@@ -20,14 +20,14 @@ from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage.cameras import FileModel, degrees, load_camera, named, save_camera
-from localiser.storage.edge_tables import load_edges, save_edges
+from localiser.storage.cameras import FileModel, degrees, named, read_camera, write_camera
+from localiser.storage.edge_tables import read_edges, write_edges
 from localiser.storage.files import inside, output_errors, require_new, write_bytes, write_text
 from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of, whole_image
 from localiser.storage.log import Frame, Log, ReadOptions, require_overlap
-from localiser.storage.maps import load_map, save_map
+from localiser.storage.maps import read_map, write_map
 from localiser.storage.tables import Column, integer, read_table, text
-from localiser.storage.trajectories import load_poses, save_poses
+from localiser.storage.trajectories import read_poses, write_poses
 
 Part = TypeVar("Part")
 LOG_FILE = "log.yaml"
@@ -83,13 +83,13 @@ class FolderReader:
             name = getattr(file, key)
             return read(named(document, folder, key, name)) if name else None
 
-        camera = load_camera(named(document, folder, "camera", file.camera))
-        odometry = load_poses(named(document, folder, "odometry", file.odometry))
+        camera = read_camera(named(document, folder, "camera", file.camera))
+        odometry = read_poses(named(document, folder, "odometry", file.odometry))
         if bool(file.images) == bool(file.edges):
             key, found = ("edges", "both") if file.images else ("images", "neither")
             raise document.error((key,), f"expected images or edges, found {found}")
         images = part("images", lambda table: _images(table, folder, camera))
-        edges = part("edges", lambda table: load_edges(table, camera))
+        edges = part("edges", lambda table: read_edges(table, camera))
         frames: Sequence[Frame] = images or edges or []
         first_ns = min(int(odometry.t_ns[0]), frames[0].t_ns)
         log = Log(
@@ -98,9 +98,9 @@ class FolderReader:
             camera=camera,
             odometry=odometry,
             frames=frames,
-            landmark_map=part("map", load_map),
+            landmark_map=part("map", read_map),
             start=start_from_file(file.start, first_ns) if file.start else None,
-            groundtruth=part("groundtruth", load_poses),
+            groundtruth=part("groundtruth", read_poses),
             settings={f"motion.{name}": value for name, value in (file.motion or {}).items()},
         )
         return require_overlap(log)
@@ -187,14 +187,14 @@ def write_log(
             write(value, draft / file)
 
     try:
-        part("camera", "camera.yaml", save_camera, camera)
-        part("odometry", "odometry.csv", save_poses, odometry)
-        part("groundtruth", "groundtruth.csv", save_poses, groundtruth)
-        part("map", "map.yaml", save_map, landmark_map)
+        part("camera", "camera.yaml", write_camera, camera)
+        part("odometry", "odometry.csv", write_poses, odometry)
+        part("groundtruth", "groundtruth.csv", write_poses, groundtruth)
+        part("map", "map.yaml", write_map, landmark_map)
         part(
             "images", "images.csv", lambda images, path: _write_images(images, path, image_suffix, jpeg_quality), images
         )
-        part("edges", "edges.csv", lambda frames, path: save_edges(frames, camera, path), sightings)
+        part("edges", "edges.csv", lambda frames, path: write_edges(frames, camera, path), sightings)
         if start is not None:
             data["start"] = start_data(start)
         if motion:

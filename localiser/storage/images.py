@@ -86,7 +86,7 @@ def check_whole(data: bytes, size: tuple[int, int], *, path: Path, field: str | 
         raise InputError("expected a whole image, found one that is cut off or damaged", path=path, field=field)
 
 
-def load_image(path: Path, size: tuple[int, int]) -> Image:
+def read_image(path: Path, size: tuple[int, int]) -> Image:
     """Return an image file as (H, W) uint8 grey values. Raises InputError."""
     return decoded(whole_image(path, size), size, path=path)
 

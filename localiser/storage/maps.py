@@ -67,7 +67,7 @@ class MapFile(BaseModel):
     frame: dict[str, Any] = Field(default_factory=lambda: dict(FRAME))
 
 
-def load_map(path: Path) -> LandmarkMap:
+def read_map(path: Path) -> LandmarkMap:
     """Return the map that a file describes. Raises InputError."""
     return map_from_document(load(path))
 
@@ -137,7 +137,7 @@ def _cov(cov: CovFile | None) -> list[list[float]]:
     return [[math.nan] * 2] * 2 if cov is None else [[cov.xx, cov.xz], [cov.xz, cov.zz]]
 
 
-def save_map(landmark_map: LandmarkMap, path: Path) -> None:
+def write_map(landmark_map: LandmarkMap, path: Path) -> None:
     """Write a map file with everything that the map knows. Raises OutputError."""
     write_text(path, map_text(landmark_map))
 

@@ -52,7 +52,7 @@ def is_plan(path: Path) -> bool:
     return isinstance(content, dict) and "image" in content and "format" not in content
 
 
-def load_plan(path: Path) -> FloorPlan:
+def read_plan(path: Path) -> FloorPlan:
     """Return the floor plan that a map_server YAML file describes; its image may lie anywhere. Raises InputError."""
     document = load(path)
     file = validate(document, PlanFile)
@@ -88,7 +88,7 @@ def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
     return occupied, free
 
 
-def save_plan(plan: FloorPlan, path: Path) -> Path:
+def write_plan(plan: FloorPlan, path: Path) -> Path:
     """Write the plan as a map_server YAML file and a PGM beside it, whose path is returned. Raises OutputError."""
     picture = plan_picture(path)
     grey = np.where(plan.occupied, OCCUPIED_GREY, np.where(plan.free, FREE_GREY, UNKNOWN_GREY)).astype(np.uint8)

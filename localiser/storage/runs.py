@@ -93,7 +93,7 @@ def json_text(data: Mapping[str, Any]) -> str:
     return json.dumps(_plain(data), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def load_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
     """Return the JSON object in a file. Raises InputError."""
     try:
         data = json.loads(read_text(path))

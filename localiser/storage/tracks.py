@@ -84,7 +84,7 @@ class TrackWriter:
             self._files[name].flush()
 
 
-def load_track(path: Path) -> Track:
+def read_track(path: Path) -> Track:
     """Return what a `trajectory.csv` says; columns of a newer version are passed over. Raises InputError."""
     table = read_table(path, COLUMNS, rows_at_least=1, more_columns=True)
     table.require_time_order(strictly=True)

@@ -17,14 +17,14 @@ POSE_COLUMNS = (Column("t_ns", integer), Column("x", number), Column("z", number
 _NS = 1_000_000_000
 
 
-def load_poses(path: Path) -> Trajectory:
+def read_poses(path: Path) -> Trajectory:
     """Return the trajectory in a CSV table `t_ns,x,z,heading`, at least one row. Raises InputError."""
     table = read_table(path, POSE_COLUMNS, rows_at_least=1)
     table.require_time_order(strictly=True)
     return Trajectory(table.integers("t_ns"), table.numbers("x", "z", "heading"))
 
 
-def save_poses(trajectory: Trajectory, path: Path) -> None:
+def write_poses(trajectory: Trajectory, path: Path) -> None:
     """Write a CSV table `t_ns,x,z,heading`. Raises OutputError."""
     rows = zip(trajectory.t_ns, trajectory.poses, strict=True)
     lines = (f"{t_ns},{x:.9f},{z:.9f},{heading:.9f}\n" for t_ns, (x, z, heading) in rows)
@@ -34,7 +34,7 @@ def save_poses(trajectory: Trajectory, path: Path) -> None:
 # -- TUM --------------------------------------------------------------------------------------------------------------
 
 
-def save_tum(trajectory: Trajectory, path: Path) -> None:
+def write_tum(trajectory: Trajectory, path: Path) -> None:
     """Write a TUM file in the ROS frame. Raises OutputError."""
     rows = zip(trajectory.t_ns, trajectory.poses, strict=True)
     write_text(path, "".join(tum_line(int(t_ns), pose) for t_ns, pose in rows))
@@ -67,7 +67,7 @@ def nanoseconds(text: str) -> int:
 _TUM_COLUMNS = (Column("t", nanoseconds), *(Column(name, number) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")))
 
 
-def load_tum(path: Path) -> Trajectory:
+def read_tum(path: Path) -> Trajectory:
     """Return the poses in our frame of a TUM file of any program; the floor part of each pose.
 
     Lines that start with # are comments. Raises InputError with file, line and field.

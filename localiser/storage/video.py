@@ -13,10 +13,10 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.errors import InputError
-from localiser.storage.cameras import load_camera
+from localiser.storage.cameras import read_camera
 from localiser.storage.images import check_size, encode_image, image_event
 from localiser.storage.log import Log, require_overlap
-from localiser.storage.trajectories import load_poses
+from localiser.storage.trajectories import read_poses
 
 
 def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = None) -> Log:
@@ -25,8 +25,8 @@ def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = 
     odometry: CSV `t_ns,x,z,heading`. camera: camera file with the mount. start_ns: when the first frame was taken, by
     the clock of the odometry; by default with the first pose. Raises InputError.
     """
-    poses = load_poses(odometry)
-    known = load_camera(camera)
+    poses = read_poses(odometry)
+    known = read_camera(camera)
     first_ns = int(poses.t_ns[0]) if start_ns is None else start_ns
     video = _Video(path, (known.width, known.height))
     frames = [

@@ -18,7 +18,7 @@ from small_log import write_edge_log, write_small_log
 
 from localiser.calibration import Board
 from localiser.errors import InputError
-from localiser.storage import load_camera
+from localiser.storage import read_camera
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_written_tilt_is_read_back_and_the_old_file_is_kept(localiser: Localiser
     result = localiser("camera", "tilt", log, "--write", "--images", 4)
     assert result.exit_code == 0 and "camera.yaml.bak" in result.out
     assert (log / "camera.yaml.bak").read_text() == before
-    assert load_camera(log / "camera.yaml").mount.tilt_rad == pytest.approx(np.deg2rad(20.0), abs=np.deg2rad(0.1))
+    assert read_camera(log / "camera.yaml").mount.tilt_rad == pytest.approx(np.deg2rad(20.0), abs=np.deg2rad(0.1))
     after = (log / "camera.yaml").read_text()
     assert after.endswith("# measured by hand\n")
     old, new = yaml.safe_load(before), yaml.safe_load(after)
@@ -148,7 +148,7 @@ def test_calibrated_camera_file_is_read_back(localiser: Localiser, images: list[
     assert result.exit_code == 0, result.err
     for text in ("0.png", "3.png", "error (px)", "fx (px)", "k1", "tilt (°)", "height (m)"):
         assert text in result.out
-    camera = load_camera(out)
+    camera = read_camera(out)
     assert camera.name == "camera"
     assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert camera.mount.tilt_rad == pytest.approx(CAMERA.mount.tilt_rad, abs=np.deg2rad(0.5))
@@ -162,7 +162,7 @@ def test_without_floor_the_mount_is_asked_for(localiser: Localiser, images: list
     result = localiser("camera", "calibrate", *images, *OPTIONS, "-o", out, "--quiet")
     assert result.exit_code == 0 and "no mount yet" in result.err
     with pytest.raises(InputError, match="mount"):
-        load_camera(out)
+        read_camera(out)
 
 
 def test_images_without_the_board_are_listed_and_too_few_refused(

@@ -20,7 +20,7 @@ from localiser.camera import Camera
 from localiser.commands.edges.mount import mount_warnings
 from localiser.config import Config
 from localiser.edges.profile import PROFILE_OFFSETS_PX
-from localiser.storage import load_camera, save_camera
+from localiser.storage import read_camera, write_camera
 
 BEARINGS_DEG = np.array([-21.0, -6.0, 4.0, 19.0])
 GREYS = [60, 170, 90, 200, 110]
@@ -31,7 +31,7 @@ DETECTORS = ("columns", "lsd", "hough")
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a folder with three images of a wall on a floor and the camera that took them."""
-    save_camera(CAMERA, tmp_path / "camera.yaml")
+    write_camera(CAMERA, tmp_path / "camera.yaml")
     for index in range(3):
         image = wall_image(CAMERA, BEARINGS_DEG, GREYS, wall_ahead_m=2.0, noise_sigma=2.0, seed=index)
         cv2.imwrite(str(tmp_path / f"{index}.png"), image)
@@ -107,7 +107,7 @@ def test_json_and_csv_hold_the_same_edges(localiser: Localiser, folder: Path) ->
 
 
 def test_tilt_and_roll_by_the_edges_stand_beside_what_is_stated(localiser: Localiser, folder: Path) -> None:
-    save_camera(CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(0.8)), folder / "camera.yaml")
+    write_camera(CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(0.8)), folder / "camera.yaml")
     wide = ("--set", "edges.tilt_sigma_deg=3", "--set", "edges.plumb_sigma_deg=0.05")
     found = json.loads((run(localiser, folder, folder / "0.png", *wide) / "0.json").read_text())
     mount = found["detectors"]["columns"]["mount_by_edges"]
@@ -148,7 +148,7 @@ def test_settings_are_those_of_the_configuration(localiser: Localiser, folder: P
 
 def test_camera_and_configuration_beside_the_results_read_back(localiser: Localiser, folder: Path) -> None:
     out = run(localiser, folder, folder / "0.png", pictures=True)
-    assert load_camera(out / "camera.yaml").mount == CAMERA.mount
+    assert read_camera(out / "camera.yaml").mount == CAMERA.mount
     again = localiser("edges", folder / "0.png", "--camera", out / "camera.yaml", "--config", out / "config.yaml",
                       "--out", folder / "again")  # fmt: skip
     assert again.exit_code == 0
@@ -218,8 +218,8 @@ def test_a_log_brings_its_camera_and_its_times(localiser: Localiser, tmp_path: P
     times = [line.split(",")[0] for line in (log / "images.csv").read_text().splitlines()[1:]]
     assert list(dict.fromkeys(row["t_ns"] for row in rows)) == times
     assert json.loads((tmp_path / "out" / "000002.json").read_text())["t_ns"] == int(times[2])
-    camera = load_camera(log / "camera.yaml")
-    assert load_camera(tmp_path / "out" / "camera.yaml").mount == camera.mount
+    camera = read_camera(log / "camera.yaml")
+    assert read_camera(tmp_path / "out" / "camera.yaml").mount == camera.mount
     direct = localiser("edges", *sorted((log / "images").iterdir()), "--camera", log / "camera.yaml",
                        "--out", tmp_path / "direct", "--no-pictures")  # fmt: skip
     assert direct.exit_code == 0
@@ -254,7 +254,7 @@ def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, f
     cv2.imwrite(str(folder / "wall.png"), image)
     for off_deg, told in ((0.0, False), (3.0, True)):
         mount = CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(off_deg))
-        save_camera(mount, folder / f"{off_deg}.yaml")
+        write_camera(mount, folder / f"{off_deg}.yaml")
         result = localiser("edges", folder / "wall.png", "--camera", folder / f"{off_deg}.yaml",
                            "--out", folder / f"{off_deg}", "--no-pictures")  # fmt: skip
         assert result.exit_code == 0
@@ -394,7 +394,7 @@ def test_the_same_image_twice(localiser: Localiser, folder: Path) -> None:
     ids=["the paper's", "level", "looking up", "looking down", "wide"],
 )
 def test_any_camera_has_a_picture(localiser: Localiser, tmp_path: Path, camera: Camera) -> None:
-    save_camera(camera, tmp_path / "camera.yaml")
+    write_camera(camera, tmp_path / "camera.yaml")
     cv2.imwrite(str(tmp_path / "0.png"), wall_image(camera, BEARINGS_DEG, GREYS))
     out = run(localiser, tmp_path, tmp_path / "0.png", "--set", "edges.min_length_px=20", pictures=True)
     height, width = cv2.imread(str(out / "0.png")).shape[:2]

@@ -19,7 +19,7 @@ from folders import ROOT
 from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 
 from localiser import __version__
-from localiser.config import Config, load_config
+from localiser.config import Config, read_config
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_shown_configuration_is_the_one_in_force_and_reads_back(localiser: Local
     assert shown.exit_code == 0
     file = tmp_path / "config.yaml"
     file.write_text(shown.out)
-    read = load_config(file)
+    read = read_config(file)
     assert (read.mcl.particles, read.observation.kind) == (123, "slope")
     assert localiser("config", "show", "--config", file).out == shown.out
 

@@ -11,7 +11,7 @@ from mapping_worlds import world
 
 from localiser.edges import EdgeParameters, Edges
 from localiser.mapping import edges_of_log, log_edges
-from localiser.storage import load_map, load_tum, open_log, save_tum
+from localiser.storage import open_log, read_map, read_tum, write_tum
 
 LOG = Path(__file__).resolve().parents[2] / "logs" / "corridor"
 
@@ -29,7 +29,7 @@ def test_build_and_show(tmp_path: Path) -> None:
     out = tmp_path / "map.yaml"
     built = run("map", "build", log, "--poses", "truth", "-o", out)
     assert built.exit_code == 0
-    landmark_map = load_map(out)
+    landmark_map = read_map(out)
     assert len(landmark_map) > 50
     assert landmark_map.quality is not None
     assert np.isfinite(landmark_map.cov).all()
@@ -46,10 +46,10 @@ def test_build_and_show(tmp_path: Path) -> None:
 
 def test_poses_from_a_file_give_the_same_map_as_the_truth(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
-    save_tum(world("corridor").truth, tmp_path / "poses.tum")
+    write_tum(world("corridor").truth, tmp_path / "poses.tum")
     for poses, name in (("truth", "a.yaml"), (tmp_path / "poses.tum", "b.yaml"), ("odometry", "c.yaml")):
         assert run("map", "build", log, "--poses", poses, "-o", tmp_path / name, "-q").exit_code == 0
-    first, second, third = (load_map(tmp_path / name) for name in ("a.yaml", "b.yaml", "c.yaml"))
+    first, second, third = (read_map(tmp_path / name) for name in ("a.yaml", "b.yaml", "c.yaml"))
     assert second.points == pytest.approx(first.points, abs=1e-6)
     assert abs(len(third) - len(first)) <= 2  # this log's odometry is the truth, but less trusted while following
 
@@ -61,9 +61,9 @@ def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     built = run("map", "build", log, "--poses", "slam", "-o", out, "--trajectory", track)
     assert built.exit_code == 0
     assert "Wheels say" in built.output
-    assert len(load_tum(track)) == 60
+    assert len(read_tum(track)) == 60
     # This log's odometry is the truth: what comes out must not be far from it.
-    error = load_tum(track).poses - drive.truth.poses[:60]
+    error = read_tum(track).poses - drive.truth.poses[:60]
     assert np.abs(error[:, :2]).max() < 0.1
     assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
 
@@ -100,7 +100,7 @@ def test_the_recording_shows_landmarks_that_grow_certain(tmp_path: Path) -> None
     assert np.median(size[-1] / np.nanmax(size, axis=0)) < 0.7
     # What is drawn last is what is in the file.
     drawn = np.array([line[0] for line in places[-1]])[:, [0, 2]]
-    assert drawn == pytest.approx(load_map(out).points, abs=1e-3)
+    assert drawn == pytest.approx(read_map(out).points, abs=1e-3)
     assert "refined" in str(rows["text"][-1])
     assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
 
@@ -112,7 +112,7 @@ def test_the_recording_of_a_log_alone_shows_the_path_before_and_after_loops_were
     assert run("map", "build", log, "-o", tmp_path / "map.yaml", *options).exit_code == 0
     rows = recorded(recording)
     (before,), (after,) = rows["world/trails/before_loops"], rows["world/trails/after_loops"]
-    assert np.array(after[0])[:, [0, 2]] == pytest.approx(load_tum(track).poses[:, :2], abs=1e-4)
+    assert np.array(after[0])[:, [0, 2]] == pytest.approx(read_tum(track).poses[:, :2], abs=1e-4)
     assert np.shape(before[0]) == np.shape(after[0])
 
 
@@ -136,7 +136,7 @@ def test_a_build_can_be_watched_and_a_viewer_that_is_missing_is_no_obstacle(
     monkeypatch.setattr(live, "_viewer", lambda kind: (["/no/such/viewer"], None))
     alone = run("map", "build", log, "-o", tmp_path / "b.yaml", "--view", "native", "-q")
     assert "without it" in alone.stderr
-    assert load_map(tmp_path / "b.yaml").points == pytest.approx(load_map(tmp_path / "map.yaml").points)
+    assert read_map(tmp_path / "b.yaml").points == pytest.approx(read_map(tmp_path / "map.yaml").points)
     assert "native, web, none" in refused("map", "build", log, "-o", tmp_path / "c.yaml", "--view", "cinema")
 
 
@@ -147,7 +147,7 @@ def test_an_existing_map_is_not_overwritten_unasked(tmp_path: Path) -> None:
     assert "exists already" in refused("map", "build", log, "-o", out)
     assert out.read_text() == "precious"
     assert run("map", "build", log, "-o", out, "--force", "-q").exit_code == 0
-    assert len(load_map(out)) > 50
+    assert len(read_map(out)) > 50
 
 
 @pytest.mark.parametrize("poses", ["truth", "nowhere.tum"])
@@ -262,4 +262,4 @@ def test_a_bag_whose_topics_are_named_is_mapped(data_dir: Path, tmp_path: Path) 
     assert "/none" in refused("map", "build", bag, "-o", out, "--topic", "odometry=/none")
     assert not out.exists()
     assert run("map", "build", bag, "-o", out, "--topic", "odometry=/odom", "-q").exit_code == 0
-    assert len(load_map(out)) > 20
+    assert len(read_map(out)) > 20

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import Sightings, coverage, doubtful, duplicates, in_view, log_fit
-from localiser.storage import save_camera, save_map
+from localiser.storage import write_camera, write_map
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +74,7 @@ def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", drive.edges(seed=0)[:40])
     twice = LandmarkMap.from_points(np.concatenate([drive.landmark_map.points, drive.landmark_map.points[:1] + 0.005]))
     path, picture = tmp_path / "hall.yaml", tmp_path / "hall_coverage.png"
-    save_map(twice, path)
+    write_map(twice, path)
     plain = run("map", "check", path)
     assert plain.exit_code == 0
     assert f"0={len(twice) - 1}" in plain.output
@@ -89,7 +89,7 @@ def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     shown = {chunk.entity_path.removeprefix("/") for chunk in RrdReader(recording).stream()}
     assert {f"world/building/alike{part}" for part in ("", "/like", "/spots")} <= shown
     assert "exists already" in refused("map", "check", path, "--log", log)
-    save_camera(drive.camera, tmp_path / "camera.yaml")
+    write_camera(drive.camera, tmp_path / "camera.yaml")
     alone = run("map", "check", path, "--camera", tmp_path / "camera.yaml", "--force")
     assert "Picture in" in alone.output
 
@@ -97,6 +97,6 @@ def test_the_command_tells_and_draws(tmp_path: Path) -> None:
 def test_a_log_without_poses_is_refused(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:5], truth=False)
     path = tmp_path / "hall.yaml"
-    save_map(world("corridor").landmark_map, path)
+    write_map(world("corridor").landmark_map, path)
     assert "poses" in refused("map", "check", path, "--log", log)
     assert not (tmp_path / "hall_coverage.png").exists()

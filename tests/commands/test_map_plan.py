@@ -12,8 +12,8 @@ from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
 from localiser.commands.map.plan import map_of_plan
-from localiser.storage import find_run, load_json, load_map
-from localiser.storage.plans import PlanFile, classify, load_plan
+from localiser.storage import find_run, read_json, read_map
+from localiser.storage.plans import PlanFile, classify, read_plan
 
 WORLD = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
 HEAD = {"image": "hall.pgm", "resolution": 0.1, "origin": "[1.0, 2.0, 0.0]", "negate": 0}
@@ -47,7 +47,7 @@ def corners(path: Path) -> list[tuple[float, float]]:
     """Return the landmarks that `map plan` makes of a plan, rounded to a centimetre and sorted."""
     out = path.with_name("map.yaml")
     assert run("map", "plan", path, "-o", out, "--force", "-q").exit_code == 0
-    return sorted((round(float(x), 2), round(float(z), 2)) for x, z in load_map(out).points)
+    return sorted((round(float(x), 2), round(float(z), 2)) for x, z in read_map(out).points)
 
 
 # The picture's lower left corner is ROS (1, 2), our (1, -2); rows 20 to 34 from above are 25 to 39 from below.
@@ -112,7 +112,7 @@ def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     plan, out = tmp_path / "plan.yaml", tmp_path / "map.yaml"
     drawn = run("map", "draw", WORLD, "-o", plan, "--resolution", 0.05, "--yaw-deg", 20)
     assert drawn.exit_code == 0
-    assert load_plan(plan).origin_ros[2] == pytest.approx(np.deg2rad(20))
+    assert read_plan(plan).origin_ros[2] == pytest.approx(np.deg2rad(20))
     assert "exists already" in refused("map", "draw", WORLD, "-o", plan)
     assert run("map", "plan", plan, "-o", out, "-q").exit_code == 0
     drive, frames = world("corridor"), 60
@@ -121,7 +121,7 @@ def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", edges)
     options = ("--start", "truth", "--no-rrd", "--out", tmp_path / "runs", "-q")
     assert run("replay", log, "--map", out, *options).exit_code == 0
-    figures = load_json(find_run(tmp_path / "runs" / "drive" / "latest") / "metrics.json")
+    figures = read_json(find_run(tmp_path / "runs" / "drive" / "latest") / "metrics.json")
     assert figures["position_rmse_m"] < 0.2
 
 
@@ -134,7 +134,7 @@ def test_a_plan_is_refined_by_a_log(tmp_path: Path) -> None:
     assert run("map", "build", log, "-o", built, "-q").exit_code == 0
     told = run("map", "merge", plan, built, "-o", out)
     assert told.exit_code == 0
-    drawn, whole = map_of_plan(plan)[0], load_map(out)
+    drawn, whole = map_of_plan(plan)[0], read_map(out)
     assert whole.ids[: len(drawn)] == drawn.ids
     both = np.flatnonzero(np.isfinite(whole.quality.sightings[: len(drawn)]))
     assert len(both) > 15  # doors are shut on the drive, and open on a plan

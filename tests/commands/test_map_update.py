@@ -13,7 +13,7 @@ from mapping_worlds import world
 from localiser.commands.map.update import keep_old
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import joined_maps
-from localiser.storage import load_map, save_map
+from localiser.storage import read_map, write_map
 
 
 @pytest.fixture(autouse=True)
@@ -33,12 +33,12 @@ def test_gone_and_new_landmarks(tmp_path: Path) -> None:
     old = joined_maps(drive.landmark_map.take(kept), gone)
     old = replace(old, cov=np.tile(1e-4 * np.eye(2), (len(old), 1, 1)))
     path, out = tmp_path / "old.yaml", tmp_path / "new.yaml"
-    save_map(old, path)
+    write_map(old, path)
     before = path.read_bytes()
     log = edge_log(tmp_path / "log", edges)
     told = run("map", "update", path, log, "-o", out)
     assert told.exit_code == 0
-    new = load_map(out)
+    new = read_map(out)
     assert not {"post", "pole"} & set(new.ids)
     assert "post" in told.output.split("Gone:")[1].split("New:")[0]
     apart = np.hypot(*(new.points - drive.landmark_map.points[missing]).T)
@@ -61,7 +61,7 @@ def test_gone_and_new_landmarks(tmp_path: Path) -> None:
 def test_a_map_of_elsewhere_is_left_alone(tmp_path: Path) -> None:
     drive = world("corridor")
     path, out = tmp_path / "old.yaml", tmp_path / "new.yaml"
-    save_map(LandmarkMap.from_points(drive.landmark_map.points + 100.0), path)
+    write_map(LandmarkMap.from_points(drive.landmark_map.points + 100.0), path)
     log = edge_log(tmp_path / "log", drive.edges(seed=0))
     assert "frame" in refused("map", "update", path, log, "-o", out)
     assert not out.exists()

@@ -8,7 +8,7 @@ import pytest
 from edge_images import camera_of, wall_image
 
 from localiser.camera import Camera
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.edges import (
     DETECTORS,
     EdgeParameters,
@@ -248,12 +248,12 @@ def test_a_registered_detector_is_found_by_its_name():
     camera = CAMERAS["tilted"]
     image = wall_image(camera, BEARINGS_DEG, GREYS)
     with pytest.raises(InputError, match="expected 'columns', 'lsd' or 'hough', found 'jumps'"):
-        load_config(None, ["edges.detector=jumps"])
+        read_config(None, ["edges.detector=jumps"])
     with pytest.raises(ValueError, match="'lsd', which is taken"):
         register("lsd", jumps)
     register("jumps", jumps)
     try:
-        parameters = load_config(None, ["edges.detector=jumps"]).edges
+        parameters = read_config(None, ["edges.detector=jumps"]).edges
         found = find_edges(image, camera, parameters)
     finally:
         del DETECTORS["jumps"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from localiser.evaluate import Track, metrics
-from localiser.evaluate.report import draw_report, save_report
+from localiser.evaluate.report import draw_report, write_report
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 
@@ -41,8 +41,8 @@ def run(height: float = 1.0) -> dict[str, Any]:
 
 
 def test_same_run_same_bytes_of_the_promised_size(tmp_path: Path) -> None:
-    save_report(tmp_path / "a.png", **run())
-    save_report(tmp_path / "b.png", **run())
+    write_report(tmp_path / "a.png", **run())
+    write_report(tmp_path / "b.png", **run())
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     image = cv2.imread(str(tmp_path / "a.png"))
     assert image is not None
@@ -118,17 +118,17 @@ def test_without_truth_map_and_edges_uncertainty_is_drawn(tmp_path: Path) -> Non
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
         "Path on the map", "Position uncertainty, no truth", "Heading uncertainty, no truth", "Edges",
     ]  # fmt: skip
-    save_report(tmp_path / "bare.png", bare, metrics(bare, None, log="bare"))
+    write_report(tmp_path / "bare.png", bare, metrics(bare, None, log="bare"))
     assert (tmp_path / "bare.png").stat().st_size > 20_000
 
 
 def test_a_trajectory_alone_and_a_single_image_make_a_picture(tmp_path: Path) -> None:
     track = run()["track"]
     poses_only = Track.from_poses(track.t_ns, track.poses)
-    save_report(tmp_path / "poses.png", poses_only, metrics(poses_only, None, log="poses"))
+    write_report(tmp_path / "poses.png", poses_only, metrics(poses_only, None, log="poses"))
     single = Track.from_poses([0], [[1.0, 2.0, 0.3]], edges=[4])
     truth = Trajectory(np.array([0]), np.array([[1.0, 2.0, 0.3]]))
-    save_report(tmp_path / "single.png", single, metrics(single, truth, log="single"), truth=truth)
+    write_report(tmp_path / "single.png", single, metrics(single, truth, log="single"), truth=truth)
     assert (tmp_path / "single.png").stat().st_size > 20_000
 
 

@@ -18,7 +18,7 @@ import pytest
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR, Localiser
 
-from localiser.storage import load_track, open_log
+from localiser.storage import open_log, read_track
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and limits as Linux has them")
@@ -57,7 +57,7 @@ def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
         lines += live.rest()
 
     run = localiser.replay(bag, tmp_path / "results")
-    track = load_track(run / "trajectory.csv")
+    track = read_track(run / "trajectory.csv")
     done = len(track.t_ns)
     expected = np.array([[line["x"], line["z"], line["heading"]] for line in lines[:done]])
     np.testing.assert_allclose(track.poses[: len(expected)], expected, rtol=0, atol=1e-9)

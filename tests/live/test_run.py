@@ -12,15 +12,15 @@ import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
 from short_log import Localiser
 
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.filter import mcl
 from localiser.geometry import compose
 from localiser.live.inbound import TOPICS, message_of
 from localiser.live.outputs import PosePublisher
-from localiser.live.prepare import read_camera
+from localiser.live.prepare import open_camera
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
-from localiser.storage import load_track, open_log
+from localiser.storage import open_log, read_track
 from localiser.storage.bags.bag import stamp_of
 from localiser.storage.bags.images import stated_size
 
@@ -147,7 +147,7 @@ def test_odometry_that_begins_anew_does_not_move_the_robot(localiser: Localiser,
     ]
     feed([*camera(), *anew]).close()
     assert len(feed.times) == 12 and feed.worst_error_m() < 0.3
-    track = load_track(localiser.replay(tmp_path / "drive.db3", tmp_path / "results") / "trajectory.csv")
+    track = read_track(localiser.replay(tmp_path / "drive.db3", tmp_path / "results") / "trajectory.csv")
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
 
 
@@ -167,7 +167,7 @@ def test_frames_of_a_camera_arrive_as_a_robot_sends_them(tmp_path: Path) -> None
         writer.write(cv2.imdecode(np.frombuffer(LOG.frames[index].encoded(), np.uint8), cv2.IMREAD_COLOR))
     writer.release()
     inbox = Inbox()
-    source = read_camera(str(path), TOPICS["image"], inbox)
+    source = open_camera(str(path), TOPICS["image"], inbox)
     arrivals: list[Arrival] = []
     end = time.monotonic() + 30
     while len(arrivals) < 3 and time.monotonic() < end:
@@ -221,7 +221,7 @@ def test_a_robot_without_a_start_is_looked_for(localiser: Localiser, tmp_path: P
     feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated)), *drive(3, first=106)])
     feed.close()
     run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
-    track = load_track(run / "trajectory.csv")
+    track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
 
@@ -241,7 +241,7 @@ def test_a_recording_replays_to_the_same_poses(localiser: Localiser, tmp_path: P
     feed.close()
     assert sum(text.startswith("started") for text in feed.said) == 2
     run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
-    track = load_track(run / "trajectory.csv")
+    track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
 
@@ -257,7 +257,7 @@ def test_a_recording_of_a_jump_of_the_clock_replays_to_the_same_poses(localiser:
     feed([*camera(), *drive(N), *jumped])
     feed.close()
     run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
-    track = load_track(run / "trajectory.csv")
+    track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times and len(feed.times) > N
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
 
@@ -266,7 +266,7 @@ def test_a_recording_keeps_what_the_run_was_set_to(tmp_path: Path) -> None:
     feed = Feed(record=tmp_path / "drive.db3")([*camera(), *drive(2)])
     feed.close()
     log = open_log(tmp_path / "drive.db3")
-    assert log.settings["mcl.particles"] == 300 and load_config(None, (), log.settings) == feed.config
+    assert log.settings["mcl.particles"] == 300 and read_config(None, (), log.settings) == feed.config
     assert log.start is not None and log.start.t_ns == BEGIN_NS + LOG.frames[0].t_ns
 
 
@@ -314,11 +314,11 @@ def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
     again([*camera(), *wheels]).close()
     assert any("anew" in text for text in again.said) == anew
     run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
-    track = load_track(run / "trajectory.csv")
+    track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == again.times and len(again.times) == 6
     np.testing.assert_allclose(track.poses, again.poses, rtol=0, atol=1e-9)
     other = localiser.replay(tmp_path / "drive.db3", tmp_path / "other", "--set", "mcl.particles=400")
-    np.testing.assert_allclose(load_track(other / "trajectory.csv").poses, again.poses, rtol=0, atol=0.2)
+    np.testing.assert_allclose(read_track(other / "trajectory.csv").poses, again.poses, rtol=0, atol=0.2)
 
 
 def test_what_is_published_is_what_ros_expects(undisturbed: Feed) -> None:

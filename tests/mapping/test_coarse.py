@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from coarse_worlds import coarse_drive
 
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.errors import InputError
 from localiser.mapping import Wheels, build_map, require_association, turn_drift
 from localiser.storage import open_log
@@ -51,4 +51,4 @@ def test_either_good_wheels_or_good_bearings_will_do() -> None:
 def test_a_real_robot_of_commanded_velocities_is_refused(data_dir: Path, robot: int) -> None:
     log = open_log(data_dir / f"mrclam:{robot}")
     with pytest.raises(InputError, match="nothing tells which landmark was seen"):
-        build_map(log, "slam", load_config(None, [], log.settings))
+        build_map(log, "slam", read_config(None, [], log.settings))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.storage import load_map, save_map
+from localiser.storage import read_map, write_map
 
 
 def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
@@ -19,13 +19,13 @@ def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
         np.array([0.97, np.nan]),
         np.array([[10.0, 200.5, 90.0], [np.nan] * 3]),
     )
-    save_map(replace(plain, quality=quality), tmp_path / "map.yaml")
-    found = load_map(tmp_path / "map.yaml").quality
+    write_map(replace(plain, quality=quality), tmp_path / "map.yaml")
+    found = read_map(tmp_path / "map.yaml").quality
     assert found is not None
     for name in ("sightings", "parallax_rad", "existence", "profile"):
         np.testing.assert_allclose(getattr(found, name), getattr(quality, name), atol=1e-6)
-    save_map(plain, tmp_path / "plain.yaml")
-    assert load_map(tmp_path / "plain.yaml").quality is None
+    write_map(plain, tmp_path / "plain.yaml")
+    assert read_map(tmp_path / "plain.yaml").quality is None
 
 
 def test_taking_landmarks_takes_their_quality_along() -> None:

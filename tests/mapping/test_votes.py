@@ -9,7 +9,7 @@ import pytest
 from coarse_worlds import matched
 
 from localiser import mapping
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.edges.bearings import BearingSensor, complete
 from localiser.geometry import Array, wrap_angle
@@ -102,7 +102,7 @@ def test_a_place_that_is_looked_at_from_one_spot_only_is_no_landmark() -> None:
 @pytest.mark.parametrize("robot", [1, 2, 3])
 def test_a_real_robot_finds_the_landmarks_by_bearings_alone(data_dir: Path, robot: int) -> None:
     log = open_log(data_dir / f"mrclam:{robot}")
-    made = build_map(log, "truth", load_config(None, [], log.settings))
+    made = build_map(log, "truth", read_config(None, [], log.settings))
     error = matched(log.landmark_map.points, made.landmark_map.points)
     assert (error < 0.25).sum() >= 12
     assert np.median(error) <= 0.08

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from localiser import geometry
-from localiser.config import load_config
+from localiser.config import read_config
 from localiser.evaluate import bias_figures, fit_wheels
 from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
@@ -36,7 +36,7 @@ def turns(track: Trajectory, times: NDArray[np.int64]) -> Array:
 @pytest.mark.data
 def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(data_dir: Path) -> None:
     log = open_log(data_dir / "mrclam:1", format="mrclam")
-    config = load_config(None, KNOWN, log.settings)
+    config = read_config(None, KNOWN, log.settings)
     assert log.groundtruth is not None and log.landmark_map is not None
     rng = np.random.default_rng(0)
     filter_ = mcl.Mcl(

@@ -73,13 +73,13 @@ def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, 
     assert list(rows[0])[: len(COLUMNS)] == COLUMNS
     assert [row["t_ns"] for row in rows] == [line.split(",")[0] for line in image_rows(log)]
 
-    located = storage.load_tum(run / "trajectory.tum")
+    located = storage.read_tum(run / "trajectory.tum")
     np.testing.assert_allclose(located.poses[:, 0], [float(row["x"]) for row in rows], atol=1e-8)
     np.testing.assert_allclose(located.poses[:, 1], [float(row["z"]) for row in rows], atol=1e-8)
     np.testing.assert_allclose(located.poses[:, 2], [float(row["heading"]) for row in rows], atol=1e-8)
-    truth = storage.load_tum(run / "groundtruth.tum")
+    truth = storage.read_tum(run / "groundtruth.tum")
     np.testing.assert_array_equal(truth.t_ns, located.t_ns)
-    recorded = storage.load_poses(log / "groundtruth.csv").sampled(located.t_ns)
+    recorded = storage.read_poses(log / "groundtruth.csv").sampled(located.t_ns)
     np.testing.assert_allclose(truth.poses, recorded.poses, atol=1e-8)
 
     report = cv2.imread(str(run / "report.png"))
@@ -104,7 +104,7 @@ def image_rows(log: Path) -> list[str]:
 
 def test_metrics_are_those_of_the_files_beside_them(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     run = localiser.replay(log, tmp_path / "out")
-    located, truth = storage.load_tum(run / "trajectory.tum"), storage.load_tum(run / "groundtruth.tum")
+    located, truth = storage.read_tum(run / "trajectory.tum"), storage.read_tum(run / "groundtruth.tum")
     error_m = np.hypot(*(located.poses - truth.poses)[:, :2].T)
     figures = metrics_of(run)
     assert figures["position_rmse_m"] == pytest.approx(np.sqrt(np.mean(error_m**2)), abs=1e-6)
@@ -119,7 +119,7 @@ def test_metrics_are_those_of_the_files_beside_them(localiser: Localiser, log: P
         )
     assert "delay" not in figures["biases"], "a robot that cannot be late"
     for name, stated_sigma_deg in (("tilt", 0.5), ("roll", 0.3)):  # the mount of this log is exact
-        stated_deg = getattr(storage.load_camera(log / "camera.yaml").mount, f"{name}_rad") * np.rad2deg(1.0)
+        stated_deg = getattr(storage.read_camera(log / "camera.yaml").mount, f"{name}_rad") * np.rad2deg(1.0)
         off_deg, sigma_deg = figures[f"{name}_found_deg"] - stated_deg, figures[f"{name}_found_sigma_deg"]
         assert abs(off_deg) < 4 * sigma_deg
         assert sigma_deg < stated_sigma_deg
@@ -161,7 +161,7 @@ def first_position(run: Path) -> np.ndarray:
 
 
 def test_start_can_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    truth = storage.load_poses(log / "groundtruth.csv").poses[0]
+    truth = storage.read_poses(log / "groundtruth.csv").poses[0]
     given = f"{truth[0]:.3f},{truth[1]:.3f},{np.rad2deg(truth[2]):.3f}"
     run = localiser.replay(log, tmp_path / "out", "--start", given)
     assert np.linalg.norm(first_position(run) - truth[:2]) < 0.15
@@ -229,7 +229,7 @@ def test_the_bound_is_that_of_the_map_that_the_log_knows(localiser: Localiser, t
         landmark_map=MAP,
         groundtruth=TRUTH,
     )
-    storage.save_map(LandmarkMap.from_points(np.array([[0.5, -1.25]])), other)
+    storage.write_map(LandmarkMap.from_points(np.array([[0.5, -1.25]])), other)
     own = localiser.replay(log, tmp_path / "own", "--start", "truth")
     on_another = localiser.replay(log, tmp_path / "other", "--start", "truth", "--map", other)
     assert metrics_of(own)["pcrb_position_m"] > 0
@@ -268,14 +268,14 @@ def test_a_run_says_how_it_was_made_and_is_judged_so_again(localiser: Localiser,
 def test_odometry_alone_is_that_which_the_run_goes_by(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     """Cameras do not know the wheels: by vision alone the odometry in the results is what the edges tell."""
     few = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=300")
-    before = storage.load_track(
+    before = storage.read_track(
         localiser.replay(log, tmp_path / "as_is", "--odometry", "vision", *few) / "trajectory.csv"
     )
     rows = (log / "odometry.csv").read_text().splitlines()
     still = [f"{row.split(',')[0]},0,0,0" for row in rows[1:]]
     (log / "odometry.csv").write_text("\n".join([rows[0], *still]) + "\n")
     run = localiser.replay(log, tmp_path / "still", "--odometry", "vision", *few)
-    np.testing.assert_array_equal(storage.load_track(run / "trajectory.csv").odometry, before.odometry)
+    np.testing.assert_array_equal(storage.read_track(run / "trajectory.csv").odometry, before.odometry)
     assert np.hypot(*(before.odometry[-1] - before.odometry[0])[:2]) > 0.3
 
 
@@ -318,8 +318,8 @@ def assert_valid_until(run: Path, frames: int, log: Path) -> None:
     """Check that every output holds exactly the first frames, and says that it is not complete."""
     assert [row["t_ns"] for row in rows_of(run)] == [line.split(",")[0] for line in image_rows(log)[:frames]]
     for name in ("trajectory.tum", "groundtruth.tum"):
-        assert len(storage.load_tum(run / name).t_ns) == frames
-    assert len(storage.load_track(run / "trajectory.csv")) == frames
+        assert len(storage.read_tum(run / name).t_ns) == frames
+    assert len(storage.read_track(run / "trajectory.csv")) == frames
     figures = metrics_of(run)
     assert figures["complete"] is False
     assert figures["frames"] == frames
@@ -387,13 +387,13 @@ def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> 
 def test_ctrl_c_while_the_report_is_drawn_takes_nothing_away(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw = report.save_report
+    draw = report.write_report
 
     def interrupted(*arguments: Any, **further: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         draw(*arguments, **further)
 
-    monkeypatch.setattr(report, "save_report", interrupted)
+    monkeypatch.setattr(report, "write_report", interrupted)
     run = localiser.replay(log, tmp_path / "out")
     assert (run / "report.png").stat().st_size > 10_000
     assert metrics_of(run)["complete"]

@@ -15,7 +15,7 @@ from small_log import CAMERA
 from localiser.camera import Camera, Mount
 from localiser.documents import dump, parse
 from localiser.errors import InputError
-from localiser.storage import load_camera, save_camera
+from localiser.storage import read_camera, write_camera
 from localiser.storage.cameras import camera_data, camera_from_document, degrees
 
 
@@ -27,12 +27,12 @@ def assert_same(first: Camera, second: Camera) -> None:
 
 
 def test_camera_is_read_back(tmp_path: Path) -> None:
-    save_camera(CAMERA, tmp_path / "camera.yaml")
-    assert_same(load_camera(tmp_path / "camera.yaml"), CAMERA)
+    write_camera(CAMERA, tmp_path / "camera.yaml")
+    assert_same(read_camera(tmp_path / "camera.yaml"), CAMERA)
 
 
 def test_file_is_what_ros_reads_with_degrees_as_they_were_given(tmp_path: Path) -> None:
-    save_camera(CAMERA, tmp_path / "camera.yaml")
+    write_camera(CAMERA, tmp_path / "camera.yaml")
     data = yaml.safe_load((tmp_path / "camera.yaml").read_text())
     assert data["camera_matrix"] == {"rows": 3, "cols": 3, "data": [50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0]}
     assert data["mount"]["tilt_deg"] == 20.0 and data["mount"]["back_m"] == -0.1
@@ -90,5 +90,5 @@ def test_errors_name_the_field(change: dict[str, object], expected: str) -> None
 
 def test_camera_without_distortion(tmp_path: Path) -> None:
     camera = replace(CAMERA, distortion_model="none", distortion=())
-    save_camera(camera, tmp_path / "camera.yaml")
-    assert_same(load_camera(tmp_path / "camera.yaml"), camera)
+    write_camera(camera, tmp_path / "camera.yaml")
+    assert_same(read_camera(tmp_path / "camera.yaml"), camera)

@@ -14,11 +14,11 @@ from map_texts import NEWER
 from mrclam_files import FILES
 from small_log import CAMERA, write_edge_log, write_small_log
 
-from localiser.config import Config, load_config, to_yaml
+from localiser.config import Config, read_config, to_yaml
 from localiser.errors import InputError
-from localiser.storage import ImageEvent, load_camera, load_json, load_map, load_poses, load_track, load_tum, open_log
-from localiser.storage.edge_tables import load_edges
-from localiser.storage.images import load_image
+from localiser.storage import ImageEvent, open_log, read_camera, read_json, read_map, read_poses, read_track, read_tum
+from localiser.storage.edge_tables import read_edges
+from localiser.storage.images import read_image
 
 FUZZ = settings(
     max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -72,15 +72,15 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 READERS: dict[str, tuple[Callable[[Path], Any], str | bytes]] = {
-    "map": (load_map, NEWER),
-    "camera": (load_camera, "images/camera.yaml"),
-    "poses": (load_poses, "images/odometry.csv"),
-    "edges": (lambda path: load_edges(path, CAMERA), "edges/edges.csv"),
-    "image": (lambda path: load_image(path, (CAMERA.width, CAMERA.height)), "images/images/000000.jpg"),
-    "tum": (load_tum, b"# t\n0.5 1 2 0 0 0 0 1\n1e9 1 2 0 0 0 0 1\n"),
-    "track": (load_track, TRACK),
-    "json": (load_json, b'{"frames": 3, "rmse": [0.1, null]}'),
-    "config": (load_config, to_yaml(Config())),
+    "map": (read_map, NEWER),
+    "camera": (read_camera, "images/camera.yaml"),
+    "poses": (read_poses, "images/odometry.csv"),
+    "edges": (lambda path: read_edges(path, CAMERA), "edges/edges.csv"),
+    "image": (lambda path: read_image(path, (CAMERA.width, CAMERA.height)), "images/images/000000.jpg"),
+    "tum": (read_tum, b"# t\n0.5 1 2 0 0 0 0 1\n1e9 1 2 0 0 0 0 1\n"),
+    "track": (read_track, TRACK),
+    "json": (read_json, b'{"frames": 3, "rmse": [0.1, null]}'),
+    "config": (read_config, to_yaml(Config())),
 }
 
 
@@ -147,6 +147,6 @@ def test_changed_logs(logs: Path, tmp_path: Path, log: str, data: st.DataObject)
 def test_any_option(text: str) -> None:
     for option in (text, f"mcl.particles={text}", f"{text}=3"):
         try:
-            load_config(None, [option])
+            read_config(None, [option])
         except InputError:
             continue

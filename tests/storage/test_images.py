@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from small_log import CAMERA, image
 
 from localiser.errors import InputError
-from localiser.storage.images import check_head, encode_image, image_event, load_image, measure, whole_image
+from localiser.storage.images import check_head, encode_image, image_event, measure, read_image, whole_image
 
 SIZE = (CAMERA.width, CAMERA.height)
 JPEG = encode_image(image(0), ".jpg", 90)
@@ -29,7 +29,7 @@ def save(folder: Path, data: bytes, name: str = "image.jpg") -> Path:
 
 
 def test_png_is_read_back_exactly(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(load_image(save(tmp_path, PNG), SIZE), image(0))
+    np.testing.assert_array_equal(read_image(save(tmp_path, PNG), SIZE), image(0))
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
@@ -47,7 +47,7 @@ def test_orientation_tag_does_not_turn_the_image(tmp_path: Path) -> None:
     # An EXIF block that says "turn by 90 degrees": the camera's calibration is of the image as it was taken.
     exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
     data = JPEG[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + JPEG[2:]
-    np.testing.assert_array_equal(load_image(save(tmp_path, data), SIZE), load_image(save(tmp_path, JPEG, "b"), SIZE))
+    np.testing.assert_array_equal(read_image(save(tmp_path, data), SIZE), read_image(save(tmp_path, JPEG, "b"), SIZE))
 
 
 def progressive() -> bytes:
@@ -66,7 +66,7 @@ def test_size_and_end_are_found_by_structure(data: bytes) -> None:
 def test_every_cut_is_noticed(tmp_path: Path, data: bytes) -> None:
     for end in range(0, len(data) - 1, 7):
         with pytest.raises(InputError, match=r"image\.jpg: expected"):
-            load_image(save(tmp_path, data[:end]), SIZE)
+            read_image(save(tmp_path, data[:end]), SIZE)
 
 
 @given(place=st.integers(33, len(PNG) - 13), flip=st.integers(1, 255))
@@ -86,7 +86,7 @@ def test_thumbnail_with_an_end_of_its_own_does_not_hide_a_cut(tmp_path: Path) ->
 
 def test_wrong_size_is_refused_before_decoding(tmp_path: Path) -> None:
     path = save(tmp_path, PNG)
-    for check in (load_image, check_head):
+    for check in (read_image, check_head):
         with pytest.raises(InputError, match="expected an image of 65×48 pixels, as the camera says, found 64×48"):
             check(path, (65, 48))
 
@@ -99,7 +99,7 @@ def test_head_is_found_behind_a_long_preamble(tmp_path: Path) -> None:
 def test_what_is_no_image(tmp_path: Path) -> None:
     for data, expected in ((b"", "an empty file"), (b"GIF89a", "something else"), (JPEG[:20], "before its size")):
         path = save(tmp_path, data)
-        for check in (load_image, check_head):
+        for check in (read_image, check_head):
             with pytest.raises(InputError, match=expected):
                 check(path, SIZE)
     with pytest.raises(InputError, match="no such image"):

@@ -15,7 +15,7 @@ from map_texts import NEWER
 from localiser.documents import dump, parse
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
-from localiser.storage import load_map, save_map
+from localiser.storage import read_map, write_map
 from localiser.storage.maps import map_data, map_from_document
 
 coordinate = st.floats(-1e6, 1e6)
@@ -71,14 +71,14 @@ def test_map_is_read_back_to_the_last_bit(landmark_map: LandmarkMap) -> None:
 
 def test_saving_what_was_loaded_keeps_every_key_and_value(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(NEWER)
-    save_map(load_map(tmp_path / "map.yaml"), tmp_path / "saved.yaml")
+    write_map(read_map(tmp_path / "map.yaml"), tmp_path / "saved.yaml")
     expected = yaml.safe_load(NEWER)
     expected["landmarks"][1]["cov"] = {"xx": 1e-4, "xz": 0.0, "zz": 4e-4}  # PyYAML reads 1e-4 as a text
     assert yaml.safe_load((tmp_path / "saved.yaml").read_text()) == expected
 
 
 def test_landmarks_are_written_one_a_line(tmp_path: Path) -> None:
-    save_map(LandmarkMap.from_points(np.zeros((100, 2)), name="many"), tmp_path / "map.yaml")
+    write_map(LandmarkMap.from_points(np.zeros((100, 2)), name="many"), tmp_path / "map.yaml")
     lines = (tmp_path / "map.yaml").read_text().splitlines()
     assert sum(line.startswith("- {id: ") and line.endswith("}") for line in lines) == 100
 

@@ -15,7 +15,7 @@ from localiser.filter.mcl import Located
 from localiser.geometry import Array, Increment
 from localiser.observation import Matches
 from localiser.particles import Estimate, Particles
-from localiser.storage import RunFolder, TrackWriter, find_run, json_text, load_json, load_track, load_tum
+from localiser.storage import RunFolder, TrackWriter, find_run, json_text, read_json, read_track, read_tum
 from localiser.storage import runs as runs_module
 
 COV = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.001], [0.0, -0.001, 0.0025]])
@@ -91,14 +91,14 @@ def test_track_is_read_back(tmp_path: Path) -> None:
     for t_ns in (0, 100_000_000, 250_000_000):
         writer.frame(frame(located(t_ns), np.array([1.0, 2.0, 3.0])))
     writer.close(True)
-    track = load_track(tmp_path / "trajectory.csv")
+    track = read_track(tmp_path / "trajectory.csv")
     np.testing.assert_array_equal(track.t_ns, [0, 100_000_000, 250_000_000])
     np.testing.assert_allclose(track.poses[1], [1.1, -1.9, 2.6])
     np.testing.assert_allclose(track.covs[2], COV)
     np.testing.assert_allclose(track.odometry, np.tile([0.1, 0.2, 0.3], (3, 1)))
     np.testing.assert_array_equal(track.edges, [3, 3, 3])
-    np.testing.assert_allclose(load_tum(tmp_path / "trajectory.tum").poses, track.poses, atol=2e-9)
-    np.testing.assert_allclose(load_tum(tmp_path / "groundtruth.tum").poses[0], [1, 2, 3], atol=2e-9)
+    np.testing.assert_allclose(read_tum(tmp_path / "trajectory.tum").poses, track.poses, atol=2e-9)
+    np.testing.assert_allclose(read_tum(tmp_path / "groundtruth.tum").poses[0], [1, 2, 3], atol=2e-9)
 
 
 def test_first_columns_are_those_that_were_promised(tmp_path: Path) -> None:
@@ -111,8 +111,8 @@ def test_files_are_whole_after_every_image_without_being_closed(tmp_path: Path) 
     writer = TrackWriter(tmp_path)
     for frames, t_ns in enumerate((0, 1, 2), start=1):
         writer.frame(frame(located(t_ns)))
-        assert len(load_track(tmp_path / "trajectory.csv")) == frames
-        assert len(load_tum(tmp_path / "trajectory.tum")) == frames
+        assert len(read_track(tmp_path / "trajectory.csv")) == frames
+        assert len(read_tum(tmp_path / "trajectory.tum")) == frames
     assert not (tmp_path / "groundtruth.tum").exists()
     writer.close(False)
 
@@ -123,7 +123,7 @@ def test_biases_follow_as_further_columns(tmp_path: Path) -> None:
     header, row = (line.split(",") for line in (tmp_path / "trajectory.csv").read_text().splitlines())
     assert header[-4:] == ["scale", "scale_sigma", "veer", "veer_sigma"]
     assert [float(cell) for cell in row[-4:]] == [0.5, 0.5, 0.25, 0.5]
-    assert len(load_track(tmp_path / "trajectory.csv")) == 1
+    assert len(read_track(tmp_path / "trajectory.csv")) == 1
     writer.close(True)
 
 
@@ -132,7 +132,7 @@ def test_odometry_that_is_not_known_is_an_empty_cell(tmp_path: Path) -> None:
     event = located(0)
     event.odometry[:] = np.nan
     writer.frame(frame(event))
-    assert np.isnan(load_track(tmp_path / "trajectory.csv").odometry).all()
+    assert np.isnan(read_track(tmp_path / "trajectory.csv").odometry).all()
     writer.close(True)
 
 
@@ -151,7 +151,7 @@ def test_json_is_sorted_plain_and_has_no_nan() -> None:
 
 def test_json_is_read_back_and_errors_have_a_place(tmp_path: Path) -> None:
     RunFolder(tmp_path).write_json("metrics.json", {"frames": 3})
-    assert load_json(tmp_path / "metrics.json") == {"frames": 3}
+    assert read_json(tmp_path / "metrics.json") == {"frames": 3}
     for text, expected in (
         ('{"a": 1,\n}', r"metrics\.json:2:1: not valid JSON"),
         ("[1]", "expected keys and values"),
@@ -159,7 +159,7 @@ def test_json_is_read_back_and_errors_have_a_place(tmp_path: Path) -> None:
     ):
         (tmp_path / "metrics.json").write_text(text)
         with pytest.raises(InputError, match=expected):
-            load_json(tmp_path / "metrics.json")
+            read_json(tmp_path / "metrics.json")
 
 
 def test_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from small_log import TRUTH
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
-from localiser.storage import load_poses, load_tum, save_poses, save_tum
+from localiser.storage import read_poses, read_tum, write_poses, write_tum
 from localiser.storage.trajectories import nanoseconds, seconds, tum_line
 
 
@@ -55,15 +55,15 @@ def test_tum_is_in_the_ros_frame() -> None:
 
 
 def test_trajectories_are_read_back(tmp_path: Path) -> None:
-    save_tum(TRUTH, tmp_path / "t.tum")
-    save_poses(TRUTH, tmp_path / "t.csv")
-    assert_close(load_tum(tmp_path / "t.tum"), TRUTH)
-    assert_close(load_poses(tmp_path / "t.csv"), TRUTH)
+    write_tum(TRUTH, tmp_path / "t.tum")
+    write_poses(TRUTH, tmp_path / "t.csv")
+    assert_close(read_tum(tmp_path / "t.tum"), TRUTH)
+    assert_close(read_poses(tmp_path / "t.csv"), TRUTH)
 
 
 def test_evo_reads_the_same_poses(tmp_path: Path) -> None:
     file_interface = pytest.importorskip("evo.tools.file_interface")
-    save_tum(TRUTH, tmp_path / "t.tum")
+    write_tum(TRUTH, tmp_path / "t.tum")
     path = file_interface.read_tum_trajectory_file(tmp_path / "t.tum")
     np.testing.assert_allclose(path.positions_xyz[:, :2], TRUTH.poses[:, :2] * [1, -1], atol=1e-9)
     np.testing.assert_allclose(path.timestamps, TRUTH.t_ns / 1e9)
@@ -76,7 +76,7 @@ def test_tum_of_a_tilted_body_gives_its_yaw(tmp_path: Path) -> None:
     rotation = pytest.importorskip("scipy.spatial.transform").Rotation
     x, y, z, w = rotation.from_euler("ZYX", [0.7, 0.3, -0.2]).as_quat()
     (tmp_path / "t.tum").write_text(f"# t x y z q\n\n0 1 2 3 {x} {y} {z} {w}\n")
-    found = load_tum(tmp_path / "t.tum").poses[0]
+    found = read_tum(tmp_path / "t.tum").poses[0]
     np.testing.assert_allclose(found, [1, -2, 0.7 - np.pi / 2], atol=1e-12)
 
 
@@ -93,11 +93,11 @@ def test_tum_of_a_tilted_body_gives_its_yaw(tmp_path: Path) -> None:
 def test_errors_of_tum_files(tmp_path: Path, content: str, expected: str) -> None:
     (tmp_path / "t.tum").write_text(content)
     with pytest.raises(InputError) as caught:
-        load_tum(tmp_path / "t.tum")
+        read_tum(tmp_path / "t.tum")
     assert str(caught.value).removeprefix(f"{tmp_path}/") == expected
 
 
 def test_poses_need_a_row(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("t_ns,x,z,heading\n")
     with pytest.raises(InputError, match="expected at least 1 rows"):
-        load_poses(tmp_path / "t.csv")
+        read_poses(tmp_path / "t.csv")

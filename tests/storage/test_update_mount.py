@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from localiser.errors import InputError
-from localiser.storage import camera_file, load_camera, update_mount
+from localiser.storage import camera_file, read_camera, update_mount
 
 HEAD = """# front camera
 image_width: 640
@@ -34,7 +34,7 @@ def test_only_tilt_and_roll_change(tmp_path, name):
     before, after = yaml.safe_load(kept.read_text()), yaml.safe_load(path.read_text())
     before["mount"] |= {"tilt_deg": 20.25, "roll_deg": -1.5}
     assert after == before
-    np.testing.assert_allclose(np.rad2deg(load_camera(path).mount.tilt_rad), 20.25)
+    np.testing.assert_allclose(np.rad2deg(read_camera(path).mount.tilt_rad), 20.25)
     if "own line" not in name:
         comments = [line.split("#")[1] for line in (HEAD + MOUNTS[name]).splitlines() if "#" in line]
         assert all(f"#{comment}" in path.read_text() for comment in comments)

@@ -10,7 +10,7 @@ import numpy as np
 from short_log import CORRIDOR
 
 from localiser.camera import Camera
-from localiser.config import Config, load_config
+from localiser.config import Config, read_config
 from localiser.filter import mcl
 from localiser.live.inbound import TOPICS, CameraFinder
 from localiser.live.monitor import Monitor
@@ -26,7 +26,7 @@ from localiser.storage.bags.messages import ODOM, Messages
 MAKE = Messages()
 LOG = open_log(CORRIDOR)
 BEGIN_NS = 1_700_000_000_000_000_000  # when the robot's calendar says that the log begins
-CONFIG = load_config(
+CONFIG = read_config(
     None, ["mcl.particles=300", "mcl.start_particles=300", "search.particles_most=2000", "search.fresh=300"]
 )
 

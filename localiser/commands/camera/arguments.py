@@ -69,12 +69,12 @@ def tilt(
 ) -> None:
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
     from localiser.commands.camera.tilt import find_tilt, usable_images, write_plot, write_tilt
-    from localiser.config import load_config
+    from localiser.config import read_config
     from localiser.storage import open_log, require_new_file
 
     if plot is not None:
         require_new_file(plot)
-    settings = load_config(config, overrides or [])
+    settings = read_config(config, overrides or [])
     recorded = open_log(log, format=log_format, sensor=settings.sensor)
     used = usable_images(recorded, images)
     with progress("Looking", len(used), quiet) as advance:
@@ -148,7 +148,7 @@ def calibrate(
     if not quiet:
         _show_calibration(found)
     if out is not None:
-        calibration.write_camera(found, out, name or out.stem)
+        calibration.write_calibration(found, out, name or out.stem)
         typer.echo(f"Written to {out}")
         if found.floor is None:
             typer.echo("It has no mount yet: use --floor, or add tilt_deg, height_m, … by hand.", err=True)

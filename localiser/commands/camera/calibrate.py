@@ -13,7 +13,7 @@ from localiser.calibration import FEWEST_VIEWS, Board, BoardView, FloorMount, In
 from localiser.camera import Camera, Mount
 from localiser.documents import read_bytes
 from localiser.errors import InputError
-from localiser.storage import MAX_IMAGE_BYTES, load_image, measure, output_errors, require_new_file, save_camera
+from localiser.storage import MAX_IMAGE_BYTES, measure, output_errors, read_image, require_new_file, write_camera
 
 _DPI = 600
 _MOST_LOOKED_AT = 3
@@ -48,7 +48,7 @@ def calibrate(
     size = common_size(paths)
     found: dict[Path, BoardView | None] = {}
     for path in paths:
-        found[path] = board.find(load_image(path, size), path.name)
+        found[path] = board.find(read_image(path, size), path.name)
         progress()
     without = [path for path, view in found.items() if view is None]
     wanted = f"expected a {board.kind} of {board.size} squares"
@@ -82,7 +82,7 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
 def _advice(board: Board, images: Sequence[Path], size: tuple[int, int]) -> str:
     """Return what to do about images in which the board was not found, for people."""
     for path in images[:_MOST_LOOKED_AT]:
-        other = board.mistaken_for(load_image(path, size))
+        other = board.mistaken_for(read_image(path, size))
         if other is not None:
             option = f"--squares {other.size}" if other.size != board.size else ""
             pattern = "" if other.legacy == board.legacy else f" {'with' if other.legacy else 'without'} --legacy"
@@ -107,7 +107,7 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     return sizes[0]
 
 
-def write_camera(calibration: Calibration, path: Path, name: str) -> None:
+def write_calibration(calibration: Calibration, path: Path, name: str) -> None:
     """Write the file of a camera called `name`, with how good it is as a comment. Raises OutputError."""
     intrinsics = calibration.intrinsics
     names = zip(intrinsics.parameters, intrinsics.sigma, strict=True)
@@ -121,7 +121,8 @@ def write_camera(calibration: Calibration, path: Path, name: str) -> None:
             f"\nMount from a board on the floor; 1 sigma: tilt {np.rad2deg(tilt):.2g}°, roll {np.rad2deg(roll):.2g}°, "
             f"height {height:.2g} m. Not measured: right_m, back_m, yaw_deg."
         )
-    save_camera(replace(calibration.camera, name=name), path, with_mount=calibration.floor is not None, comment=comment)
+    camera = replace(calibration.camera, name=name)
+    write_camera(camera, path, with_mount=calibration.floor is not None, comment=comment)
 
 
 def draw_board(board: Board, path: Path) -> None:

@@ -49,15 +49,15 @@ def doctor(
     Listens to a robot when --connect or --listen is given. Exit code 1 when something is missing.
     """
     from localiser.commands.doctor import checks as examination
-    from localiser.config import load_config
+    from localiser.config import read_config
     from localiser.live import TOPICS
-    from localiser.storage import load_camera, load_map, require_new_file
+    from localiser.storage import read_camera, read_map, require_new_file
 
     if picture is not None:
         require_new_file(picture)
-    settings = load_config(config, overrides or [])
+    settings = read_config(config, overrides or [])
     findings = [*examination.versions()]
-    known, seen = load_camera(camera) if camera else None, None
+    known, seen = read_camera(camera) if camera else None, None
     if image is not None:
         finding, seen = examination.camera_check(image, seconds)
         findings.append(finding)
@@ -78,7 +78,7 @@ def doctor(
             findings += examination.mount_check(heard, known, settings)
             seen = examination.newest_image(heard, known) if seen is None else seen
     if map_file is not None:
-        landmark_map = load_map(map_file)
+        landmark_map = read_map(map_file)
         findings.append(examination.Finding("map", "ok", f"{len(landmark_map)} landmarks"))
         if at is not None and known is not None:
             findings.append(examination.map_check(landmark_map, known, _place(at)))

@@ -44,9 +44,9 @@ def edges(
     from localiser.commands.edges.mount import mount_warnings
     from localiser.commands.edges.run import EdgeRun
     from localiser.commands.edges.tables import tables_of
-    from localiser.config import load_config
+    from localiser.config import read_config
 
-    settings = load_config(config, overrides or [])
+    settings = read_config(config, overrides or [])
     names = detector or [settings.edges.detector]
     _require_detectors(names)
     taken_by, taken = inputs_of(images, camera)
@@ -64,11 +64,11 @@ def edges(
 
 
 def _require_detectors(names: list[str]) -> None:
-    from localiser.config import load_config
+    from localiser.config import read_config
 
     for name in names:
         try:
-            load_config(None, [f"edges.detector={name}"])
+            read_config(None, [f"edges.detector={name}"])
         except InputError as error:
             raise InputError(error.problem, field="--detector") from None
         if names.count(name) > 1:

@@ -10,7 +10,7 @@ from pathlib import Path
 from localiser import storage
 from localiser.camera import Camera
 from localiser.errors import InputError
-from localiser.storage import FolderReader, Image, ImageEvent, load_image, safe_name
+from localiser.storage import FolderReader, Image, ImageEvent, read_image, safe_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,7 @@ def inputs_of(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, 
     logs = [path for path in paths if FolderReader().recognises(path)]
     if logs and len(paths) > 1:
         raise InputError("expected images or one log, found it among other inputs", path=logs[0])
-    camera = storage.load_camera(camera_file) if camera_file else None
+    camera = storage.read_camera(camera_file) if camera_file else None
     if logs:
         return _of_log(logs[0], camera)
     if camera is None:
@@ -61,7 +61,7 @@ def _of_files(paths: Sequence[Path], camera: Camera) -> list[Taken]:
     if twice:
         raise InputError("expected each image once, found it twice", path=twice[0])
     return [
-        Taken(str(path), stem, lambda path=path: load_image(path, size))  # type: ignore[misc]
+        Taken(str(path), stem, lambda path=path: read_image(path, size))  # type: ignore[misc]
         for path, stem in zip(paths, _stems(paths), strict=True)
     ]
 

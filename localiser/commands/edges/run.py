@@ -18,7 +18,7 @@ from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import LocaliserError, RunEndedEarlyError
 from localiser.replay import asked_to_stop
-from localiser.storage import Image, RunFolder, json_text, output_errors, require_new, save_camera, write_text
+from localiser.storage import Image, RunFolder, json_text, output_errors, require_new, write_camera, write_text
 
 FORMAT = "localiser-edges/1"
 KEPT_IMAGES = 200
@@ -56,7 +56,7 @@ class EdgeRun:
         self.comparison = Comparison(list(self.detectors))
         self._found(first)  # detectors make what they keep for a camera, so that no image's time has it
         self.folder = self._new_folder()
-        save_camera(self.camera, self.folder / "camera.yaml")
+        write_camera(self.camera, self.folder / "camera.yaml")
         write_text(self.folder / "config.yaml", to_yaml(in_force(self.config)))
         done = 0
         try:

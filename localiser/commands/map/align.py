@@ -35,10 +35,10 @@ def align(
     import numpy as np
 
     from localiser.commands.map.plan import map_or_plan
-    from localiser.storage import load_map, save_map
+    from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
-    one, other = map_or_plan(first), load_map(second)
+    one, other = map_or_plan(first), read_map(second)
     alignment = aligned(one, other, within, similarity=scale)
     (x, z, heading), residual = alignment.pose, alignment.residual_m
     typer.echo(
@@ -49,7 +49,7 @@ def align(
     )
     show(_fit_table(one, other, alignment))
     if out is not None:
-        save_map(alignment.moved(other), out)
+        write_map(alignment.moved(other), out)
 
 
 def aligned(first: LandmarkMap, second: LandmarkMap, within_m: float, *, similarity: bool) -> Alignment:

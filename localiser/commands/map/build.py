@@ -71,7 +71,7 @@ def build(
 
     from localiser.commands.map.watch import MapWatch
     from localiser.mapping import build_map, cache_folder
-    from localiser.storage import save_map, save_tum
+    from localiser.storage import write_map, write_tum
 
     require_writable(out, trajectory, rrd, overwrite=force)
     recorded, settings = opened(
@@ -84,9 +84,9 @@ def build(
                 recorded, track, settings, progress=advance, watch=watch, cache=cache_folder(), source=source
             )
         header: dict[str, object] = {"built_from_frames": len(built.trajectory)}
-        save_map(replace(built.landmark_map, header=header), out)
+        write_map(replace(built.landmark_map, header=header), out)
     if trajectory is not None:
-        save_tum(built.trajectory, trajectory)
+        write_tum(built.trajectory, trajectory)
     if not quiet:
         _show_built(built, out)
     if watch.viewer is not None:
@@ -95,12 +95,12 @@ def build(
 
 def poses_named(poses: str) -> tuple[str | Trajectory, str]:
     """Return what `--poses` names, a word or the trajectory of a file, and what to call it. Raises InputError."""
-    from localiser.storage import load_poses, load_tum
+    from localiser.storage import read_poses, read_tum
 
     path = Path(poses)
     if poses in ("truth", "odometry", "slam") or not path.exists():
         return poses, poses
-    return load_poses(path) if path.suffix == ".csv" else load_tum(path), path.name
+    return read_poses(path) if path.suffix == ".csv" else read_tum(path), path.name
 
 
 def _stay(viewer: MapView) -> None:

@@ -47,11 +47,11 @@ def check(
     from localiser.commands.map.pictures import draw_check
     from localiser.geometry import Trajectory
     from localiser.mapping import cache_folder, coverage, fit_to_log, known_poses, lookalikes
-    from localiser.storage import load_camera, load_map
+    from localiser.storage import read_camera, read_map
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
-    landmark_map = load_map(map_file)
-    camera, path, fit = load_camera(camera_file) if camera_file else None, None, None
+    landmark_map = read_map(map_file)
+    camera, path, fit = read_camera(camera_file) if camera_file else None, None, None
     recorded, effective = opened(log, config, [*(overrides or [])]) if log else (None, None)
     if recorded is not None:
         camera = recorded.camera

@@ -23,10 +23,10 @@ def draw(
 ) -> None:
     """Draw the floor plan of a simulated WORLD for ROS map_server: walls, open doorways and pillars."""
     from localiser.commands.map.world_plan import draw_plan, load_world
-    from localiser.storage import plan_picture, save_plan
+    from localiser.storage import plan_picture, write_plan
 
     require_writable(out, plan_picture(out), overwrite=force)
     plan = draw_plan(load_world(world), resolution, math.radians(yaw_deg), furniture=furniture)
-    picture = save_plan(plan, out)
+    picture = write_plan(plan, out)
     if not quiet:
         typer.echo(f"{plan.shape[1]}×{plan.shape[0]} cells of {resolution:g} m in {out} and {picture}")

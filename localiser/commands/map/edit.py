@@ -27,11 +27,11 @@ def add(
 ) -> None:
     """Add a landmark to a MAP."""
     from localiser.mapping import added
-    from localiser.storage import load_map, save_map
+    from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
     point = parse_point(at, "--at")
-    save_map(added(load_map(map_file), point, name, bottom, top), out)
+    write_map(added(read_map(map_file), point, name, bottom, top), out)
 
 
 def remove(
@@ -42,10 +42,10 @@ def remove(
 ) -> None:
     """Remove landmarks from a MAP."""
     from localiser.mapping import removed
-    from localiser.storage import load_map, save_map
+    from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
-    save_map(removed(load_map(map_file), ids), out)
+    write_map(removed(read_map(map_file), ids), out)
 
 
 def move(
@@ -57,10 +57,10 @@ def move(
 ) -> None:
     """Move a landmark of a MAP."""
     from localiser.mapping import moved
-    from localiser.storage import load_map, save_map
+    from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
-    save_map(moved(load_map(map_file), name, parse_point(to, "--to")), out)
+    write_map(moved(read_map(map_file), name, parse_point(to, "--to")), out)
 
 
 def parse_point(text: str, field: str) -> Array:

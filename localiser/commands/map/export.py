@@ -19,9 +19,9 @@ def export(
     force: Force = False,
 ) -> None:
     """Print a MAP as CSV, one landmark a row."""
-    from localiser.storage import load_map, write_text
+    from localiser.storage import read_map, write_text
 
-    text = table(load_map(map_file))
+    text = table(read_map(map_file))
     if csv is None:
         typer.echo(text, nl=False)
         return

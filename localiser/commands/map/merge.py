@@ -30,10 +30,10 @@ def merge(
     """Refine a PLAN by a LOG-MAP: landmarks of both are fused by their covariances, the others are kept."""
     from localiser.commands.map.plan import map_or_plan
     from localiser.mapping import fused, same_in_both
-    from localiser.storage import load_map, save_map
+    from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
-    one, other = map_or_plan(first), load_map(second)
+    one, other = map_or_plan(first), read_map(second)
     if find_frame:
         other = aligned(one, other, within, similarity=False).moved(other)
     pairs = same_in_both(one, other, within)
@@ -43,7 +43,7 @@ def merge(
             "are they in one frame? `localiser map align` finds out"
         )
     whole, both = fused(one, other, pairs), len(pairs)
-    save_map(whole, out)
+    write_map(whole, out)
     if not quiet:
         typer.echo(
             f"{len(whole)} landmarks in {out}: {both} of both maps, {len(one) - both} of the first alone, "

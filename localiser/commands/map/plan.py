@@ -23,11 +23,11 @@ def plan(
     quiet: Quiet = False,
 ) -> None:
     """Turn the corners of walls, jambs and pillars of a floor PLAN into landmarks."""
-    from localiser.storage import save_map
+    from localiser.storage import write_map
 
     require_writable(out, overwrite=force)
     landmark_map, drawn = map_of_plan(plan)
-    save_map(landmark_map, out)
+    write_map(landmark_map, out)
     if not quiet:
         rows, columns = drawn.shape
         typer.echo(
@@ -38,17 +38,17 @@ def plan(
 
 def map_or_plan(path: Path) -> LandmarkMap:
     """Return the landmark map of a file, or of a floor plan where it is one. Raises InputError."""
-    from localiser.storage import is_plan, load_map
+    from localiser.storage import is_plan, read_map
 
-    return map_of_plan(path)[0] if is_plan(path) else load_map(path)
+    return map_of_plan(path)[0] if is_plan(path) else read_map(path)
 
 
 def map_of_plan(path: Path) -> tuple[LandmarkMap, FloorPlan]:
     """Return the landmarks of a map_server floor plan, and the plan. Raises InputError for one without walls."""
     from localiser.mapping import plan_landmarks
-    from localiser.storage import load_plan
+    from localiser.storage import read_plan
 
-    plan = load_plan(path)
+    plan = read_plan(path)
     share = float(plan.occupied.mean())
     if not plan.occupied.any():
         raise InputError(

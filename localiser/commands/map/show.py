@@ -26,9 +26,9 @@ def show(
 ) -> None:
     """Draw a MAP from above, with the certainty of every landmark, and print what is known of them."""
     from localiser.commands.map.pictures import draw_map
-    from localiser.storage import load_map
+    from localiser.storage import read_map
 
-    landmark_map = load_map(map_file)
+    landmark_map = read_map(map_file)
     picture = out or map_file.with_suffix(".png")
     require_writable(picture, rrd, overwrite=force)
     draw_map(landmark_map, picture)

@@ -29,17 +29,17 @@ def update(
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
     from localiser.mapping import build_map, cache_folder, updated
-    from localiser.storage import load_map, save_map
+    from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
-    old = load_map(map_file)
+    old = read_map(map_file)
     recorded, effective = opened(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         track, source = poses_named(poses)
         built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
     changed = updated(old, built, recorded.camera, effective.mapping.tracks.found, within)
     kept = keep_old(map_file) if out.resolve() == map_file.resolve() else None
-    save_map(changed.landmark_map, out)
+    write_map(changed.landmark_map, out)
     if not quiet:
         if kept is not None:
             typer.echo(f"The map as it was is {kept}")

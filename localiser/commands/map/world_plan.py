@@ -21,7 +21,7 @@ _MARGIN_M = 0.5
 
 def load_world(path: Path) -> World:
     """Return the world that a file describes. Raises InputError."""
-    return documents.load_model(path, World, simulate.world_of)
+    return documents.read_model(path, World, simulate.world_of)
 
 
 def drawn_corners(world: World, *, furniture: bool = False) -> LandmarkMap:

@@ -23,7 +23,7 @@ from localiser.storage.bags.label import FORMAT, Label, document_of
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.poses import floor_pose
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
-from localiser.storage.cameras import camera_from_document, load_camera
+from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.images import check_size
 from localiser.storage.log import Log, ReadOptions, require_overlap
@@ -49,7 +49,7 @@ class BagReader:
             for message in bag.messages(roles):
                 content.take(message)
         image = next(topic for topic, role in roles.items() if role == "image")
-        return _log(content, image, load_camera(options.camera) if options.camera else None)
+        return _log(content, image, read_camera(options.camera) if options.camera else None)
 
 
 @dataclass(slots=True, eq=False)
