@@ -1,4 +1,4 @@
-"""Landmark maps as YAML. What a newer version added to a file is kept, and written back."""
+"""Read and write landmark maps as YAML. Keys that a newer version added to a file are kept and written back."""
 
 from __future__ import annotations
 
@@ -160,27 +160,26 @@ def map_data(landmark_map: LandmarkMap) -> dict[str, Any]:
 
 def _landmark_data(landmark_map: LandmarkMap, index: int) -> dict[str, Any]:
     x, z = landmark_map.points[index]
-    data: dict[str, Any] = {"id": landmark_map.ids[index], "x": float(x), "z": float(z)}
     (xx, xz), (_, zz) = landmark_map.cov[index]
-    if not np.isnan(landmark_map.cov[index]).all():
-        data["cov"] = {"xx": float(xx), "xz": float(xz), "zz": float(zz)}
-    data |= {name: value for name, value in _numbers(landmark_map, index).items() if np.isfinite(value)}
-    if landmark_map.polarity[index]:
-        data["polarity"] = int(landmark_map.polarity[index])
-    if landmark_map.source[index]:
-        data["source"] = landmark_map.source[index]
-    profile = [] if landmark_map.quality is None else landmark_map.quality.profile[index]
-    if len(profile) and np.isfinite(profile).all():
-        data["profile"] = [round(float(grey), 1) for grey in profile]
-    return data | (landmark_map.extra[index] if landmark_map.extra else {})
-
-
-def _numbers(landmark_map: LandmarkMap, index: int) -> dict[str, float]:
-    """Return the numbers of a landmark that may be unknown, which then are nan."""
-    numbers = {"bottom_m": float(landmark_map.bottom_m[index]), "top_m": float(landmark_map.top_m[index])}
+    data: dict[str, Any] = {
+        "id": landmark_map.ids[index],
+        "x": float(x),
+        "z": float(z),
+        "cov": None if np.isnan([xx, xz, zz]).all() else {"xx": float(xx), "xz": float(xz), "zz": float(zz)},
+        "bottom_m": _known(landmark_map.bottom_m[index]),
+        "top_m": _known(landmark_map.top_m[index]),
+        "polarity": int(landmark_map.polarity[index]) or None,
+        "source": landmark_map.source[index] or None,
+    }
     if (quality := landmark_map.quality) is not None:
-        count = quality.sightings[index]
-        numbers["sightings"] = int(count) if np.isfinite(count) else math.nan
-        numbers["parallax_deg"] = round(math.degrees(quality.parallax_rad[index]), 6)
-        numbers["existence"] = round(float(quality.existence[index]), 6)
-    return numbers
+        count, profile = _known(quality.sightings[index]), quality.profile[index]
+        data["sightings"] = None if count is None else int(count)
+        data["parallax_deg"] = _known(round(math.degrees(quality.parallax_rad[index]), 6))
+        data["existence"] = _known(round(float(quality.existence[index]), 6))
+        data["profile"] = [round(float(grey), 1) for grey in profile if np.isfinite(profile).all()] or None
+    known = {key: value for key, value in data.items() if value is not None}
+    return known | (landmark_map.extra[index] if landmark_map.extra else {})
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
