@@ -195,7 +195,7 @@ def verdict_of(runs: list[Run]) -> Verdict:
     nees = np.array([evaluate.nees(one.error, one.cov) for one in runs])
     return Verdict(
         efficiency=evaluate.efficiency(error_m, bound_m, np.random.default_rng(0)),
-        consistent=evaluate.share_inside(nees),
+        consistent=evaluate.fraction_inside(nees),
         nees_mean=float(nees.mean()),
         rmse_m=float(np.sqrt(np.square(error_m).mean())),
         bound_m=float(np.sqrt(np.square(bound_m).mean())),

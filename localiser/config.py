@@ -100,7 +100,7 @@ def _option(source: str, name: str, document: Document) -> Document:
 
 
 def in_force(config: Config) -> Config:
-    """Return the configuration with the versions of what runs it, to be kept beside results."""
+    """Return the configuration with the versions of what runs it, to be kept with results."""
     found = {"localiser": __version__, "python": platform.python_version()}
     for library in _LIBRARIES:
         try:

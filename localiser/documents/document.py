@@ -1,4 +1,4 @@
-"""Plain data in which every value knows its place."""
+"""A document: plain data in which every value knows where it was written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Document → model, with errors that name the place."""
+"""Validate a document as a typed model. An error names file, line, column and field."""
 
 from __future__ import annotations
 

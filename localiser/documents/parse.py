@@ -1,4 +1,4 @@
-"""YAML text → document."""
+"""Parse YAML text into a document."""
 
 from __future__ import annotations
 

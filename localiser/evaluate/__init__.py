@@ -2,7 +2,7 @@
 
 from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
-from localiser.evaluate.consistency import nees, nees_band, share_inside
+from localiser.evaluate.consistency import fraction_inside, nees, nees_band
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
 from localiser.evaluate.report import write_report
@@ -19,12 +19,12 @@ __all__ = [
     "errors_against",
     "errors_table",
     "fit_wheels",
+    "fraction_inside",
     "metrics",
     "nees",
     "nees_band",
     "posterior_bound",
     "rms_position",
-    "share_inside",
     "timing_metrics",
     "write_report",
 ]

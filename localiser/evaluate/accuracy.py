@@ -1,4 +1,4 @@
-"""How far an estimated track lies from the truth, image by image, without alignment: the map fixes the frame."""
+"""Errors of an estimated track against the truth at every image. Nothing is aligned: the map fixes the frame."""
 
 from __future__ import annotations
 

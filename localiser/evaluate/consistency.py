@@ -1,4 +1,4 @@
-"""Does the filter know how good it is? Normalised estimation error squared (NEES) and its χ² bands.
+"""Consistency of a filter: normalised estimation error squared (NEES) and its χ² bands.
 
 [Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2]
 """
@@ -36,8 +36,8 @@ def nees_band(runs: int = 1, dimensions: int = 3, probability: float = 0.95) -> 
     return float(low), float(high)
 
 
-def share_inside(nees_of_runs: Array, dimensions: int = 3, probability: float = 0.95) -> float:
-    """Return the share of frames whose NEES, averaged over S runs (S, T), lies inside its χ² band.
+def fraction_inside(nees_of_runs: Array, dimensions: int = 3, probability: float = 0.95) -> float:
+    """Return the fraction of frames whose NEES, averaged over S runs (S, T), lies inside its χ² band.
 
     Frames that any run has no NEES for are left out; nan when none is left.
     """

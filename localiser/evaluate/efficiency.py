@@ -1,4 +1,4 @@
-"""How close a filter comes to the limit of accuracy, over many seeds."""
+"""Efficiency of a filter over many seeds: its error divided by the limit of accuracy."""
 
 from __future__ import annotations
 

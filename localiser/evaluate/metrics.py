@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import rms_position
-from localiser.evaluate.consistency import share_inside
+from localiser.evaluate.consistency import fraction_inside
 from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
 from localiser.geometry import Array, Trajectory
 
 DECIMALS = 6
 ABOUT = ("observation", "association", "odometry", "start", "map", "inputs", "particles", "seed")
-"""What a run was made from, beside its log: only runs that differ by nothing but the seed may be summed up."""
+"""What a run was made from, apart from its log: only runs that differ by nothing but the seed may be summed up."""
 
 
 def metrics(
@@ -52,7 +52,7 @@ def metrics(
         "heading_rmse_deg": _figure(np.degrees(rms(errors.heading_rad))) if errors else None,
         "odometry_position_rmse_m": _figure(rms(errors.odometry_m)) if errors else None,
         "nees_mean": _figure(mean(errors.nees)) if errors else None,
-        "nees_inside_95": _figure(share_inside(errors.nees)) if errors else None,
+        "nees_inside_95": _figure(fraction_inside(errors.nees)) if errors else None,
         **_limit(errors, bound),
         "edges_per_frame": _figure(mean(track.edges)),
         "confidence": _confidence(track, errors, reasons),

@@ -1,4 +1,4 @@
-"""The panels of the report: the path on the map, errors inside their band, edges a frame.
+"""Draw the panels of the report: the path on the map, errors inside their band, edges a frame.
 
 Colours are those of Okabe and Ito, which people with any colour vision can tell apart; lines differ in style as well.
 """

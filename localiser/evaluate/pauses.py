@@ -1,4 +1,4 @@
-"""Times without a sighting: what the filter knew during a pause, and how soon it is back after it."""
+"""Pauses without a sighting, and how soon the position is right again after one."""
 
 from __future__ import annotations
 

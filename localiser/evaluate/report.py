@@ -1,4 +1,4 @@
-"""The picture of a run: path, errors over time inside their bands, edges a frame, and the key figures."""
+"""Draw the report of a run: path, errors over time inside their bands, edges a frame, key figures."""
 
 from __future__ import annotations
 

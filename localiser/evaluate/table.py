@@ -1,4 +1,4 @@
-"""The errors of one run or several as a table for the terminal."""
+"""Print the errors of one run or several as a table in the terminal."""
 
 from __future__ import annotations
 

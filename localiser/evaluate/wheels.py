@@ -1,4 +1,4 @@
-"""Constants of the wheels: what a run has learnt of them, beside least squares against the truth.
+"""Constant errors of the wheels: what a run has estimated, and least squares against the truth.
 
     true distance = (1 + distance_scale) · distance,    true turn = (1 + turn_scale) · turn + veer · distance
 

@@ -1,4 +1,4 @@
-"""Every file format: logs, cameras, maps, trajectories, results."""
+"""Read and write every file format: logs, cameras, maps, trajectories, results."""
 
 from localiser.storage.bags import KINDS, write_bag
 from localiser.storage.bags.label import motion_settings

@@ -1,4 +1,4 @@
-"""Camera files: the keys of ROS `camera_info` for the intrinsics, and the mount in degrees and metres."""
+"""Read and write camera files: intrinsics by the keys of ROS `camera_info`, the mount in degrees and metres."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def named(document: Document, folder: Path, key: str, name: str) -> Path:
 
 
 def camera_error(log: Path, key: tuple[str, ...], problem: str) -> InputError:
-    """Return the error that says what is wrong with the value at `key` of a log's camera file, and where it stands."""
+    """Return the error that says what is wrong with the value at `key` of a log's camera file, and where it is."""
     try:
         return load(camera_file(log)).error(key, problem)
     except InputError:  # a log of another format has no such file
@@ -155,7 +155,7 @@ def camera_error(log: Path, key: tuple[str, ...], problem: str) -> InputError:
 def update_mount(path: Path, changes: Mapping[str, float]) -> Path:
     """Change values of the mount in a camera file, by their keys; everything else stays, comments included.
 
-    Returns where the old file is kept: beside it, as FILE.bak, FILE.bak2, … Raises InputError, OutputError.
+    Returns where the old file is kept: in the same folder, as FILE.bak, FILE.bak2, … Raises InputError, OutputError.
     """
     text = read_text(path)
     document = parse(text, str(path))

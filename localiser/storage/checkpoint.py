@@ -1,4 +1,4 @@
-"""Checkpoints: the filter as it was after some image, exactly, to go on from later.
+"""Save the state of a filter after an image, and restore it to the last bit.
 
 A file is two lines, the format's name and the SHA-256 of all that follows, and then what `packing` encodes. Nothing in
 it is run, and how much memory is taken is bounded by the size of the file.

@@ -1,4 +1,4 @@
-"""Edges that were measured already: CSV, one row an edge, all rows of one time are one frame.
+"""Read and write measured edges as CSV: a row is an edge, the rows of one time are one frame.
 
 In a file a bearing is measured from the robot's forward axis; inside the program from the camera's, which is turned
 by the mount's yaw. It is converted here, both ways, and nowhere else.

@@ -1,4 +1,4 @@
-"""Paths inside a folder, and files that are either written whole or not at all."""
+"""Check paths inside a folder, and write files whole or not at all."""
 
 from __future__ import annotations
 

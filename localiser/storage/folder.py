@@ -1,4 +1,4 @@
-"""The project's own log folder: `log.yaml` and the files beside it that it names."""
+"""Read and write log folders: `log.yaml` and the files in the same folder that it names."""
 
 from __future__ import annotations
 

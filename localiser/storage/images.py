@@ -1,4 +1,4 @@
-"""Image files: JPEG or PNG, checked before they are decoded, because OpenCV decodes half a file without complaint."""
+"""Read image files (JPEG, PNG). They are checked first, because OpenCV decodes half a file without complaint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded log: what was measured, in the order of time, whatever format it was stored in."""
+"""A recorded log: what was measured, in the order of time. It is the same for every format."""
 
 from __future__ import annotations
 

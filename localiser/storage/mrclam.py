@@ -37,7 +37,7 @@ ODOMETRY_QUALITY = {
     "motion.bias.veer_sigma_deg_per_m": 3.0,
     "motion.bias.delay_sigma_s": 0.2,
 }
-"""Velocities are as commanded, not as driven: off by a tenth for good, late by tenths of a second, and off by some
+"""Velocities are as commanded, not as driven: off by a constant tenth, late by tenths of a second, and off by some
 degrees and 2 cm every 2 s."""
 
 _TIME = Column("time", nanoseconds)

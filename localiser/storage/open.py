@@ -1,4 +1,4 @@
-"""Find out what kind of log a path is, and read it."""
+"""Find the format of a log, and read it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Typed data as bytes (MessagePack), and back again to the last bit: dataclasses, containers, numbers and arrays.
+"""Encode typed data as bytes (MessagePack), and decode it to the last bit: dataclasses, containers and arrays.
 
 The types alone decide what is made of the bytes; nothing in them can choose a class, as it could in a pickle. A length
 that the bytes state is compared with what is there before memory is taken for it.

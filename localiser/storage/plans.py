@@ -1,4 +1,4 @@
-"""Floor plans as ROS `map_server` has them: a YAML file, and beside it a picture (PGM, PNG) seen from above."""
+"""Read and write floor plans of ROS `map_server`: a YAML file and a picture (PGM, PNG) seen from above."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of one run: a fresh number each time, `latest` beside them, and the small files that describe the run."""
+"""Make the folder of a run, and write its small files: each run has a new number, `latest` is the newest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables: CSV with a header line, in log folders and results; columns between white space, from other programs."""
+"""Read tables: CSV with a header line, or columns between white space as other programs write them."""
 
 from __future__ import annotations
 

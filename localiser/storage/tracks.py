@@ -1,4 +1,4 @@
-"""What a run located, image by image: written as it comes, so that a run that is broken off leaves what it did."""
+"""Write what a run located, image by image, and read it back. A run that breaks off leaves what it did."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class TrackWriter:
     """Writes `trajectory.csv`, `trajectory.tum` and, where the truth is known, `groundtruth.tum`, a line an image.
 
     The CSV holds our frame, the TUM files the ROS frame. p_correct: probability of being within 0.5 m and 10°; reason:
-    why it is low; places: where the robot may be. Bias columns of the filter follow the listed ones, each with its
+    why it is low; places: where the robot may be. Columns of constant errors follow the listed ones, each with its
     sigma. Raises OutputError.
     """
 
@@ -47,8 +47,8 @@ class TrackWriter:
     def frame(self, frame: LocatedFrame) -> None:
         """Write what the filter knows after one image."""
         located, estimate = frame.located, frame.located.estimate
-        biases = estimate.names[3:]
-        self._begin_csv(biases)
+        constants = estimate.names[3:]
+        self._begin_csv(constants)
         cells = [str(located.t_ns)]
         cells += [f"{value:.9f}" for value in estimate.pose]
         cells += [f"{value:.9e}" for value in estimate.pose_cov[_UPPER]]
@@ -56,7 +56,7 @@ class TrackWriter:
         cells += ["" if np.isnan(value) else f"{value:.9f}" for value in located.odometry]
         places = 1 if located.clusters is None else int((located.clusters.weight >= PLACE).sum())
         cells += [f"{located.p_correct:.4f}", located.reason, str(places)]
-        for column in range(3, 3 + len(biases)):
+        for column in range(3, 3 + len(constants)):
             cells += [f"{estimate.mean[column]:.9e}", f"{np.sqrt(estimate.cov[column, column]):.9e}"]
         self._write(TRAJECTORY_CSV, ",".join(cells) + "\n")
         self._write(TRAJECTORY_TUM, tum_line(located.t_ns, estimate.pose))
@@ -70,9 +70,11 @@ class TrackWriter:
             with output_errors(self._folder / name):
                 file.close()
 
-    def _begin_csv(self, biases: tuple[str, ...]) -> None:
+    def _begin_csv(self, constants: tuple[str, ...]) -> None:
         if TRAJECTORY_CSV not in self._files:
-            names = [column.name for column in COLUMNS] + [f"{name}{end}" for name in biases for end in ("", "_sigma")]
+            names = [column.name for column in COLUMNS] + [
+                f"{name}{end}" for name in constants for end in ("", "_sigma")
+            ]
             self._write(TRAJECTORY_CSV, ",".join(names) + "\n")
 
     def _write(self, name: str, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Trajectories: CSV in our frame, and TUM (`t x y z qx qy qz qw`) in the ROS frame, for other programs."""
+"""Read and write trajectories: CSV in our frame, TUM (`t x y z qx qy qz qw`) in the ROS frame."""
 
 from __future__ import annotations
 

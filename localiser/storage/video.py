@@ -1,4 +1,4 @@
-"""A video file, with odometry and camera in files beside it, as a log; frames are decoded one by one."""
+"""Read a video file as a log, with odometry and camera in two other files; frames are decoded one by one."""
 
 from __future__ import annotations
 

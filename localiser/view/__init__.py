@@ -1,4 +1,4 @@
-"""What a run looks like: recorded to a Rerun file, or shown live; the only place that knows Rerun."""
+"""Show runs in Rerun: recorded to a file, or live. No other package calls Rerun."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -1,4 +1,4 @@
-"""A run as a Rerun recording on disk."""
+"""Record a run to a Rerun file."""
 
 from __future__ import annotations
 

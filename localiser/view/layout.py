@@ -1,4 +1,4 @@
-"""The blueprint: what is shown where when a recording is opened."""
+"""The layout (Rerun's blueprint): what is shown where when a recording is opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run as it happens: in Rerun's native viewer, in the browser, or served to viewers on other machines.
+"""Show a run as it happens: in Rerun's native viewer, in the browser, or to viewers on other machines.
 
 The viewer is a process of its own that reads the recording from its standard input, fed by a worker thread from a
 bounded queue. Nothing else keeps a viewer that hangs from holding up the robot: a network sink of Rerun blocks in

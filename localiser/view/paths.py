@@ -1,4 +1,4 @@
-"""Names of the entities and time lines in a recording: what the recorder logs and the layout shows."""
+"""Names of the entities and time lines in a recording, for the recorder and the layout."""
 
 FRAME = "frame"
 TIME = "time"

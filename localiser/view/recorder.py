@@ -1,4 +1,4 @@
-"""Logs frames to a Rerun stream; whoever makes the stream decides where they go."""
+"""Log frames to a Rerun stream. Its maker decides where the stream goes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The 3-D world: map, particles, estimate and camera as Rerun archetypes, in the map frame (y up)."""
+"""Draw the 3-D world (map, particles, estimate, camera) as Rerun archetypes in the map frame (y up)."""
 
 from __future__ import annotations
 

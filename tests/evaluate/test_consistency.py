@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localiser.evaluate import nees, nees_band, share_inside
+from localiser.evaluate import fraction_inside, nees, nees_band
 
 COV = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.004], [0.002, -0.004, 0.01]])
 
@@ -21,7 +21,7 @@ def test_nees_of_consistent_errors_follows_chi_square() -> None:
     rng = np.random.default_rng(1)
     values = nees(rng.multivariate_normal(np.zeros(3), COV, 20_000), np.tile(COV, (20_000, 1, 1)))
     assert values.mean() == pytest.approx(3, abs=0.06)
-    assert share_inside(values) == pytest.approx(0.95, abs=0.006)
+    assert fraction_inside(values) == pytest.approx(0.95, abs=0.006)
 
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
@@ -30,14 +30,14 @@ def test_wrong_confidence_falls_outside_the_band(scale: float) -> None:
     errors = rng.multivariate_normal(np.zeros(3), COV, (50, 200))
     stated = np.tile(COV * scale, (200, 1, 1))
     values = np.array([nees(run, stated) for run in errors])
-    assert share_inside(values) < 0.05
+    assert fraction_inside(values) < 0.05
 
 
 def test_averaged_over_seeds_the_band_holds_95_percent() -> None:
     rng = np.random.default_rng(3)
     errors = rng.multivariate_normal(np.zeros(3), COV, (50, 4000))
     values = np.array([nees(run, np.tile(COV, (4000, 1, 1))) for run in errors])
-    assert share_inside(values) == pytest.approx(0.95, abs=0.015)
+    assert fraction_inside(values) == pytest.approx(0.95, abs=0.015)
 
 
 @pytest.mark.parametrize(
@@ -57,4 +57,4 @@ def test_unknown_or_singular_covariances_have_no_nees() -> None:
     errors = np.ones((5, 3))
     errors[4] = np.nan
     np.testing.assert_array_equal(np.isfinite(nees(errors, covs)), [True, False, False, False, False])
-    assert np.isnan(share_inside(np.full((2, 5), np.nan)))
+    assert np.isnan(fraction_inside(np.full((2, 5), np.nan)))

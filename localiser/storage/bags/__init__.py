@@ -1,4 +1,4 @@
-"""ROS bags, read and written with no ROS installed: ROS 1, ROS 2 with sqlite3, ROS 2 with MCAP."""
+"""Read and write ROS bags with no ROS installed: ROS 1, ROS 2 with sqlite3, ROS 2 with MCAP."""
 
 from localiser.storage.bags.bag import (
     CAMERA_INFO,
@@ -19,11 +19,10 @@ from localiser.storage.bags.decisions import (
     odometry_decision,
     start_decision,
 )
-from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
+from localiser.storage.bags.frames import FrameTree, floor_cov, floor_pose, mount_of, plain_frame
 from localiser.storage.bags.images import grey_image, image_file, stated_size
 from localiser.storage.bags.label import live_label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
-from localiser.storage.bags.poses import floor_cov, floor_pose
 from localiser.storage.bags.read import BagReader
 from localiser.storage.bags.record import BagRecorder
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC

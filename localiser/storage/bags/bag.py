@@ -1,20 +1,20 @@
-"""A bag of any kind as its messages: which topics it has, and what was sent on them in the order of recording.
+"""Open a bag of any kind: which topics it has, and the messages in the order of recording.
 
 Messages are decoded by the definitions that ROS ships, never by those that a bag carries: a bag could define anything.
 """
 
 from __future__ import annotations
 
+import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.errors import InputError, LocaliserError
-from localiser.storage.bags.interrupted import restore
 from localiser.storage.bags.limits import bounded_decompression, check_chunks, check_metadata, message_unpacker
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Bag:
         bounded_decompression()
         check_metadata(path / METADATA_FILE)
         with bag_errors(path):
-            restore(path)
+            _restore(path)
             self._reader: Any = rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
             self._reader.open()
         try:
@@ -130,6 +130,17 @@ def _checked(connection: Connection) -> Connection:
         if not isinstance(text, str) or not text.isprintable():
             raise ValueError("a topic has no name or no type")
     return connection
+
+
+def _restore(path: Path) -> None:
+    """Let SQLite undo what was half written to a database when its recorder was killed.
+
+    `rosbags` reads a database as it lies on the disk, without a look at the journal beside it. Raises sqlite3.Error.
+    """
+    for database in [path] if path.suffix == ".db3" else sorted(path.glob("*.db3")):
+        if database.with_name(f"{database.name}-journal").exists():
+            with closing(sqlite3.connect(database)) as connection:
+                connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""sensor_msgs/CameraInfo → the intrinsics of a camera."""
+"""Convert sensor_msgs/CameraInfo to the intrinsics of a camera, and back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a live run made of the messages that it recorded, so that a replay takes the same ones in the same way.
+"""Record which messages a live run used, so that a replay of the recording uses the same ones.
 
 Each decision is a line of JSON on a topic of std_msgs/String, recorded after the message that it is about. Messages are
 named by their number: how many of their topic were recorded before them.

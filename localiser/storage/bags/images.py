@@ -1,4 +1,4 @@
-"""Images of ROS messages as image files: compressed ones as they are, raw ones as PNG, which loses nothing."""
+"""Convert images of ROS messages to image files: compressed ones as they are, raw ones to PNG without loss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a log knows and ROS has no message for: its name, the start, the settings; as YAML on a std_msgs/String."""
+"""Store what ROS has no message for (name, start, settings of a log) as YAML in a std_msgs/String."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much memory a bag may ask for, checked before it gets it."""
+"""Limit the memory that a bag can ask for, before it is taken."""
 
 from __future__ import annotations
 

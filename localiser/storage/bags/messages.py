@@ -1,4 +1,4 @@
-"""Messages of ROS from what this program knows; what is sent over a network is the same bytes as in a ROS 2 bag."""
+"""Make ROS messages. The bytes of a ROS 2 message are the same in a bag and on a network."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from localiser.camera import Camera
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, POSE, TEXT, TRANSFORMS, typestore
 from localiser.storage.bags.cameras import info_fields
-from localiser.storage.bags.frames import base_from_optical, quaternion_from_rotation
-from localiser.storage.bags.poses import FLOOR_ROWS
+from localiser.storage.bags.frames import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
 from localiser.storage.images import suffix_of
 
 BASE, OPTICAL, ODOM, MAP = "base_link", "camera_optical_frame", "odom", "map"

@@ -1,4 +1,4 @@
-"""The images of a bag, fetched one at a time when they are asked for, so that a bag may be larger than memory."""
+"""Fetch the images of a bag one at a time, when they are asked for: a bag may be larger than memory."""
 
 from __future__ import annotations
 

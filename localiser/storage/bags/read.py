@@ -1,4 +1,4 @@
-"""A ROS bag as a log: its topics are read once for times and poses; images are fetched later, one by one."""
+"""Read a ROS bag as a log: one pass collects times and poses, images are fetched later, one by one."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, Topic
 from localiser.storage.bags.cameras import camera_of
 from localiser.storage.bags.decisions import Decisions
-from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
+from localiser.storage.bags.frames import FrameTree, floor_pose, mount_of, plain_frame
 from localiser.storage.bags.images import stated_size
 from localiser.storage.bags.label import FORMAT, Label, document_of
 from localiser.storage.bags.playback import ImagePlace, Playback
-from localiser.storage.bags.poses import floor_pose
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file

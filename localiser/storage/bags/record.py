@@ -1,4 +1,4 @@
-"""A bag that is written while it happens: whatever ends the program, all but what was not committed yet can be read."""
+"""Record a bag while messages come. Whatever ends the program, what was committed can be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which topic of a bag is what: by type, by name only where names are a custom, and by asking where several fit."""
+"""Choose which topic of a bag is what: by type, by names that are a custom, or by asking where several fit."""
 
 from __future__ import annotations
 
