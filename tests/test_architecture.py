@@ -59,3 +59,11 @@ def test_every_protocol_and_list_of_a_seam_exists() -> None:
     table = PAGE.split("## How to extend")[1].split("##")[0]
     for name in re.findall(r"`(\w+\.\w+)`", table):
         assert found(name) is not None, name
+
+
+def test_every_file_in_a_package_exists() -> None:
+    table = PAGE.split("<!-- files:")[1].split("\n\n")[1]
+    for row in table.splitlines()[2:]:
+        package, files = re.findall(r"`(\w+)`", row.split("|")[1])[0], re.sub(r"\(.*?\)", "", row.split("|")[2])
+        for name in re.findall(r"`(\w+)`", files):
+            assert (ROOT / "localiser" / package / f"{name}.py").exists(), f"{package}.{name}"

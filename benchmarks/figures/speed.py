@@ -56,12 +56,12 @@ def one_pass() -> list[tuple[float, float, float]]:
     What is prepared once for a camera and a map belongs to the first image.
     """
     import cv2
+    from localiser.app.filter import filter_of
+    from localiser.identified import observation_of
 
     from localiser import mcl
-    from localiser.app.filter import filter_of
     from localiser.config import load_config
     from localiser.edges import find_edges
-    from localiser.identified import observation_of
     from localiser.storage import ImageEvent, open_log
 
     log = open_log(CORRIDOR)

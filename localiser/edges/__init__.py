@@ -1,7 +1,7 @@
 """Image → vertical edges: find segments, keep those that meet the nadir point, measure them."""
 
 from localiser.edges.bearings import BearingSensor, complete
-from localiser.edges.detectors import DETECTORS, Detector, register
+from localiser.edges.detectors import DETECTORS, Detector, register, registered
 from localiser.edges.find import find_edges, warm_up
 from localiser.edges.foot import FOOT_SIGMA_PX, foot_of_edges
 from localiser.edges.line_detectors import on_ideal_image
@@ -29,5 +29,6 @@ __all__ = [
     "mount_error_of_edges",
     "on_ideal_image",
     "register",
+    "registered",
     "warm_up",
 ]

@@ -8,7 +8,7 @@ hidden by something in front looks as if it stood farther away. One image cannot
   stronger change of grey than at the end itself;
 - rooms are some metres wide, and what hangs near the camera's own height looks as if it stood far away.
 
-These say how likely it is that the end stands on the floor; docs/edges.md tells how often it then does.
+These say how likely it is that the end stands on the floor; docs/notes/edges.md says how often it then does.
 """
 
 from __future__ import annotations

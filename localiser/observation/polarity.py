@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 
-SAME = 0.9  # measured: see docs/filter.md
+SAME = 0.9  # measured: see docs/notes/observation.md
 
 
 def mean_polarity(landmark: NDArray[np.int8]) -> Array:

@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from localiser.filter import LocatedFrame
 from localiser.view.context import Context
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from localiser.view.recorder import Recorder
 
 
 class RrdFile:
     """Writes every frame to a `.rrd` file, on a stream of its own: no viewer can hold it up.
 
-    Raises OutputError where the file cannot be written.
+    The file is made with the first frame, or at the end: Rerun takes most of a second to import. Raises OutputError
+    then where it cannot be written.
     """
 
     def __init__(self, path: Path, context: Context) -> None:
-        # Rerun takes most of a second to import: only who records pays for it.
-        from localiser.view.recorder import Recorder, stream_to_file
-
-        self._stream = stream_to_file(path, context)
-        self._recorder = Recorder(self._stream, context)
+        self._path, self._context = path, context
         self._frames = 0
+
+    @cached_property
+    def _stream(self) -> rr.RecordingStream:
+        from localiser.view.recorder import stream_to_file
+
+        return stream_to_file(self._path, self._context)
+
+    @cached_property
+    def _recorder(self) -> Recorder:
+        from localiser.view.recorder import Recorder
+
+        return Recorder(self._stream, self._context)
 
     def frame(self, frame: LocatedFrame) -> None:
         """Write what the filter knows after one image."""

@@ -316,7 +316,7 @@ def test_recording_brings_its_layout(tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"run\.rrd"):
-        RrdFile(tmp_path / "missing" / "run.rrd", context())
+        RrdFile(tmp_path / "missing" / "run.rrd", context()).close(complete=True)
 
 
 # -- geometry ---------------------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, Quiet, progress, show
@@ -193,6 +192,8 @@ def _board(
 
 
 def _show_calibration(found: Calibration) -> None:
+    import numpy as np
+
     intrinsics = found.intrinsics
     outliers = intrinsics.outliers
     views = _table("image", "corners", "error (px)", "")
@@ -233,6 +234,8 @@ def _table(*columns: str) -> Table:
 
 
 def _show_tilt(tilt: Tilt) -> None:
+    import numpy as np
+
     found = tilt.found
     table = _table("", "stated", "found", "1σ", "found - stated")
     rows = zip(("tilt (°)", "roll (°)"), *np.rad2deg([found.stated, found.mount, found.sigma]), strict=True)
