@@ -247,20 +247,6 @@ class Camera:
         sigma_tangent = sigma / np.cos(lean) / np.sqrt((from_nadir**2).sum(axis=-1))
         return np.asarray(sigma_tangent * np.cos(bearing) ** 2)
 
-    def nadir_miss_px(self, ends_px: ArrayLike) -> Array:
-        """Return how far (E, px) each end of a segment lies from the line through its middle and the nadir point.
-
-        This is what a segment must keep small, beside its measurement noise, to be a vertical edge. Positive when
-        the upper end lies to the right. Measured in undistorted pixels; also right when the tilt is 0.
-        """
-        lean = self.lean_of_segments(ends_px)
-        ends = self.upright_from_pixels(ends_px)
-        middle = ends.mean(axis=-2)
-        s, c = np.sin(self.mount.tilt_rad), np.cos(self.mount.tilt_rad)
-        expected = np.arctan2(middle[..., 0] * s, c + middle[..., 1] * s)
-        half = np.hypot(*np.moveaxis(ends[..., 1, :] - ends[..., 0, :], -1, 0)) / 2
-        return np.asarray(np.sin(geometry.wrap_half_turn(lean - expected)) * half * self.focal_px)
-
     def bearing_jacobians(self, bearing_rad: ArrayLike, middle_e: ArrayLike) -> tuple[Array, Array]:
         """Return d(bearing)/d(tilt, roll) (E, 2) for bearings from lean alone, and for those from line and nadir.
 

@@ -123,7 +123,6 @@ def test_lean_and_bearing_come_back_from_the_pixels_of_an_edge(lens, data, robot
     # Pixels of 1e3 hold 1e-13; a lens whose derivative is 0.28 and a segment of 40 px leave some 1e-14 · 1e3 / 40.
     assert camera.lean_of_segments(pixels[None])[0] == pytest.approx(lean, abs=1e-9)
     assert camera.bearing_of_segments(pixels[None])[0] == pytest.approx(bearing, abs=1e-9)
-    assert camera.nadir_miss_px(pixels[None])[0] == pytest.approx(0, abs=1e-9 * camera.focal_px)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -273,31 +272,6 @@ def test_without_tilt_bearing_is_still_known_from_the_column():
     segment = np.array([[[camera.cx + 100, 400.0], [camera.cx + 100, 100.0]]])
     assert camera.lean_of_segments(segment)[0] == 0
     assert camera.bearing_of_segments(segment)[0] == pytest.approx(np.arctan(100 / 554))
-    assert camera.nadir_miss_px(segment)[0] == pytest.approx(0)
-
-
-pixels_in_image = st.tuples(st.floats(0, 639), st.floats(0, 479))
-
-
-@given(
-    ends=st.tuples(pixels_in_image, pixels_in_image).filter(lambda ends: np.hypot(*np.subtract(*ends)) > 5),
-    tilt=st.floats(np.radians(5), np.radians(40)),
-    roll=some_degrees,
-)
-def test_miss_is_the_distance_from_the_line_through_middle_and_nadir(ends, tilt, roll):
-    camera, ends = make_camera(tilt_rad=tilt, roll_rad=roll), np.array(ends)
-    to_middle = ends.mean(axis=0) - camera.nadir_px
-    across = np.array([to_middle[1], -to_middle[0]]) / np.linalg.norm(to_middle)
-    expected = abs((ends[1] - camera.nadir_px) @ across)
-    assert abs(camera.nadir_miss_px(ends[None])[0]) == pytest.approx(expected, abs=1e-8)
-    assert camera.nadir_miss_px(ends[None, ::-1])[0] == pytest.approx(camera.nadir_miss_px(ends[None])[0], abs=1e-8)
-
-
-def test_miss_is_positive_when_the_top_is_too_far_right():
-    upright = np.array([[[319.5, 300.0], [319.5, 100.0]]])
-    top_right = np.array([[0, 0], [4, 0]])
-    assert make_camera().nadir_miss_px(upright + top_right)[0] == pytest.approx(2.0, rel=0.1)
-    assert make_camera().nadir_miss_px(upright - top_right)[0] == pytest.approx(-2.0, rel=0.1)
 
 
 # -- sigmas and Jacobians ---------------------------------------------------------------------------------------------

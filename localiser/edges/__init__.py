@@ -1,9 +1,10 @@
 """Image → vertical edges: find segments, keep those that meet the nadir point, measure them."""
 
 from localiser.edges.bearings import BearingSensor, complete
-from localiser.edges.detectors import DETECTORS, Detector, register
+from localiser.edges.detectors import DETECTORS, Detector, register, registered
 from localiser.edges.find import find_edges, warm_up
 from localiser.edges.foot import FOOT_SIGMA_PX, foot_of_edges
+from localiser.edges.line_detectors import on_ideal_image
 from localiser.edges.mount import mount_error_of_edges
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import PROFILE_OFFSETS_PX
@@ -26,6 +27,8 @@ __all__ = [
     "find_edges",
     "foot_of_edges",
     "mount_error_of_edges",
+    "on_ideal_image",
     "register",
+    "registered",
     "warm_up",
 ]

@@ -17,10 +17,8 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.foot_kernel import changes_loop, sides_loop
 from localiser.edges.undistort import Image
 from localiser.geometry import Array
-from localiser.geometry.compiled import compiled
 
 FOOT_SIGMA_PX = 2.0
 """Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""
@@ -77,9 +75,8 @@ def _evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) ->
     far_step = camera.height / _STEPS_DOWN
     far_px = np.arange(_PLACES_PX[-1], -float(camera.height), -far_step)
     grey = _sides(bottom_px, np.concatenate([_PLACES_PX, far_px]), image, camera)
-    change = compiled(changes_loop)
-    at_end, below = (_size(change(grey, *between)) for between in (_END, _NEAR))
-    far = _size(change(grey, len(_PLACES_PX), grey.shape[1]))
+    at_end, below = (_change(grey[:, slice(*between)]) for between in (_END, _NEAR))
+    far = _change(grey[:, len(_PLACES_PX) :])
     junction = at_end.min(axis=1)
     return {
         "always": np.ones(len(range_m)),
@@ -90,9 +87,14 @@ def _evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) ->
     }
 
 
-def _size(step: Array) -> Array:
-    """Return the logarithm of steps, so that differences do not depend on exposure or light."""
-    return np.asarray(np.log(_FAINT_GREY + step), dtype=np.float64)
+def _change(grey: Array) -> Array:
+    """Return by how much grey values (E, S, 2) change at most between two places and the next two: (E, 2).
+
+    As a logarithm, so that differences do not depend on exposure or light.
+    """
+    pairs = grey[:, :-1] + grey[:, 1:]
+    steps = np.abs(pairs[:, :-2] - pairs[:, 2:]) / 2
+    return np.asarray(np.log(_FAINT_GREY + np.nan_to_num(steps).max(axis=1, initial=0.0)))
 
 
 def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> Array:
@@ -101,6 +103,8 @@ def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> A
     Along the line to the nadir point, taken as straight between few nodes, which no lens bends much; nan from where it
     leaves the image.
     """
+    from scipy.ndimage import map_coordinates
+
     nodes_px = np.linspace(along_px[0], along_px[-1], _NODES)
     a, e = camera.upright_from_pixels(bottom_px).T[:, :, None]
     heights = e + nodes_px / camera.focal_px
@@ -108,8 +112,17 @@ def _sides(bottom_px: Array, along_px: Array, image: Image, camera: Camera) -> A
     nodes = camera.pixels_from_upright(np.stack([a * depth, heights], axis=-1))
     place = (along_px - nodes_px[0]) / (nodes_px[1] - nodes_px[0])
     before = np.minimum(place.astype(np.int64), _NODES - 2)
-    below_end = int(np.argmax(along_px <= 0))
-    return compiled(sides_loop)(image, nodes, before, place - before, _SIDES_PX, below_end)
+    share = (place - before)[:, None]
+    u, v = np.moveaxis(nodes[:, before] * (1 - share) + nodes[:, before + 1] * share, -1, 0)
+    reach = np.abs(_SIDES_PX).max()
+    outside = ~((u >= reach) & (u <= camera.width - 1 - reach) & (v >= 0) & (v <= camera.height - 1))
+    # Where a line has left the image, a lens model may bend it back inside.
+    outside |= np.logical_or.accumulate(outside & (along_px <= 0), axis=1)
+    beside = u[..., None] + _SIDES_PX
+    rows = np.broadcast_to(v[..., None], beside.shape)
+    grey = map_coordinates(image.astype(np.float64), [np.nan_to_num(rows), np.nan_to_num(beside)], order=1)
+    grey[outside] = np.nan
+    return np.asarray(grey.reshape(*u.shape, 2, -1).mean(axis=-1))
 
 
 def _depth(e: Array, camera: Camera) -> Array:

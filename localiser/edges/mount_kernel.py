@@ -1,8 +1,6 @@
-"""Loops over segments, for numba to compile: tilt and roll, which lines are vertical, which segments are one edge."""
+"""Loops over segments, for numba to compile: tilt and roll, and which segments are one edge."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,32 +47,6 @@ def mount_loop(
         if iteration >= iterations[0] - 1 and iteration < iterations[0] + iterations[1] - 1:
             factor = (prior_edges + crooked / tukey[1]) / (prior_edges + says)
     return mean, cov, factor
-
-
-def vertical_loop(
-    miss: Array, variance: Array, crooked_variance: Array, reach: float, prior: float, iterations: int
-) -> Array:
-    """Return how likely lines (S,) are vertical: `vertical_probability`."""
-    count = len(miss)
-    probability = np.empty(count)
-    share, factor = 0.5, 1.0
-    for _ in range(iterations):
-        vertical, crooked = prior / 2, prior
-        says = prior
-        for k in range(count):
-            own = factor * crooked_variance[k]
-            wide = math.sqrt(2 * (variance[k] + own))
-            upright = math.exp(-((miss[k] / wide) ** 2)) / (wide * math.sqrt(math.pi))
-            other = (math.erf((miss[k] + reach) / wide) - math.erf((miss[k] - reach) / wide)) / (4 * reach)
-            upright, other = share * upright, max((1 - share) * other, 1e-300)
-            probability[k] = upright / (upright + other)
-            part = own / (variance[k] + own)
-            expected = part**2 * miss[k] ** 2 + part * variance[k]
-            vertical += probability[k]
-            says += probability[k]
-            crooked += probability[k] * expected / crooked_variance[k]
-        share, factor = vertical / (count + prior), crooked / says
-    return probability
 
 
 def same_edge_loop(

@@ -6,11 +6,9 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.edges.mount import fit_mount, nadir_miss, nadir_miss_of_edges
-from localiser.edges.mount_kernel import vertical_loop
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.geometry import Array
-from localiser.geometry.compiled import compiled
 
 REACH_RAD = float(np.arctan(1 / 8))
 """How far from vertical `columns` looks, a column a block: lines that are not vertical have any direction up to this,
@@ -39,12 +37,25 @@ def vertical_probability(
     others = nadir_miss(rejected, camera, plumb_sigma_rad)
     others = others.take(np.abs(others.corrected(mount)[0]) < REACH_RAD)
     misses, by_mount = zip(pointing.corrected(mount), others.corrected(mount), strict=True)
-    probability = compiled(vertical_loop)(
-        np.concatenate(misses),
-        np.concatenate([pointing.sigma, others.sigma]) ** 2 + np.concatenate(by_mount),
-        np.concatenate([pointing.crooked, others.crooked]) ** 2 + _LEAST_RAD**2,
-        REACH_RAD,
-        _PRIOR_LINES,
-        _ITERATIONS,
-    )
-    return probability[: len(edges)]
+    variance = np.concatenate([pointing.sigma, others.sigma]) ** 2 + np.concatenate(by_mount)
+    crooked_variance = np.concatenate([pointing.crooked, others.crooked]) ** 2 + _LEAST_RAD**2
+    return _responsibility(np.concatenate(misses), variance, crooked_variance)[: len(edges)]
+
+
+def _responsibility(miss: Array, variance: Array, crooked_variance: Array) -> Array:
+    """Return how likely lines (S,) that miss by so much are vertical, by expectation maximisation."""
+    from scipy.special import erf
+
+    vertical, factor = 0.5, 1.0
+    for _ in range(_ITERATIONS):
+        own = factor * crooked_variance
+        wide = np.sqrt(2 * (variance + own))
+        upright = vertical * np.exp(-((miss / wide) ** 2)) / (wide * np.sqrt(np.pi))
+        other = (erf((miss + REACH_RAD) / wide) - erf((miss - REACH_RAD) / wide)) / (4 * REACH_RAD)
+        probability = upright / (upright + np.maximum((1 - vertical) * other, 1e-300))
+        part = own / (variance + own)
+        expected = part**2 * miss**2 + part * variance
+        vertical = (_PRIOR_LINES / 2 + probability.sum()) / (len(miss) + _PRIOR_LINES)
+        crooked = _PRIOR_LINES + (probability * expected / crooked_variance).sum()
+        factor = crooked / (_PRIOR_LINES + probability.sum())
+    return np.asarray(probability)

@@ -5,7 +5,7 @@ from localiser.simulate.edges import EdgeNoise, simulated_edges
 from localiser.simulate.log import SimulatedLog, simulate_log
 from localiser.simulate.render import Scene, expose, render, scene_of
 from localiser.simulate.solids import Solids, clearance_m, solids_of
-from localiser.simulate.structure import Structure, landmarks_of, structure_of, vertical_edges
+from localiser.simulate.structure import Structure, structure_of, vertical_edges
 from localiser.simulate.visible import Visible, visible_landmarks, visible_mask
 from localiser.simulate.world import World, world_of
 
@@ -21,7 +21,6 @@ __all__ = [
     "clearance_m",
     "drive_of",
     "expose",
-    "landmarks_of",
     "odometry_of",
     "render",
     "scene_of",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +31,14 @@ class Columns:
     share: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hits:
+class Hits(NamedTuple):
     """Where C rays meet P solids; distances are along the camera's level axis, so a point is distance·(tan b, 1).
 
-    entry, leave: (P, C) distances, entry inf where a ray misses. side: (P, C) index of the side that it enters by.
+    entry, leave: (P, C) distances, entry inf where a ray misses.
     """
 
     entry: Array
     leave: Array
-    side: NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,22 +79,18 @@ def cast(solids: Solids, camera_pose: Array, tangent: Array) -> Hits:
     gap = offsets - normals @ camera_pose[:2]
     entry = np.full((len(solids), len(tangent)), -np.inf)
     leave = np.full((len(solids), len(tangent)), np.inf)
-    side = np.zeros((len(solids), len(tangent)), dtype=np.intp)
     for k in range(normals.shape[1]):
         speed = (normals[:, k] @ right)[:, None] * tangent + (normals[:, k] @ ahead)[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = gap[:, k, None] / speed
-        enters = (speed < 0) & (distance > entry)
-        entry = np.where(enters, distance, entry)
-        side = np.where(enters, k, side)
+        entry = np.where((speed < 0) & (distance > entry), distance, entry)
         leave = np.where(speed > 0, np.fmin(leave, distance), leave)
         leave = np.where((speed == 0) & (gap[:, k, None] < 0), -np.inf, leave)
     missed = (entry >= leave) | (entry < NEAR_M)
-    return Hits(np.where(missed, np.inf, entry), leave, side)
+    return Hits(np.where(missed, np.inf, entry), leave)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scenery:
+class _Scenery(NamedTuple):
     """Hits, and heights above the camera: bottom, top (P,) of solids, floor < 0, ceiling > 0."""
 
     hits: Hits
@@ -144,8 +139,7 @@ def _groups_by_count(count: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return [group for group in groups if len(group)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Surfaces:
+class _Surfaces(NamedTuple):
     """Surfaces of some rays: of K solids the face at entry, and the top or underside (cap) behind it; all (K, C').
 
     A missing solid has its entry at infinity. low, high, cap: heights above the camera, cap nan where there is none.
@@ -160,17 +154,10 @@ class _Surfaces:
 
 
 def _surfaces(scenery: _Scenery, column: NDArray[np.intp], solid: NDArray[np.intp]) -> _Surfaces:
-    present = solid >= 0
+    entry, leave = (np.where(solid >= 0, distance[solid, column], np.inf) for distance in scenery.hits)
     low, high = scenery.bottom[solid], scenery.top[solid]
-    return _Surfaces(
-        solid=solid,
-        entry=np.where(present, scenery.hits.entry[solid, column], np.inf),
-        leave=np.where(present, scenery.hits.leave[solid, column], np.inf),
-        low=low,
-        high=high,
-        # A top is seen from above, an underside from below; never both.
-        cap=np.where(high < 0, high, np.where(low > 0, low, np.nan)),
-    )
+    # A top is seen from above, an underside from below; never both.
+    return _Surfaces(solid, entry, leave, low, high, np.where(high < 0, high, np.where(low > 0, low, np.nan)))
 
 
 def _stack(

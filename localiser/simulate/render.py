@@ -104,20 +104,16 @@ def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArr
 # -- colouring the level view ------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Samples:
-    """Where samples of the level view lie on their textures: S of them.
-
-    place: (S,) index in the flat view. material: (S,). across_m, up_m: (S,) on the texture. footprint_m: (S,) that a
-    sample stands for. brightness: (S,).
-    """
-
-    place: NDArray[np.intp]
-    material: NDArray[np.intp]
-    across_m: NDArray[np.float32]
-    up_m: NDArray[np.float32]
-    footprint_m: NDArray[np.float32]
-    brightness: NDArray[np.float32]
+Samples = tuple[
+    NDArray[np.intp],
+    NDArray[np.float32],
+    NDArray[np.intp],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+]
+"""Samples of the level view, S of them: index (S,) in the flat view, brightness (S,), and what `Atlas.sample` takes:
+material (S,), where across and up on its texture (S,) m, and the size that a sample stands for (S,) m."""
 
 
 def _level_image(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> Image:
@@ -126,10 +122,8 @@ def _level_image(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> I
     rays = np.zeros((len(columns.tangent), rows, 3), dtype=np.float32)
     flat = rays.reshape(-1, 3)
     for colour in (_upright, _level):
-        samples = colour(scene, pose, columns, spans)
-        colours = scene.atlas.sample(samples.material, samples.across_m, samples.up_m, samples.footprint_m)
-        colours *= samples.brightness[:, None]
-        flat[samples.place] = colours
+        place, brightness, material, across, up, footprint = colour(scene, pose, columns, spans)
+        flat[place] = scene.atlas.sample(material, across, up, footprint) * brightness[:, None]
     first = np.searchsorted(columns.owner, np.arange(scene.view.columns))
     image = rays[first]
     stop = np.append(first[1:], len(columns.owner))
@@ -148,7 +142,7 @@ def _rows_of(view: LevelView, spans: Spans, chosen: NDArray[np.bool_]) -> tuple[
     return span, row, row + np.repeat(spans.column[chosen] * view.rows, count)
 
 
-def _upright(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Samples:
+def _upright(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> Samples:
     """Return samples of faces: along the face from where the ray meets it, upwards with the elevation."""
     chosen = spans.is_upright
     solid, distance = spans.solid[chosen], spans.distance_m[chosen]
@@ -164,21 +158,13 @@ def _upright(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Samp
     footprint = distance / scene.view.per_unit / np.sqrt(np.maximum(facing, 0.05))
     bright = scene.lighting.of_faces(points, normal)
     above = scene.camera.mount.height_m - scene.structure.solids.above_m[solid]
-    material = _materials(scene)[solid]
     span, row, place = _rows_of(scene.view, spans, chosen)
-    elevation = scene.view.elevation_of_rows(row)
-    up = _at(span, above) + _at(span, distance) * elevation
-    return _Samples(
-        place,
-        material[span],
-        _at(span, across),
-        up,
-        _at(span, footprint),
-        _at(span, bright),
-    )
+    up = _at(span, above) + _at(span, distance) * scene.view.elevation_of_rows(row)
+    material = _materials(scene)[solid][span]
+    return place, _at(span, bright), material, _at(span, across), up, _at(span, footprint)
 
 
-def _level(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Samples:
+def _level(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> Samples:
     """Return samples of floor, ceiling, tops and undersides: where the ray meets their height."""
     chosen = ~spans.is_upright
     solid, above = spans.solid[chosen], spans.above_m[chosen]
@@ -201,7 +187,7 @@ def _level(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> _Sample
     middle = (above / scene.view.elevation_of_rows(middle_row))[:, None] * ray + pose[:2]
     bright = _at(span, scene.lighting.of_tops(middle, above > 0))
     bright[is_floor] = scene.lighting.of_floor(x[is_floor], z[is_floor])
-    return _Samples(place, materials[solid][span], cos * x - sin * z, -(sin * x + cos * z), footprint, bright)
+    return place, bright, materials[solid][span], cos * x - sin * z, -(sin * x + cos * z), footprint
 
 
 def _at(index: NDArray[np.intp], values: Array) -> NDArray[np.float32]:

@@ -66,11 +66,6 @@ def vertical_edges(solids: Solids) -> VerticalEdges:
     return VerticalEdges(columns[:, :2], columns[:, 2], columns[:, 3], is_flat)
 
 
-def landmarks_of(world: World) -> LandmarkMap:
-    """Return the landmarks of the world: its vertical edges, merged where they stand within 2 cm of each other."""
-    return structure_of(world).landmark_map
-
-
 def landmark_of_edges(edges: VerticalEdges) -> NDArray[np.int64]:
     """Return for each edge (M,) the landmark that it is part of, counted from 0, or -1 for one that is none."""
     stands = ~edges.is_flat & (edges.top_m - edges.bottom_m >= SHORTEST_M)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
+from hypothesis import given
+from hypothesis import strategies as st
 
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
@@ -33,6 +35,31 @@ def test_derivative_by_tilt_and_roll_is_that_of_finite_differences(tilt_deg, rol
         moved = camera.with_mount(**{name: getattr(camera.mount, name) + step})
         numeric = (nadir_miss(segments, moved, PLUMB_RAD).angle - miss.angle) / step
         np.testing.assert_allclose(miss.per_mount[:, index], numeric, rtol=0.03, atol=0.002)
+
+
+pixels_in_image = st.tuples(st.floats(0, 639), st.floats(0, 479))
+
+
+@given(
+    ends=st.tuples(pixels_in_image, pixels_in_image).filter(lambda ends: abs(ends[0][1] - ends[1][1]) > 5),
+    tilt_deg=st.floats(5, 40),
+    roll_deg=st.floats(-10, 10),
+)
+def test_miss_is_the_angle_to_the_line_through_middle_and_nadir(ends, tilt_deg, roll_deg):
+    camera, ends = camera_of(tilt_deg=tilt_deg, roll_deg=roll_deg), np.array(ends)
+    to_middle = ends.mean(axis=0) - camera.nadir_px
+    across = np.array([to_middle[1], -to_middle[0]]) / np.linalg.norm(to_middle)
+    expected = abs((ends[1] - ends[0]) @ across) / np.linalg.norm(ends[1] - ends[0])
+    for either_way in (ends, ends[::-1]):
+        miss = nadir_miss(Segments.of_ends(either_way[None], 0.3), camera, PLUMB_RAD)
+        assert abs(miss.angle[0]) == pytest.approx(expected, abs=1e-9)
+
+
+def test_miss_is_positive_when_the_top_is_too_far_right():
+    upright, top_right = np.array([[[319.5, 300.0], [319.5, 100.0]]]), np.array([[0, 0], [4, 0]])
+    for sign in (1, -1):
+        miss = nadir_miss(Segments.of_ends(upright + sign * top_right, 0.3), camera_of(), PLUMB_RAD)
+        assert miss.angle[0] == pytest.approx(sign * 4 / 200, rel=0.1)
 
 
 def test_edges_tell_a_wrong_tilt_and_roll_despite_lines_that_are_not_vertical():

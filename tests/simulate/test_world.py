@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from localiser.simulate.drive import truth_of
 from localiser.simulate.solids import clearance_m, solids_of
-from localiser.simulate.structure import landmarks_of, vertical_edges
+from localiser.simulate.structure import structure_of, vertical_edges
 from localiser.simulate.world import World, world_of
 
 WORLDS = sorted((Path(__file__).resolve().parents[2] / "configs" / "worlds").glob("*.yaml"))
@@ -151,7 +151,7 @@ def test_a_closed_door_leaf_fills_its_opening(hinge: str) -> None:
 def test_pictures_are_no_landmarks_but_are_known_to_the_renderer() -> None:
     poster = {"at_m": 2.0, "width_m": 0.6, "bottom_m": 1.0, "top_m": 1.5, "side": "left", "material": "art"}
     bare, hung = ([{"from": [0, 0], "to": [4, 0], "posters": posters}] for posters in ([], [poster]))
-    assert len(landmarks_of(world(walls=hung))) == len(landmarks_of(world(walls=bare)))
+    assert len(structure_of(world(walls=hung)).landmark_map) == len(structure_of(world(walls=bare)).landmark_map)
     edges = vertical_edges(solids_of(world(walls=hung)))
     pictured = edges.points[edges.is_flat]
     assert {round(float(x), 3) for x in pictured[:, 0]} == {1.7, 2.3}
@@ -162,23 +162,23 @@ def test_pictures_are_no_landmarks_but_are_known_to_the_renderer() -> None:
 
 def test_edges_within_two_centimetres_are_one_landmark_in_their_middle() -> None:
     thin = {"x": 0.0, "z": 0.0, "width_m": 1.0, "depth_m": 0.015, "top_m": 1.0, "material": "wall"}
-    landmarks = landmarks_of(world(furniture=[thin]))
+    landmarks = structure_of(world(furniture=[thin])).landmark_map
     assert landmarks.source == ("simulated", "simulated")
     np.testing.assert_allclose(sorted(landmarks.points.tolist()), [[-0.5, 0.0], [0.5, 0.0]], atol=1e-12)
-    thick = landmarks_of(world(furniture=[{**thin, "depth_m": 0.025}]))
+    thick = structure_of(world(furniture=[{**thin, "depth_m": 0.025}])).landmark_map
     assert len(thick) == 4
 
 
 def test_stacked_edges_are_one_landmark_over_the_whole_height() -> None:
     box = {"x": 0.0, "z": 0.0, "width_m": 0.4, "depth_m": 0.4, "top_m": 0.5, "material": "wall"}
-    landmarks = landmarks_of(world(furniture=[box, {**box, "bottom_m": 1.0, "top_m": 1.2}]))
+    landmarks = structure_of(world(furniture=[box, {**box, "bottom_m": 1.0, "top_m": 1.2}])).landmark_map
     assert len(landmarks) == 4
     np.testing.assert_allclose(landmarks.bottom_m, 0.0)
     np.testing.assert_allclose(landmarks.top_m, 1.2)
 
 
 def test_a_world_without_anything_has_no_landmarks() -> None:
-    assert len(landmarks_of(world())) == 0
+    assert len(structure_of(world()).landmark_map) == 0
 
 
 # -- clearance --------------------------------------------------------------------------------------------------------
@@ -196,6 +196,6 @@ def test_clearance_is_the_distance_from_the_nearest_solid_in_the_robots_way() ->
 def test_worlds_that_ship_are_valid(path: Path) -> None:
     shipped = world_of(yaml.safe_load(path.read_text(encoding="utf-8")))
     assert shipped.name == path.stem
-    assert len(landmarks_of(shipped)) > 30
+    assert len(structure_of(shipped).landmark_map) > 30
     way = truth_of(shipped.drive).poses[:, :2]
     assert clearance_m(solids_of(shipped), way, shipped.camera.mount.height_m).min() > 0.2

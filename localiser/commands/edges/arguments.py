@@ -64,12 +64,12 @@ def edges(
 
 
 def _require_detectors(names: list[str]) -> None:
-    from localiser.config import read_config
+    from localiser.edges import registered
 
     for name in names:
         try:
-            read_config(None, [f"edges.detector={name}"])
-        except InputError as error:
-            raise InputError(error.problem, field="--detector") from None
+            registered(name)
+        except ValueError as error:
+            raise InputError(f"{error}, found {name!r}", field="--detector") from None
         if names.count(name) > 1:
             raise InputError(f"expected each detector once, found {name} {names.count(name)} times", field="--detector")
