@@ -2,6 +2,7 @@
 
 from localiser.mapping.align import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, ambiguity, best_spots
+from localiser.mapping.association import TrackParameters
 from localiser.mapping.build import BuildParameters, MapBuilt, build_map, require_association, turn_drift
 from localiser.mapping.check import (
     ENOUGH,
@@ -29,7 +30,7 @@ from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.recorded import ODOMETRY, SLAM, TRUTH, RecordedLog, known_poses, wheels_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
-from localiser.mapping.tracks import TrackParameters, follow
+from localiser.mapping.tracks import follow
 from localiser.mapping.update import Updated, existence_after, updated, with_existence
 from localiser.mapping.votes import COARSE_RAD, landmarks_by_votes
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from localiser.geometry import Array, wrap_angle
 from localiser.geometry.compiled import checked
 from localiser.mapping.align import fitted_motion
+from localiser.mapping.association import looks_alike
 from localiser.mapping.landmarks import Built
-from localiser.mapping.likeness import log_likeness
 from localiser.mapping.sightings import Index
 
 _WINDOW, _STEP = 24, 8  # frames whose landmarks make a group, and how far apart groups begin
@@ -67,7 +67,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _C
     if len(group) < _FEWEST:
         return nothing
     near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
-    looks = log_likeness(built.side[group], built.polarity[group], built.side[older], built.polarity[older])
+    looks = looks_alike(built.side[group, None], built.polarity[group, None], built.side[older], built.polarity[older])
     may_be = near & (looks >= 0)
     older, may_be = older[may_be.any(axis=0)], may_be[:, may_be.any(axis=0)]
     if len(older) < _FEWEST:

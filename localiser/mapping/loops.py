@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.mapping.association import looks_alike
 from localiser.mapping.landmarks import Built
-from localiser.mapping.likeness import log_likeness_of_pairs
 from localiser.mapping.sightings import Index
 
 _GATE = 11.8  # 99.7 % of a Gaussian in the plane
@@ -40,7 +40,7 @@ def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
     if len(one) == 0:
         return np.arange(count)
-    looks = log_likeness_of_pairs(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
+    looks = looks_alike(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
     contrary = np.isneginf(looks)
     fewer, together = _together(frame, built.of[built.used], one, other)
     may = (together <= np.maximum(_TOGETHER_SHARE * fewer, 1)) & ((looks >= _UNLIKE) | contrary)

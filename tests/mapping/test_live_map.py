@@ -152,8 +152,10 @@ def test_jacobians_are_the_derivatives_of_the_predicted_heading(as_point: bool) 
     feature = seen_well() if as_point else started(0, np.array([0.3, -0.2, 0.4]), 0.2, SIGMA, 1.0, 0)
     feature.is_point = as_point
     camera, state, step = np.array([1.0, 0.5, 0.1]), feature.filter.x, 1e-6
-    moved = [(feature._heading(state + d, camera) - feature._heading(state - d, camera)) for d in step * np.eye(2)]
-    assert feature._jacobian(state, camera)[0] == pytest.approx(np.ravel(moved) / (2 * step), abs=1e-6)
+    moved = [
+        feature.prediction(state + d, camera)[0] - feature.prediction(state - d, camera)[0] for d in step * np.eye(2)
+    ]
+    assert feature.prediction(state, camera)[1][0] == pytest.approx(np.ravel(moved) / (2 * step), abs=1e-6)
 
 
 def seen_well(foot_m: float | None = None) -> LiveFeature:
