@@ -1,7 +1,8 @@
 """Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
-from localiser.mapping.align import Alignment, align, matches
-from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, ambiguity, best_spots
+from localiser.mapping.aliasing import Aliasing, find_aliasing
+from localiser.mapping.alignment import Alignment, align, matches
+from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
 from localiser.mapping.association import TrackParameters
 from localiser.mapping.build import BuildParameters, MapBuilt, build_map, require_association, turn_drift
 from localiser.mapping.check import (
@@ -15,13 +16,13 @@ from localiser.mapping.check import (
     in_view,
     log_fit,
 )
+from localiser.mapping.coarse_bearings import COARSE_RAD, landmarks_of_coarse_bearings
 from localiser.mapping.edit import BY_HAND, added, moved, removed
 from localiser.mapping.factors import CONSTANTS, Prior, Wheels
-from localiser.mapping.known import build_from_poses, build_from_votes
+from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.live_map import Followed, LiveMap
 from localiser.mapping.log_edges import cache_folder, edges_of_log
-from localiser.mapping.lookalikes import Lookalikes, lookalikes
 from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
@@ -32,7 +33,6 @@ from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow
 from localiser.mapping.update import Updated, existence_after, updated, with_existence
-from localiser.mapping.votes import COARSE_RAD, landmarks_by_votes
 
 __all__ = [
     "ALIKE",
@@ -44,6 +44,7 @@ __all__ = [
     "ODOMETRY",
     "SLAM",
     "TRUTH",
+    "Aliasing",
     "Alignment",
     "Ambiguity",
     "BuildParameters",
@@ -53,7 +54,6 @@ __all__ = [
     "Followed",
     "LiveMap",
     "LogFit",
-    "Lookalikes",
     "MapBuilt",
     "MappingParameters",
     "Mask",
@@ -68,11 +68,10 @@ __all__ = [
     "added",
     "agreeing",
     "align",
-    "ambiguity",
     "best_spots",
+    "build_from_coarse",
     "build_from_log",
     "build_from_poses",
-    "build_from_votes",
     "build_map",
     "cache_folder",
     "cells_from_map",
@@ -82,6 +81,8 @@ __all__ = [
     "duplicates",
     "edges_of_log",
     "existence_after",
+    "find_aliasing",
+    "find_ambiguity",
     "fit_to_log",
     "follow",
     "fused",
@@ -89,9 +90,8 @@ __all__ = [
     "joined_maps",
     "known_poses",
     "landmark_map_of",
-    "landmarks_by_votes",
+    "landmarks_of_coarse_bearings",
     "log_fit",
-    "lookalikes",
     "map_from_cells",
     "matches",
     "measured_sigma",

@@ -17,8 +17,9 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
+from localiser.mapping.coarse_bearings import COARSE_RAD
 from localiser.mapping.factors import Prior, Wheels
-from localiser.mapping.known import build_from_poses, build_from_votes
+from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.log_edges import edges_of_log
 from localiser.mapping.parameters import MappingParameters
@@ -36,7 +37,6 @@ from localiser.mapping.recorded import (
 from localiser.mapping.sightings import Sightings
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow
-from localiser.mapping.votes import COARSE_RAD
 from localiser.motion import MotionParameters
 
 _LEAST_EXPLAINED = 0.1
@@ -154,7 +154,7 @@ def build_map(
         cameras = camera.pose_in_map(trajectory.poses)
         sigma = measured_sigma(sightings, camera.focal_px, parameters)
         if exact and np.median(sigma) > COARSE_RAD:
-            built = build_from_votes(sightings, cameras, sigma, parameters)
+            built = build_from_coarse(sightings, cameras, sigma, parameters)
         else:
             track = follow(sightings, cameras, turn_sigma, parameters.tracks)
             built = build_from_poses(sightings, track, cameras, sigma, parameters)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping.align import matches
+from localiser.mapping.alignment import matches
 
 Mask = NDArray[np.bool_]
 

@@ -17,15 +17,15 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.geometry import Array, forward, wrap_angle
-from localiser.mapping.constellations import seen_before
-from localiser.mapping.contradictions import without_contradictions
 from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
-from localiser.mapping.feet import Scale, scale_by_feet
-from localiser.mapping.known import with_leftovers
+from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
+from localiser.mapping.from_known_poses import with_leftovers
 from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered, same_groups
-from localiser.mapping.loops import same_landmarks, without_contradicted
+from localiser.mapping.loop_closure import same_landmarks, without_outvoted_tracks
 from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.place_recognition import recognised
 from localiser.mapping.reassociate import reassociate
+from localiser.mapping.score_test import without_contradicting_visits
 from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.smooth import CONVERGED, Smoothed, dead_reckoned, smooth
 from localiser.mapping.tracks import follow
@@ -96,7 +96,7 @@ def build_from_log(
         noise = _POSE_BEARING_RAD
     before = state.poses
     for _ in range(_CONSTELLATION_ROUNDS):
-        joined = seen_before(smoothed.points, built, sightings.frame[built.used])
+        joined = recognised(smoothed.points, built, sightings.frame[built.used])
         if (joined == np.arange(len(built))).all():
             break
         of = numbered(np.where(built.of >= 0, joined[built.of], -1))
@@ -185,9 +185,9 @@ class _Solver:
     ) -> tuple[_Estimate, Built, Smoothed]:
         """Return the estimate after parting tracks and visits from landmarks that they do not fit, until all fit."""
         for _ in range(_PARTING_ROUNDS):
-            parted = without_contradicted(built, smoothed.weight, track)
+            parted = without_outvoted_tracks(built, smoothed.weight, track)
             if (parted == built.of).all():
-                parted = without_contradictions(self._problem(state, built), smoothed, built.of, built.used)
+                parted = without_contradicting_visits(self._problem(state, built), smoothed, built.of, built.used)
             if (parted == built.of).all():
                 break
             of = numbered(long_enough(parted))
@@ -229,7 +229,7 @@ class _Solver:
         # A foot tells the scale only where the distance is known beside.
         placed = built.parallax >= np.deg2rad(self.parameters.parallax_min_deg)
         of = np.where((built.of >= 0) & placed[built.of], built.of, -1)
-        scale = scale_by_feet(self.sightings, of, smoothed.points, state.cameras, known)
+        scale = scale_by_floor_contacts(self.sightings, of, smoothed.points, state.cameras, known)
         if not np.isfinite(scale.sigma):
             return self.prior
         mean, sigma = self.prior.mean.copy(), self.prior.sigma.copy()

@@ -19,7 +19,7 @@ _LEAST_SIGMA_M = 0.008  # from its other side, an edge is the other side of a fr
 _APART_FRAMES = 30  # without a landmark, after which it is visited again
 
 
-def without_contradictions(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
+def without_contradicting_visits(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
     """Return the landmarks `of` (S,) with the visits that contradict their landmarks as landmarks of their own.
 
     used: (K,) the sightings that are the bearings of the problem. Of visits at one time only the worst leaves: it may
