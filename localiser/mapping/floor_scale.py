@@ -1,8 +1,9 @@
 """The scale of a map, by where edges touch the floor: bearings alone never tell how far everything is, in metres.
 
-A camera of known height sees the foot of an edge on the floor under an angle that tells its distance. An edge that ends above the floor (on a skirting board, on a table), or whose foot is hidden, looks as if its foot stood
-farther off than it does, by any amount; none looks nearer. So the ratios of apparent to present distance begin, all at
-once, at the scale.
+A camera of known height sees the foot of an edge on the floor under an angle that tells its distance. An edge that ends
+above the floor (on a skirting board, on a table), or whose foot is hidden, looks as if its foot stood farther off than
+it does, by any amount; none looks nearer. So the ratios of apparent to present distance have a sharp lower limit, and
+that is the scale.
 """
 
 from __future__ import annotations

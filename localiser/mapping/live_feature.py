@@ -16,8 +16,6 @@ from localiser.mapping.sightings import direction_of, per_point
 
 _LINEAR = 0.1
 """Most that `LiveFeature.curvature` may be for a point to be as Gaussian as the inverse distance was: [Civera 2008]."""
-_FOOT_SIGMA = 0.012
-"""How far the apparent distance of a foot may be off, in parts of it: floors are not plane, feet not sharp."""
 
 
 @dataclass(slots=True, eq=False)
@@ -27,8 +25,7 @@ class LiveFeature:
     number: unlike any other's. origin: (2,) camera when it was first seen, under the heading `first`. lowest, highest:
     of its headings from `first`. filter: filterpy's; state (heading, inverse distance) from the origin, or (x, z) once
     `is_point`. evidence: log-odds of it being an edge and not clutter. side, polarity: how it looked last. signs: sum
-    of polarities, count: images that showed it, last: the latest of them, begun: the first. foot: camera (2,), distance
-    and its sigma (m), where its foot was seen best.
+    of polarities, count: images that showed it, last: the latest of them, begun: the first.
     """
 
     number: int
@@ -45,7 +42,6 @@ class LiveFeature:
     count: int = 1
     signs: int = 0
     is_point: bool = False
-    foot: tuple[Array, float, float] | None = None
 
     @property
     def parallax(self) -> float:
@@ -93,14 +89,8 @@ class LiveFeature:
         self.lowest, self.highest = min(self.lowest, turned), max(self.highest, turned)
         self.count += 1
 
-    def see_foot(self, camera: Array, range_m: float, sigma_m: float) -> None:
-        """Keep the best sighting of its foot; what floors and feet are off by does not average out."""
-        sigma = float(np.hypot(sigma_m, _FOOT_SIGMA * range_m))
-        if self.foot is None or sigma < self.foot[2]:
-            self.foot = (camera[:2].copy(), range_m, sigma)
-
-    def become_point(self, gate_sigma: float) -> None:
-        """Turn direction and inverse distance into (x, z), and take in its foot's distance unless bearings disagree."""
+    def become_point(self) -> None:
+        """Turn direction and inverse distance into (x, z)."""
         heading, inverse = self.filter.x
         distance = 1 / inverse
         ahead = forward(heading)
@@ -108,18 +98,6 @@ class LiveFeature:
         self.filter.x = self.origin + distance * ahead
         self.filter.P = jacobian @ self.filter.P @ jacobian.T
         self.is_point = True
-        if self.foot is not None:
-            self._take_foot(*self.foot, gate_sigma)
-
-    def _take_foot(self, camera: Array, range_m: float, sigma_m: float, gate_sigma: float) -> None:
-        """Update by the distance of the foot; an edge that ends above the floor looks too far, and does not pass."""
-        offset = self.filter.x - camera
-        expected = float(np.hypot(*offset))
-        jacobian = (offset / expected)[None]
-        variance = float((jacobian @ self.filter.P @ jacobian.T)[0, 0]) + sigma_m**2
-        if (range_m - expected) ** 2 < gate_sigma**2 * variance:
-            noise = np.array([[sigma_m**2]])
-            self.filter.update(np.array([range_m]), lambda _: jacobian, lambda _: np.array([expected]), R=noise)
 
     def distance2(self, point: Array, cov: Array) -> float:
         """Return the squared Mahalanobis distance of a point (2,) with covariance (2, 2) from it."""

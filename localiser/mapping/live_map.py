@@ -26,7 +26,6 @@ from localiser.mapping.sightings import Index, Sightings
 _MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
 _UNLIKE = -3.0  # log-likelihood ratio of looks below which two features are not one edge
 _ONE_SIGN = 0.6  # four of five sightings show an edge that has a polarity with that one
-_ON_FLOOR = 0.9  # probability of standing on the floor from which a lower end tells a distance
 _WELL_INSIDE = 0.9  # share of the image's width in which an edge is expected to be found
 
 
@@ -160,12 +159,10 @@ class LiveMap:
         return started(self._begun - 1, view.camera, heading, sigma, nearest_m, self._frame)
 
     def _note(self, view: _View, edge: int, feature: LiveFeature) -> None:
-        """Keep how the feature looks in this image, and where its foot is."""
+        """Keep how the feature looks in this image."""
         edges = view.edges
         feature.last, feature.side, feature.polarity = self._frame, view.side[edge], edges.polarity[edge]
         feature.signs += int(edges.polarity[edge])
-        if edges.foot_probability[edge] > _ON_FLOOR:
-            feature.see_foot(view.camera, float(edges.foot_range_m[edge]), float(edges.foot_range_sigma_m[edge]))
 
     def _promoted(self) -> dict[int, LiveFeature]:
         """Make landmarks of what is known well enough; return by their numbers those that are landmarks seen again."""
@@ -173,7 +170,7 @@ class LiveMap:
         for number, feature in enumerate(self._followed):
             if feature.is_point or not self._is_known(feature):
                 continue
-            feature.become_point(self._parameters.tracks.gate_sigma)
+            feature.become_point()
             old = self._same(feature)
             if old is None:
                 self._landmarks.append(feature)
