@@ -49,19 +49,22 @@ def triangulate(landmark: Index, count: int, cameras: Array, direction: Array, s
     stays where the linear solution is.
     """
     points = _linear(landmark, count, cameras, direction, sigma)
-    damping, cost = np.full(count, _DAMPING), misfit(points, landmark, cameras, direction, sigma)
+    active, damping = np.arange(count), np.full(count, _DAMPING)
+    own, rays = landmark, [cameras[:, :2], direction, sigma]  # of the landmarks that still move
     for _ in range(_ITERATIONS):
-        residual, jacobian, weight = _linearised(points, landmark, cameras, direction, sigma)
-        normal, gradient = _normal(landmark, count, residual / sigma, jacobian / sigma[:, None], weight)
+        at, noise = points[active], rays[-1]
+        residual, jacobian, weight = _linearised(at, own, *rays)
+        normal, gradient = _normal(own, len(active), residual / noise, jacobian / noise[:, None], weight)
         diagonal = np.einsum("lii->li", normal)[:, :, None] * np.eye(2) + 1e-9 * np.eye(2)
         step = _solve(normal + damping[:, None, None] * diagonal, gradient)
-        after = misfit(points + step, landmark, cameras, direction, sigma)
-        better = after < cost
-        points, cost = np.where(better[:, None], points + step, points), np.where(better, after, cost)
-        done = (np.hypot(step[:, 0], step[:, 1]) < _SMALL_M) | (~better & (damping > _MOST_DAMPING))
-        if done.all():
+        better = misfit(at + step, own, *rays) < _cost(own, len(active), residual / noise)
+        points[active] = np.where(better[:, None], at + step, at)
+        moves = (np.hypot(step[:, 0], step[:, 1]) >= _SMALL_M) & (better | (damping <= _MOST_DAMPING))
+        if not moves.any():
             break
-        damping = np.where(better, damping / 10, damping * 10)
+        damping, active = np.where(better, damping / 10, damping * 10)[moves], active[moves]
+        kept = moves[own]
+        own, rays = (np.cumsum(moves) - 1)[own[kept]], [column[kept] for column in rays]
     residual, jacobian, weight = _linearised(points, landmark, cameras, direction, sigma)
     normal, _ = _normal(landmark, count, residual / sigma, jacobian / sigma[:, None], weight)
     depth = ((points[landmark] - cameras[:, :2]) * forward(direction)).sum(axis=1)
@@ -95,8 +98,12 @@ def _linearised(
 def misfit(points: Array, landmark: Index, cameras: Array, direction: Array, sigma: Array) -> Array:
     """Return the robust cost (L,) of landmarks at `points` (L, 2); the bearings as in `triangulate`."""
     predicted, _ = direction_of(points[landmark], cameras)
-    scaled = wrap_angle(direction - predicted) / sigma
-    return np.asarray(np.bincount(landmark, CAUCHY**2 * np.log1p((scaled / CAUCHY) ** 2), len(points)))
+    return _cost(landmark, len(points), wrap_angle(direction - predicted) / sigma)
+
+
+def _cost(landmark: Index, count: int, scaled: Array) -> Array:
+    """Return the robust cost (L,) of residuals (K,) in sigmas."""
+    return np.asarray(np.bincount(landmark, CAUCHY**2 * np.log1p((scaled / CAUCHY) ** 2), count))
 
 
 def _normal(landmark: Index, count: int, residual: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
