@@ -3,7 +3,6 @@
 from localiser.mapping.aliasing import Aliasing, find_aliasing
 from localiser.mapping.alignment import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
-from localiser.mapping.association import TrackParameters
 from localiser.mapping.build import BuildParameters, MapBuilt, build_map, require_association, turn_drift
 from localiser.mapping.check import (
     ENOUGH,
@@ -16,34 +15,28 @@ from localiser.mapping.check import (
     in_view,
     log_fit,
 )
-from localiser.mapping.coarse_bearings import COARSE_RAD, landmarks_of_coarse_bearings
-from localiser.mapping.edit import BY_HAND, added, moved, removed
-from localiser.mapping.factors import CONSTANTS, Prior, Wheels
+from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
+from localiser.mapping.edit import added, moved, removed
+from localiser.mapping.factors import Prior, Wheels
 from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
-from localiser.mapping.live_map import Followed, LiveMap
+from localiser.mapping.live_map import LiveMap
 from localiser.mapping.log_edges import cache_folder, edges_of_log
 from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks
 from localiser.mapping.quality import landmark_map_of
-from localiser.mapping.recorded import ODOMETRY, SLAM, TRUTH, RecordedLog, known_poses, wheels_of
+from localiser.mapping.recorded import RecordedLog, known_poses, wheels_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow
-from localiser.mapping.update import Updated, existence_after, updated, with_existence
+from localiser.mapping.update import updated
 
 __all__ = [
     "ALIKE",
-    "BY_HAND",
-    "COARSE_RAD",
-    "CONSTANTS",
     "ENOUGH",
     "MOST_CELLS",
-    "ODOMETRY",
-    "SLAM",
-    "TRUTH",
     "Aliasing",
     "Alignment",
     "Ambiguity",
@@ -51,7 +44,6 @@ __all__ = [
     "Built",
     "Coverage",
     "FloorPlan",
-    "Followed",
     "LiveMap",
     "LogFit",
     "MapBuilt",
@@ -62,8 +54,6 @@ __all__ = [
     "Sightings",
     "Slam",
     "Spot",
-    "TrackParameters",
-    "Updated",
     "Wheels",
     "added",
     "agreeing",
@@ -80,7 +70,6 @@ __all__ = [
     "doubtful",
     "duplicates",
     "edges_of_log",
-    "existence_after",
     "find_aliasing",
     "find_ambiguity",
     "fit_to_log",
@@ -104,5 +93,4 @@ __all__ = [
     "turn_drift",
     "updated",
     "wheels_of",
-    "with_existence",
 ]
