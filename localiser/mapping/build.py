@@ -71,8 +71,8 @@ class BuildParameters:
 class MapBuilt:
     """A map, and how it came about.
 
-    trajectory: robot poses at the frames used, whose edges are in `sightings`. built: all landmarks that were tried, of
-    which the map holds those worth keeping. slam: what else was found out where poses were not known.
+    trajectory: robot poses at the frames used. sightings: the edges of these. built: all landmarks that were tried; the
+    map holds those worth keeping. slam: what else was found out where poses were not known.
     """
 
     landmark_map: LandmarkMap

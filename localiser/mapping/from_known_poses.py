@@ -28,7 +28,7 @@ def build_from_poses(
 
 
 def build_from_coarse(sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
-    """Return the landmarks of bearings too coarse to be followed, from cameras (T, 3) whose poses are true."""
+    """Return the landmarks of bearings too coarse to be followed, from cameras (T, 3) at true poses."""
     of = landmarks_of_coarse_bearings(sightings, cameras, sigma, parameters.range_max_m)
     return fitted(sightings, numbered(long_enough(of)), cameras, sigma)
 

@@ -1,7 +1,7 @@
 """Tracks become landmarks: triangulate, join what is one edge, until nothing changes.
 
-The unit of association is the track: a single edge matches some landmark by chance rather often, a run of edges whose
-directions change as those of one point does not.
+The unit of association is the track: a single edge matches some landmark by chance rather often. A run of edges with
+directions that change as those of one point does not.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Where two landmarks are believed to be is uncertain by the drift of the robot between, but most of that is common to all
 landmarks seen at the same time. The joint covariance of the smoother knows it: the distance of a pair is measured in
-sigmas of their difference. Pairs whose difference is best known go first; each closure makes the others more certain.
+sigmas of their difference. Pairs with the best known difference go first; each closure makes the others more certain.
 """
 
 from __future__ import annotations

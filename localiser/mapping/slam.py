@@ -1,4 +1,4 @@
-"""A map from a log alone: where the robot was and where the landmarks stand, both unknown.
+"""SLAM: a map from a log alone, with robot poses and landmarks both unknown.
 
 1. Follow edges, with poses from the wheels; smooth; follow again with the better poses and narrower gates, until gates
    are as narrow as true poses allow. What wheels misjudge from frame to frame is gone then, what adds up is not.
@@ -226,7 +226,7 @@ class _Solver:
         present = np.log1p(state.constants[0])
         # Distances that grow by a factor make the wheels' scale fall by it; the wheels are taken to be about right.
         known = Scale(float(present), float(self.prior.sigma[0]))
-        # A foot tells the scale only where the distance is known beside.
+        # A foot tells the scale only where parallax tells the distance, too.
         placed = built.parallax >= np.deg2rad(self.parameters.parallax_min_deg)
         of = np.where((built.of >= 0) & placed[built.of], built.of, -1)
         scale = scale_by_floor_contacts(self.sightings, of, smoothed.points, state.cameras, known)

@@ -43,7 +43,7 @@ class Triangulated:
 
 
 def triangulate(landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array) -> Triangulated:
-    """Return `count` landmarks (L) from bearings (K): landmark (K,) says whose, cameras (K, 2+) where from.
+    """Return `count` landmarks (L) from bearings (K): landmark (K,): which one each is of, cameras (K, 2+): from where.
 
     direction, sigma: (K,) rad, headings in the map. A landmark without two different bearings has no information and
     stays where the linear solution is.
