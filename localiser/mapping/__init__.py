@@ -3,7 +3,7 @@
 from localiser.mapping.aliasing import Aliasing, find_aliasing
 from localiser.mapping.alignment import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
-from localiser.mapping.build import BuildParameters, MapBuilt, build_map, require_association, turn_drift
+from localiser.mapping.build import BuildParameters, MapBuilt, build_map
 from localiser.mapping.check import (
     ENOUGH,
     Coverage,
@@ -22,6 +22,7 @@ from localiser.mapping.from_known_poses import build_from_coarse, build_from_pos
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.live_map import LiveMap
 from localiser.mapping.log_edges import cache_folder, edges_of_log
+from localiser.mapping.mappable import require_association, turn_drift
 from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
