@@ -1,8 +1,9 @@
 """Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
-from localiser.mapping.align import Alignment, align, matches
-from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, ambiguity, best_spots
-from localiser.mapping.build import BuildParameters, MapBuilt, build_map, require_association, turn_drift
+from localiser.mapping.aliasing import Aliasing, find_aliasing
+from localiser.mapping.alignment import Alignment, align, matches
+from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
+from localiser.mapping.build import BuildParameters, MapBuilt, build_map
 from localiser.mapping.check import (
     ENOUGH,
     Coverage,
@@ -14,45 +15,38 @@ from localiser.mapping.check import (
     in_view,
     log_fit,
 )
-from localiser.mapping.edit import BY_HAND, added, moved, removed
-from localiser.mapping.factors import CONSTANTS, Prior, Wheels
-from localiser.mapping.known import build_from_poses, build_from_votes
+from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
+from localiser.mapping.edit import added, moved, removed
+from localiser.mapping.factors import Prior, Wheels
+from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
-from localiser.mapping.live_map import Followed, LiveMap
+from localiser.mapping.live_map import LiveMap
 from localiser.mapping.log_edges import cache_folder, edges_of_log
-from localiser.mapping.lookalikes import Lookalikes, lookalikes
+from localiser.mapping.mappable import require_association, turn_drift
 from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks
 from localiser.mapping.quality import landmark_map_of
-from localiser.mapping.recorded import ODOMETRY, SLAM, TRUTH, RecordedLog, known_poses, wheels_of
+from localiser.mapping.recorded import RecordedLog, known_poses, wheels_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
-from localiser.mapping.tracks import TrackParameters, follow
-from localiser.mapping.update import Updated, existence_after, updated, with_existence
-from localiser.mapping.votes import COARSE_RAD, landmarks_by_votes
+from localiser.mapping.tracks import follow
+from localiser.mapping.update import updated
 
 __all__ = [
     "ALIKE",
-    "BY_HAND",
-    "COARSE_RAD",
-    "CONSTANTS",
     "ENOUGH",
     "MOST_CELLS",
-    "ODOMETRY",
-    "SLAM",
-    "TRUTH",
+    "Aliasing",
     "Alignment",
     "Ambiguity",
     "BuildParameters",
     "Built",
     "Coverage",
     "FloorPlan",
-    "Followed",
     "LiveMap",
     "LogFit",
-    "Lookalikes",
     "MapBuilt",
     "MappingParameters",
     "Mask",
@@ -61,17 +55,14 @@ __all__ = [
     "Sightings",
     "Slam",
     "Spot",
-    "TrackParameters",
-    "Updated",
     "Wheels",
     "added",
     "agreeing",
     "align",
-    "ambiguity",
     "best_spots",
+    "build_from_coarse",
     "build_from_log",
     "build_from_poses",
-    "build_from_votes",
     "build_map",
     "cache_folder",
     "cells_from_map",
@@ -80,7 +71,8 @@ __all__ = [
     "doubtful",
     "duplicates",
     "edges_of_log",
-    "existence_after",
+    "find_aliasing",
+    "find_ambiguity",
     "fit_to_log",
     "follow",
     "fused",
@@ -88,9 +80,8 @@ __all__ = [
     "joined_maps",
     "known_poses",
     "landmark_map_of",
-    "landmarks_by_votes",
+    "landmarks_of_coarse_bearings",
     "log_fit",
-    "lookalikes",
     "map_from_cells",
     "matches",
     "measured_sigma",
@@ -103,5 +94,4 @@ __all__ = [
     "turn_drift",
     "updated",
     "wheels_of",
-    "with_existence",
 ]

@@ -18,6 +18,7 @@ from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map, wrap_angle
 from localiser.geometry.compiled import checked
 from localiser.landmarks import LandmarkMap, SightParameters
+from localiser.mapping.ambiguity_kernel import search_loop
 
 ALIKE = 1.0
 """Two poses look alike when one image tells less (nats) than a single landmark does that only one of them has."""
@@ -28,7 +29,7 @@ _GATES_RAD = np.deg2rad([10.0, 10.0, 7.0, 5.0, 3.5, 2.5, 1.7, 1.2, 1.0, 1.0])  #
 _HEADINGS, _EVERY = 24, 2  # headings that are compared with; every second one is asked for
 _BIN_RAD = np.deg2rad(2.5)
 _APART_M, _TURNED_RAD = 1.0, np.deg2rad(30.0)  # what is nearer and turned by less is no other place
-_RIVALS = 6  # for each pose, looked at closely
+_ALTERNATIVES = 6  # for each pose, looked at closely
 _WORTH_A_LOOK = 4.0  # times `ALIKE`: the grid's own places are not quite where poses look most alike
 _AT_ONCE = 256
 _SPOT_APART_M = 1.0
@@ -61,23 +62,23 @@ class Spot:
     alike_share: float
 
 
-def ambiguity(landmark_map: LandmarkMap, camera: Camera, places: Array) -> Ambiguity:
+def find_ambiguity(landmark_map: LandmarkMap, camera: Camera, places: Array) -> Ambiguity:
     """Return what looks like what, from places (P, 2), at headings all round. Walls hide nothing here."""
     angles = wrap_angle(2 * np.pi * np.arange(_HEADINGS) / _HEADINGS)
     others = np.concatenate([np.repeat(places, _HEADINGS, axis=0), np.tile(angles, len(places))[:, None]], axis=1)
     poses = others.reshape(len(places), _HEADINGS, 3)[:, ::_EVERY].reshape(-1, 3)
-    rivals, blurred = _rivals(poses, others, landmark_map, camera)
+    alternatives, blurred = _alternatives(poses, others, landmark_map, camera)
     points, polarity = landmark_map.points, landmark_map.polarity.astype(np.int64)
     sigma, start_sigma = np.sqrt(2.0) * _SIGMA_RAD, np.array([_step(places), _step(places), _BLUR_RAD])
     limits, density = _limits(camera), _density(camera)
     first = blurred.argmin(axis=1)
     rows = np.arange(len(poses))
-    twins, nats = others[rivals[rows, first]], blurred[rows, first]
+    twins, nats = others[alternatives[rows, first]], blurred[rows, first]
     close = np.full(len(poses), np.inf)
-    for column in range(rivals.shape[1]):
+    for column in range(alternatives.shape[1]):
         # Blurred bearings part poses no better than sharp ones do: what they part is not looked at again.
         row = np.flatnonzero(blurred[:, column] < _WORTH_A_LOOK * ALIKE)
-        start = others[rivals[row, column]]
+        start = others[alternatives[row, column]]
         found, apart = checked(search_loop)(
             poses[row], start, points, polarity, limits, _GATES_RAD, start_sigma, sigma, density, _FOUND
         )
@@ -148,21 +149,23 @@ def _step(places: Array) -> float:
 # -- all against all, with bearings blurred ----------------------------------------------------------------------------
 
 
-def _rivals(poses: Array, others: Array, landmark_map: LandmarkMap, camera: Camera) -> tuple[NDArray[np.int64], Array]:
+def _alternatives(
+    poses: Array, others: Array, landmark_map: LandmarkMap, camera: Camera
+) -> tuple[NDArray[np.int64], Array]:
     """Return which of the others (M, 3) look most like each pose (N, R), and by how much (N, R); not its own place."""
     asked, compared = (_intensity(part, landmark_map, camera) for part in (poses, others))
     log_compared, total = np.log(compared), compared.sum(axis=1)
-    count = min(_RIVALS, len(others))
+    count = min(_ALTERNATIVES, len(others))
     own = (asked * np.log(asked)).sum(axis=1) - asked.sum(axis=1)
-    rivals, nats = np.zeros((len(poses), count), dtype=np.int64), np.zeros((len(poses), count))
+    alternatives, nats = np.zeros((len(poses), count), dtype=np.int64), np.zeros((len(poses), count))
     for first in range(0, len(poses), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         apart = total[None] - asked[part] @ log_compared.T
         # A little farther off than another place must be, so that the search does not end where it began.
         apart[_same_place(poses[part, None], others[None], 1.5)] = np.inf
-        rivals[part] = np.argpartition(apart, count - 1, axis=1)[:, :count]
-        nats[part] = np.take_along_axis(apart, rivals[part], axis=1) + own[part, None]
-    return rivals, nats
+        alternatives[part] = np.argpartition(apart, count - 1, axis=1)[:, :count]
+        nats[part] = np.take_along_axis(apart, alternatives[part], axis=1) + own[part, None]
+    return alternatives, nats
 
 
 def _same_place(poses: Array, others: Array, share: float) -> NDArray[np.bool_]:
@@ -186,77 +189,3 @@ def _intensity(poses: Array, landmark_map: LandmarkMap, camera: Camera) -> NDArr
         for sign, channel in ((1, 0), (-1, 1)):
             result[seen, channel] += _FOUND * (0.5 if polarity == 0 else float(polarity == sign)) * bump
     return result.reshape(len(poses), -1)
-
-
-# -- the likeliest, closely --------------------------------------------------------------------------------------------
-
-
-def search_loop(  # noqa: PLR0912  (numba compiles one loop best)
-    poses: Array,
-    starts: Array,
-    points: Array,
-    polarity: NDArray[np.int64],
-    limits: Array,
-    gates: Array,
-    start_sigma: Array,
-    sigma: float,
-    density: float,
-    found: float,
-) -> tuple[Array, Array]:
-    """Return the poses (N, 3) near `starts` that look most like `poses`, and the nats (N,) that part the two.
-
-    Each landmark of the view is matched with the nearest that the other pose shows, which is then moved to where all
-    fit best, by damped Gauss-Newton; again for each of the gates (rad). limits: as `_limits`. start_sigma: (3,) how far
-    a start may be off. Plain loops, for numba to compile.
-    """
-    twins, nats = starts.copy(), np.empty(len(poses))
-    z, sign = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
-    b, slope, which = np.empty(len(points)), np.empty((len(points), 3)), np.empty(len(points), dtype=np.int64)
-    peak = found / (sigma * np.sqrt(2 * np.pi))
-    for n in range(len(poses)):
-        seen, own = 0, 0.0
-        for step in range(len(gates) + 2):
-            # First the pose itself is looked from, last the twin once more, to see how alike the two are.
-            pose = poses[n] if step == 0 else twins[n]
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
-            shown = 0
-            for k in range(len(points)):
-                dx, dz = points[k, 0] - pose[0], points[k, 1] - pose[1]
-                right, ahead = cos * dx - sin * dz, -(sin * dx + cos * dz)
-                square = dx * dx + dz * dz
-                inside = ahead > 0 and abs(right) < ahead * limits[0]
-                if inside and square > limits[1] ** 2 and square < limits[2] ** 2:
-                    b[shown], which[shown] = np.arctan2(right, ahead), k
-                    # Heading - bearing is the direction atan2(-dx, -dz) of the landmark in the map.
-                    slope[shown] = np.array([dz / square, -dx / square, 1.0])
-                    shown += 1
-            if step == 0:
-                seen = shown
-                z[:shown] = b[:shown]
-                for i in range(shown):
-                    sign[i] = polarity[which[i]]
-            if step == 0 or step == len(gates) + 1:
-                likely = -found * shown
-                for i in range(seen):
-                    there = density
-                    for j in range(shown):
-                        if sign[i] * polarity[which[j]] >= 0:
-                            there += peak * np.exp(-0.5 * ((z[i] - b[j]) / sigma) ** 2)
-                    likely += found * np.log(there)
-                own, nats[n] = (likely, 0.0) if step == 0 else (own, own - likely)
-                continue
-            gate = gates[step - 1]
-            normal, right_side = np.diag((gate / start_sigma) ** 2), np.zeros(3)
-            for i in range(seen):
-                nearest, match = gate, -1
-                for j in range(shown):
-                    if abs(z[i] - b[j]) < nearest and sign[i] * polarity[which[j]] >= 0:
-                        nearest, match = abs(z[i] - b[j]), j
-                if match >= 0:
-                    for row in range(3):
-                        right_side[row] += slope[match, row] * (z[i] - b[match])
-                        for column in range(3):
-                            normal[row, column] += slope[match, row] * slope[match, column]
-            twins[n] += np.linalg.solve(normal, right_side)
-        twins[n, 2] = (twins[n, 2] + np.pi) % (2 * np.pi) - np.pi
-    return twins, nats

@@ -17,10 +17,12 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.mapping.factors import Prior, Wheels
-from localiser.mapping.known import build_from_poses, build_from_votes
+from localiser.mapping.coarse_bearings import COARSE_RAD
+from localiser.mapping.factors import Prior
+from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.log_edges import edges_of_log
+from localiser.mapping.mappable import require_association, require_landmarks, require_motion
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.recorded import (
@@ -36,15 +38,9 @@ from localiser.mapping.recorded import (
 from localiser.mapping.sightings import Sightings
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow
-from localiser.mapping.votes import COARSE_RAD
 from localiser.motion import MotionParameters
 
-_LEAST_EXPLAINED = 0.1
-"""Share of a log's edges below which its landmarks may be chance: poses that are free bend to fit some clutter."""
-_MOST_DRIFT_RAD = np.deg2rad(8.0)
-"""Heading error of the wheels in a full turn that coarse bearings still tell from the next landmark; see the docs."""
 _FEWEST_FRAMES = 2
-_STANDING_M = 0.05
 
 
 class BuildSettings(Protocol):
@@ -71,8 +67,8 @@ class BuildParameters:
 class MapBuilt:
     """A map, and how it came about.
 
-    trajectory: robot poses at the frames used, whose edges are in `sightings`. built: all landmarks that were tried, of
-    which the map holds those worth keeping. slam: what else was found out where poses were not known.
+    trajectory: robot poses at the frames used. sightings: the edges of these. built: all landmarks that were tried; the
+    map holds those worth keeping. slam: what else was found out where poses were not known.
     """
 
     landmark_map: LandmarkMap
@@ -124,7 +120,7 @@ def build_map(
             field="--poses",
         )
     trajectory = known.sampled(t_ns[inside])
-    _require_motion(log, trajectory)
+    require_motion(log, trajectory)
     exact = name not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
     if watch is not None:
@@ -154,7 +150,7 @@ def build_map(
         cameras = camera.pose_in_map(trajectory.poses)
         sigma = measured_sigma(sightings, camera.focal_px, parameters)
         if exact and np.median(sigma) > COARSE_RAD:
-            built = build_from_votes(sightings, cameras, sigma, parameters)
+            built = build_from_coarse(sightings, cameras, sigma, parameters)
         else:
             track = follow(sightings, cameras, turn_sigma, parameters.tracks)
             built = build_from_poses(sightings, track, cameras, sigma, parameters)
@@ -162,97 +158,8 @@ def build_map(
     landmark_map = landmark_map_of(
         sightings, built, cameras, sigma, camera, parameters, log.name, f"{log.name}, poses: {name}"
     )
-    _require_landmarks(log, landmark_map, sightings, built, parameters)
+    require_landmarks(log, landmark_map, sightings, built, parameters)
     result = MapBuilt(landmark_map, trajectory, sightings, built, slam)
     if watch is not None:
         watch.finish(result)
     return result
-
-
-def _require_motion(log: RecordedLog, trajectory: Trajectory) -> None:
-    moved = trajectory.poses[:, :2] - trajectory.poses[0, :2]
-    farthest = float(np.hypot(moved[:, 0], moved[:, 1]).max())
-    if farthest < _STANDING_M:
-        raise InputError(
-            f"expected a robot that drives, found one that stays within {farthest:.3f} m: without motion an edge is "
-            "seen from one side only, and its distance cannot be told",
-            path=log.path,
-        )
-
-
-def require_association(path: Path, sightings: Sightings, wheels: Wheels) -> None:
-    """Raise InputError when bearings are too coarse, and wheels too bad, to tell which landmark was seen.
-
-    A robot meets its landmarks again when it has turned round. Coarse bearings (median over `COARSE_RAD`) are
-    not followed from image to image reliably, so that wheels must say by then which landmark is which.
-    """
-    sigma = float(np.median(sightings.sigma))
-    drift = turn_drift(wheels)
-    if sigma > COARSE_RAD and drift > _MOST_DRIFT_RAD:
-        raise InputError(
-            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, or wheels whose heading is good to "
-            f"{np.rad2deg(_MOST_DRIFT_RAD):g}° after a full turn; found {np.rad2deg(sigma):.1f}° and "
-            f"{np.rad2deg(drift):.0f}° (motion.alpha1, motion.alpha2): nothing tells which landmark was seen, and the "
-            f"map would be wrong; --poses {TRUTH} or the trajectory of another program makes one",
-            path=path,
-            field="--poses",
-        )
-
-
-def turn_drift(wheels: Wheels) -> float:
-    """Return how far (rad, one sigma) the wheels' heading is off after a full turn, or at the end if that is sooner."""
-    turned = float(np.abs(wheels.motion[:, 2]).sum())
-    return float(np.sqrt(wheels.cov[:, 2, 2].sum() * min(1.0, 2 * np.pi / max(turned, 1e-9))))
-
-
-def _require_landmarks(
-    log: RecordedLog,
-    landmark_map: LandmarkMap,
-    sightings: Sightings,
-    built: Built,
-    parameters: MappingParameters,
-) -> None:
-    """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
-    if not len(landmark_map):
-        raise nothing_built(log, built, parameters)
-    assert landmark_map.quality is not None
-    explained = float(landmark_map.quality.sightings.sum()) / len(sightings)
-    if explained >= _LEAST_EXPLAINED:
-        return
-    narrow = (built.count >= parameters.sightings_min) & (np.rad2deg(built.parallax) < parameters.parallax_min_deg)
-    one_sided = float(built.count[narrow].sum()) / len(sightings)
-    if one_sided > 0.5:
-        raise _too_little_parallax(log, parameters, f"that {100 * one_sided:.0f} % of the edges are not")
-    raise InputError(
-        f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
-        "of the edges: what the images show is clutter, or the poses do not fit them",
-        path=log.path,
-    )
-
-
-def nothing_built(log: RecordedLog, built: Built, parameters: MappingParameters) -> InputError:
-    """Return the error that says why no landmark came out."""
-    followed = built.count >= parameters.sightings_min
-    if not followed.any():
-        most = int(built.count.max(initial=0))
-        return InputError(
-            f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
-            f"(at most {most}): what the images show is clutter, or too few of them overlap",
-            path=log.path,
-        )
-    widest = float(np.rad2deg(built.parallax[followed].max()))
-    if widest < parameters.parallax_min_deg:
-        return _too_little_parallax(log, parameters, f"at most {widest:.1f}°")
-    return InputError(
-        "expected edges that are found again where they should be, found none likely enough to exist: what the images "
-        "show is clutter, or the poses do not fit them",
-        path=log.path,
-    )
-
-
-def _too_little_parallax(log: RecordedLog, parameters: MappingParameters, found: str) -> InputError:
-    return InputError(
-        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found {found}: "
-        "too little parallax to tell distances; drive past things, not only towards them",
-        path=log.path,
-    )

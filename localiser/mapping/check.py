@@ -31,9 +31,9 @@ _AT_ONCE = 4096  # poses whose views are worked out together
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogFit:
-    """How a map's landmarks (L) fit the edges of a log whose poses are known.
+    """How a map's landmarks (L) fit the edges of a log with known poses.
 
-    expected: (L,) frames whose view they lie in; a wall may hide them from it. found: (L,) frames with an edge there.
+    expected: (L,) frames that have them in view; a wall may hide them from it. found: (L,) frames with an edge there.
     rms_rad: (L,) root mean square of the edges' distance from where they should be, nan where none was found.
     explained: share of all edges that have a landmark.
     """

@@ -1,4 +1,4 @@
-"""What wheels, bearings and priors say of poses and landmarks: residuals and their derivatives, as arrays.
+"""Factors of the SLAM problem: residuals of wheels, bearings and priors, and their derivatives, as arrays.
 
 Every residual is measured minus predicted, in sigmas. Variables: poses but the first, constants, landmarks.
 """

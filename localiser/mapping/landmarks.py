@@ -1,7 +1,7 @@
 """Tracks become landmarks: triangulate, join what is one edge, until nothing changes.
 
-The unit of association is the track: a single edge matches some landmark by chance rather often, a run of edges whose
-directions change as those of one point does not.
+The unit of association is the track: a single edge matches some landmark by chance rather often. A run of edges with
+directions that change as those of one point does not.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
-from localiser.mapping.likeness import log_likeness
+from localiser.mapping.association import looks_alike
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings, direction_of
 from localiser.mapping.triangulate import Triangulated, triangulate
@@ -105,12 +105,13 @@ def _join(built: Built, parameters: MappingParameters) -> Index:
     """
     one, other = _near(built, parameters)
     chi2 = _distance2(built, one, other, parameters)
+    looks = looks_alike(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
     order = np.argsort(chi2, kind="stable")
-    order = order[chi2[order] < _JOIN_CHI2]
+    order = order[(chi2[order] < _JOIN_CHI2) & (looks[order] > _UNLIKE)]
     number = np.arange(len(built))
     taken = np.zeros(len(built), dtype=bool)
     for i, j in zip(one[order], other[order], strict=True):
-        if not (taken[i] or taken[j]) and _alike(built, i, j):
+        if not (taken[i] or taken[j]):
             taken[i] = taken[j] = True
             number[j] = i
     return number
@@ -136,11 +137,6 @@ def _near(built: Built, parameters: MappingParameters) -> tuple[Index, Index]:
     pairs = np.sort(np.stack([vaguer, other])[:, near & (vaguer != other)], axis=0)
     one, other = np.unique(pairs, axis=1)
     return certain[one], certain[other]
-
-
-def _alike(built: Built, one: int, other: int) -> bool:
-    looks = log_likeness(built.side[[one]], built.polarity[[one]], built.side[[other]], built.polarity[[other]])
-    return bool(looks[0, 0] > _UNLIKE)
 
 
 def _distance2(built: Built, one: Index, other: Index, parameters: MappingParameters) -> Array:

@@ -1,7 +1,6 @@
 """One vertical edge of the building as it becomes known while driving: an extended Kalman filter of its own.
 
-It begins as a direction from where it was first seen and an inverse distance along it, nearly linear in what a camera
-measures even while the distance is unknown [Civera, Davison, Montiel 2008]. With parallax enough it becomes a point.
+It begins with the inverse-depth model, see `inverse_depth`. With parallax enough it becomes a point.
 """
 
 from __future__ import annotations
@@ -12,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from localiser.geometry import Array, forward, wrap_angle
+from localiser.mapping.inverse_depth import first_state, predicted
 from localiser.mapping.sightings import direction_of, per_point
 
 _LINEAR = 0.1
 """Most that `LiveFeature.curvature` may be for a point to be as Gaussian as the inverse distance was: [Civera 2008]."""
-_FOOT_SHARE = 0.012
-"""How far the apparent distance of a foot may be off, as a share: floors are not plane, feet not sharp."""
 
 
 @dataclass(slots=True, eq=False)
@@ -27,8 +25,7 @@ class LiveFeature:
     number: unlike any other's. origin: (2,) camera when it was first seen, under the heading `first`. lowest, highest:
     of its headings from `first`. filter: filterpy's; state (heading, inverse distance) from the origin, or (x, z) once
     `is_point`. evidence: log-odds of it being an edge and not clutter. side, polarity: how it looked last. signs: sum
-    of polarities, count: images that showed it, last: the latest of them, begun: the first. foot: camera (2,), distance
-    and its sigma (m), where its foot was seen best.
+    of polarities, count: images that showed it, last: the latest of them, begun: the first.
     """
 
     number: int
@@ -45,7 +42,6 @@ class LiveFeature:
     count: int = 1
     signs: int = 0
     is_point: bool = False
-    foot: tuple[Array, float, float] | None = None
 
     @property
     def parallax(self) -> float:
@@ -69,20 +65,23 @@ class LiveFeature:
 
     def predicted(self, camera: Array) -> tuple[float, float]:
         """Return the heading under which the camera (3,) sees it, and the variance of that."""
-        jacobian = self._jacobian(self.filter.x, camera)
-        heading = self._heading(self.filter.x, camera)
+        heading, jacobian = self.prediction(self.filter.x, camera)
         return float(heading[0]), float((jacobian @ self.filter.P @ jacobian.T)[0, 0])
+
+    def prediction(self, state: Array, camera: Array) -> tuple[Array, Array]:
+        """Return the heading (1,) under which the camera (3,) sees a feature of `state`, and its derivative (1, 2)."""
+        if self.is_point:
+            return direction_of(state[None], camera[None])[0], per_point(state[None], camera[None])
+        return predicted(self.origin[None], state[None], camera)
 
     def see(self, camera: Array, heading: float, sigma: float) -> None:
         """Take in that the camera (3,) sees it under a heading of the map."""
         self.filter.update(
             np.array([heading]),
-            self._jacobian,
-            self._heading,
+            lambda state: self.prediction(state, camera)[1],
+            lambda state: self.prediction(state, camera)[0],
             R=np.array([[sigma**2]]),
-            args=(camera,),
-            hx_args=(camera,),
-            residual=_apart,
+            residual=lambda one, other: wrap_angle(one - other),
         )
         if not self.is_point:
             self.filter.x[1] = max(self.filter.x[1], 0.0)
@@ -90,14 +89,8 @@ class LiveFeature:
         self.lowest, self.highest = min(self.lowest, turned), max(self.highest, turned)
         self.count += 1
 
-    def see_foot(self, camera: Array, range_m: float, sigma_m: float) -> None:
-        """Keep the best sighting of its foot; what floors and feet are off by does not average out."""
-        sigma = float(np.hypot(sigma_m, _FOOT_SHARE * range_m))
-        if self.foot is None or sigma < self.foot[2]:
-            self.foot = (camera[:2].copy(), range_m, sigma)
-
-    def become_point(self, gate_sigma: float) -> None:
-        """Turn direction and inverse distance into (x, z), and take in its foot's distance unless bearings disagree."""
+    def become_point(self) -> None:
+        """Turn direction and inverse distance into (x, z)."""
         heading, inverse = self.filter.x
         distance = 1 / inverse
         ahead = forward(heading)
@@ -105,18 +98,6 @@ class LiveFeature:
         self.filter.x = self.origin + distance * ahead
         self.filter.P = jacobian @ self.filter.P @ jacobian.T
         self.is_point = True
-        if self.foot is not None:
-            self._take_foot(*self.foot, gate_sigma)
-
-    def _take_foot(self, camera: Array, range_m: float, sigma_m: float, gate_sigma: float) -> None:
-        """Update by the distance of the foot; an edge that ends above the floor looks too far, and does not pass."""
-        offset = self.filter.x - camera
-        expected = float(np.hypot(*offset))
-        jacobian = (offset / expected)[None]
-        variance = float((jacobian @ self.filter.P @ jacobian.T)[0, 0]) + sigma_m**2
-        if (range_m - expected) ** 2 < gate_sigma**2 * variance:
-            noise = np.array([[sigma_m**2]])
-            self.filter.update(np.array([range_m]), lambda _: jacobian, lambda _: np.array([expected]), R=noise)
 
     def distance2(self, point: Array, cov: Array) -> float:
         """Return the squared Mahalanobis distance of a point (2,) with covariance (2, 2) from it."""
@@ -134,31 +115,12 @@ class LiveFeature:
         self.evidence += other.evidence
         self.last, self.side, self.polarity = other.last, other.side, other.polarity
 
-    def _heading(self, state: Array, camera: Array) -> Array:
-        if self.is_point:
-            return direction_of(state[None], camera[None])[0]
-        ray = forward(state[0]) + state[1] * (self.origin - camera[:2])
-        return np.array([np.arctan2(-ray[0], -ray[1])])
-
-    def _jacobian(self, state: Array, camera: Array) -> Array:
-        if self.is_point:
-            return per_point(state[None], camera[None])
-        baseline = self.origin - camera[:2]
-        ray = forward(state[0]) + state[1] * baseline
-        by_ray = np.array([ray[1], -ray[0]]) / max(float(ray @ ray), 1e-12)
-        return np.array([[by_ray @ forward(state[0] + np.pi / 2), by_ray @ baseline]])
-
 
 def started(number: int, camera: Array, heading: float, sigma: float, nearest_m: float, frame: int) -> LiveFeature:
     """Return a feature of unknown distance: between `nearest_m` and infinity within two sigmas."""
     from filterpy.kalman import ExtendedKalmanFilter
 
     ekf = ExtendedKalmanFilter(dim_x=2, dim_z=1)
-    inverse = 1 / (3 * nearest_m)
-    ekf.x = np.array([heading, inverse])
-    ekf.P = np.diag([sigma**2, inverse**2])
+    state, cov = first_state(np.array([heading]), np.array([sigma]), nearest_m)
+    ekf.x, ekf.P = state[0], cov[0]
     return LiveFeature(number, camera[:2].copy(), heading, ekf, np.full(2, np.nan), np.int8(0), frame, frame)
-
-
-def _apart(one: Array, other: Array) -> Array:
-    return wrap_angle(one - other)

@@ -17,14 +17,12 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping.assign import assign
+from localiser.mapping.association import assign, association_scores, looks_alike
 from localiser.mapping.landmarks import measured_sigma
-from localiser.mapping.likeness import log_likeness
 from localiser.mapping.live_feature import LiveFeature, started
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings
 
-_NARROWEST_SPAN_RAD = np.deg2rad(20.0)
 _MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
 _UNLIKE = -3.0  # log-likelihood ratio of looks below which two features are not one edge
 _ONE_SIGN = 0.6  # four of five sightings show an edge that has a polarity with that one
@@ -135,18 +133,12 @@ class LiveMap:
         none = np.zeros(0, dtype=np.int64)
         if not self._followed or not len(view):
             return none, none, np.zeros(0)
-        tracks, followed = self._parameters.tracks, self._followed
-        predicted, own = np.array([feature.predicted(view.camera) for feature in followed]).T
-        innovation = wrap_angle(view.heading[None] - predicted[:, None])
-        variance = own[:, None] + view.sigma[None] ** 2
-        fit = -0.5 * innovation**2 / variance - 0.5 * np.log(2 * np.pi * variance)
+        followed = self._followed
+        expected, own = np.array([feature.predicted(view.camera) for feature in followed]).T
         sides = np.array([feature.side for feature in followed])
         signs = np.array([feature.polarity for feature in followed])
-        looks = log_likeness(sides, signs, view.side, view.edges.polarity)
-        span = max(float(np.ptp(view.heading)), _NARROWEST_SPAN_RAD)
-        odds = tracks.found / (1 - tracks.found)
-        score = fit + looks + np.log(odds * span / max(tracks.new_share * len(view), 1.0))
-        score[innovation**2 > tracks.gate_sigma**2 * variance] = -np.inf
+        looks = looks_alike(sides[:, None], signs[:, None], view.side, view.edges.polarity)
+        score = association_scores(expected, own, view.heading, view.sigma, looks, self._parameters.tracks)
         row, column = assign(score)
         return row, column, score[row, column]
 
@@ -167,12 +159,10 @@ class LiveMap:
         return started(self._begun - 1, view.camera, heading, sigma, nearest_m, self._frame)
 
     def _note(self, view: _View, edge: int, feature: LiveFeature) -> None:
-        """Keep how the feature looks in this image, and where its foot is."""
+        """Keep how the feature looks in this image."""
         edges = view.edges
         feature.last, feature.side, feature.polarity = self._frame, view.side[edge], edges.polarity[edge]
         feature.signs += int(edges.polarity[edge])
-        if np.isfinite(edges.foot_range_m[edge]):
-            feature.see_foot(view.camera, float(edges.foot_range_m[edge]), float(edges.foot_range_sigma_m[edge]))
 
     def _promoted(self) -> dict[int, LiveFeature]:
         """Make landmarks of what is known well enough; return by their numbers those that are landmarks seen again."""
@@ -180,7 +170,7 @@ class LiveMap:
         for number, feature in enumerate(self._followed):
             if feature.is_point or not self._is_known(feature):
                 continue
-            feature.become_point(self._parameters.tracks.gate_sigma)
+            feature.become_point()
             old = self._same(feature)
             if old is None:
                 self._landmarks.append(feature)
@@ -206,11 +196,7 @@ class LiveMap:
         nearest, best = self._parameters.tracks.gate_sigma**2, None
         for old in self._landmarks:
             distance2 = old.distance2(feature.filter.x, extra) if old.last < feature.begun else np.inf
-            if distance2 < nearest and _alike(old, feature):
+            looks = looks_alike(old.side, old.polarity, feature.side, feature.polarity)
+            if distance2 < nearest and looks > _UNLIKE:
                 nearest, best = distance2, old
         return best
-
-
-def _alike(one: LiveFeature, other: LiveFeature) -> bool:
-    looks = log_likeness(one.side[None], np.array([one.polarity]), other.side[None], np.array([other.polarity]))
-    return bool(looks[0, 0] > _UNLIKE)

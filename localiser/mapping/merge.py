@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping.align import matches
+from localiser.mapping.alignment import matches
 
 Mask = NDArray[np.bool_]
 
+_PLAIN = ("points", "cov", "bottom_m", "top_m", "polarity")
+_QUALITY = ("sightings", "parallax_rad", "existence")
 _CHI2_99 = 9.21  # squared Mahalanobis distance that holds 99 % of a Gaussian in the plane
 
 
@@ -26,18 +28,12 @@ def joined_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
         ids.append(number if str(name) in taken else name)
         number += ids[-1] == number
         taken.add(str(ids[-1]))
-    columns: dict[str, Any] = {
-        column: np.concatenate([getattr(first, column), getattr(second, column)])
-        for column in ("points", "cov", "bottom_m", "top_m", "polarity")
-    }
-    return replace(
-        first,
-        ids=(*first.ids, *ids),
-        source=(*first.source, *second.source),
-        extra=(*_extra(first), *_extra(second)),
-        quality=_joined_quality(first, second),
-        **columns,
-    )
+    extra = (*(first.extra or ({},) * len(first)), *(second.extra or ({},) * len(second)))
+    whole = replace(first, ids=(*first.ids, *ids), source=(*first.source, *second.source), extra=extra)
+    width = max(one.quality.profile.shape[1] if one.quality else 0 for one in (first, second))
+    pairs = zip(*(_columns(one, width).items() for one in (first, second)), strict=True)
+    columns = {name: np.concatenate([one, other]) for (name, one), (_, other) in pairs}
+    return _with_columns(whole, columns, has_quality=first.quality is not None or second.quality is not None)
 
 
 def fused(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> LandmarkMap:
@@ -47,23 +43,33 @@ def fused(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> 
     second's.
     """
     one, other = pairs.T
-    points, cov = fused_places(first.points[one], first.cov[one], second.points[other], second.cov[other])
     seen = second.take(other)
     whole = joined_maps(first, second.take(np.setdiff1d(np.arange(len(second)), other)))
-    columns: dict[str, Any] = {
-        name: getattr(whole, name).copy() for name in ("points", "cov", "bottom_m", "top_m", "polarity")
-    }
-    columns["points"][one], columns["cov"][one] = points, cov
-    for name in ("bottom_m", "top_m"):
-        columns[name][one] = np.where(np.isnan(getattr(seen, name)), columns[name][one], getattr(seen, name))
-    columns["polarity"][one] = np.where(seen.polarity == 0, columns["polarity"][one], seen.polarity)
+    columns = _columns(whole, whole.quality.profile.shape[1] if whole.quality else 0)
+    for name, values in _columns(seen, columns["profile"].shape[1]).items():
+        column = columns[name] = columns[name].copy()
+        unknown = values == 0 if name == "polarity" else np.isnan(values)
+        column[one] = np.where(unknown, column[one], values)
+    columns["points"][one], columns["cov"][one] = fused_places(first.points[one], first.cov[one], seen.points, seen.cov)
     source = list(whole.source)
     for index, name in zip(one, seen.source, strict=True):
         source[index] = f"{source[index]}; {name}".strip("; ")
-    quality = whole.quality
-    if quality is not None and second.quality is not None:
-        quality = _with_rows(quality, one, second.quality.take(other))
-    return replace(whole, source=tuple(source), quality=quality, **columns)
+    return _with_columns(replace(whole, source=tuple(source)), columns, has_quality=whole.quality is not None)
+
+
+def _columns(one: LandmarkMap, width: int) -> dict[str, Any]:
+    """Return what is known of each landmark (L), profiles as (L, width); those of another width are not known."""
+    quality = one.quality or Quality.unknown(len(one))
+    profile = quality.profile if quality.profile.shape[1] == width else np.full((len(one), width), np.nan)
+    return {name: getattr(quality if name in _QUALITY else one, name) for name in _PLAIN + _QUALITY} | {
+        "profile": profile
+    }
+
+
+def _with_columns(one: LandmarkMap, columns: dict[str, Any], *, has_quality: bool) -> LandmarkMap:
+    """Return a map with other columns, and a quality only where one of the maps that it was made of has one."""
+    plain = {name: columns.pop(name) for name in _PLAIN}
+    return replace(one, quality=Quality(**columns) if has_quality else None, **plain)
 
 
 def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:
@@ -98,39 +104,3 @@ def agreeing(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64], 
 
 def _is_known(cov: Array) -> Mask:
     return np.asarray(np.isfinite(cov).all(axis=(1, 2)))
-
-
-def _extra(landmark_map: LandmarkMap) -> tuple[dict[str, object], ...]:
-    return landmark_map.extra or ({},) * len(landmark_map)
-
-
-def _joined_quality(first: LandmarkMap, second: LandmarkMap) -> Quality | None:
-    if first.quality is None and second.quality is None:
-        return None
-    one = first.quality or Quality.unknown(len(first))
-    other = second.quality or Quality.unknown(len(second))
-    width = max(one.profile.shape[1], other.profile.shape[1])
-    return Quality(
-        np.concatenate([one.sightings, other.sightings]),
-        np.concatenate([one.parallax_rad, other.parallax_rad]),
-        np.concatenate([one.existence, other.existence]),
-        np.concatenate([_widened(one.profile, width), _widened(other.profile, width)]),
-    )
-
-
-def _widened(profile: Array, width: int) -> Array:
-    """Return profiles (L, P) as (L, width); those of another width are not known."""
-    return profile if profile.shape[1] == width else np.full((len(profile), width), np.nan)
-
-
-def _with_rows(quality: Quality, rows: NDArray[np.int64], new: Quality) -> Quality:
-    """Return the quality with what `new` (K) knows at `rows` (K,)."""
-    columns = {}
-    for name in ("sightings", "parallax_rad", "existence"):
-        column, values = getattr(quality, name).copy(), getattr(new, name)
-        column[rows] = np.where(np.isnan(values), column[rows], values)
-        columns[name] = column
-    profile = quality.profile.copy()
-    if new.profile.shape[1] == profile.shape[1]:
-        profile[rows] = np.where(np.isnan(new.profile), profile[rows], new.profile)
-    return Quality(**columns, profile=profile)

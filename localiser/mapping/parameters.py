@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from localiser.mapping.tracks import TrackParameters
+from localiser.mapping.association import TrackParameters
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What is known of each landmark beside its place: whether it exists, how high it reaches, how it looks."""
+"""Quality of landmarks: the probability that each exists, how high it reaches, how it looks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from localiser.mapping.sightings import Index, Sightings, direction_of
 
 _END_SHARE = 0.1  # share of sightings that may reach beyond a landmark's stated end
 _MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
-_BESIDE_RAD = np.deg2rad(3.0)  # so far beside the directions it was seen from, a landmark is still expected to be seen
+_BESIDE_RAD = np.deg2rad(3.0)  # from directions this near to those it was seen from, a landmark is expected to be seen
 _BESIDE_SHARE = 0.15  # likewise nearer or farther
 
 

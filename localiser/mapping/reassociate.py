@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, wrap_angle
-from localiser.mapping.assign import assign
+from localiser.geometry import Array
+from localiser.mapping.association import assign, association_scores, looks_alike
 from localiser.mapping.landmarks import Built
-from localiser.mapping.likeness import log_likeness
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
-
-_NARROWEST_SPAN_RAD = np.deg2rad(20.0)
 
 
 def reassociate(
@@ -30,40 +27,21 @@ def reassociate(
         seen = np.arange(sightings.first[frame], sightings.first[frame + 1])
         landmark = live[frame]
         if len(seen) and len(landmark):
-            score = match_scores(sightings, seen, built, cov, landmark, cameras[frame], sigma, parameters)
+            from_here = np.tile(cameras[frame], (len(landmark), 1))
+            expected, _ = direction_of(built.fit.points[landmark], from_here)
+            jacobian = per_point(built.fit.points[landmark], from_here)
+            own = np.einsum("li,lij,lj->l", jacobian, cov[landmark], jacobian)
+            looks = looks_alike(
+                built.side[landmark, None],
+                built.polarity[landmark, None],
+                sightings.side[seen],
+                sightings.polarity[seen],
+            )
+            heading = cameras[frame, 2] - sightings.bearing[seen]
+            score = association_scores(expected, own, heading, sigma[seen], looks, parameters.tracks)
             row, column = assign(score)
             of[seen[column]] = landmark[row]
     return of
-
-
-def match_scores(
-    sightings: Sightings,
-    seen: Index,
-    built: Built,
-    cov: Array,
-    landmark: Index,
-    camera: Array,
-    sigma: Array,
-    parameters: MappingParameters,
-) -> Array:
-    """Return the log-likelihood ratios (B, A) of landmarks (B) showing in the sightings (A) of one frame.
-
-    Against the landmark being missed and the sighting being of something unknown, anywhere in view.
-    """
-    from_here = np.tile(camera, (len(landmark), 1))
-    predicted, _ = direction_of(built.fit.points[landmark], from_here)
-    jacobian = per_point(built.fit.points[landmark], from_here)
-    own = np.einsum("li,lij,lj->l", jacobian, cov[landmark], jacobian)
-    innovation = wrap_angle(camera[2] - sightings.bearing[seen][None] - predicted[:, None])
-    variance = own[:, None] + sigma[seen][None] ** 2
-    fit = -0.5 * innovation**2 / variance - 0.5 * np.log(2 * np.pi * variance)
-    looks = log_likeness(built.side[landmark], built.polarity[landmark], sightings.side[seen], sightings.polarity[seen])
-    tracks = parameters.tracks
-    span = max(float(np.ptp(sightings.bearing[seen])), _NARROWEST_SPAN_RAD)
-    odds = tracks.found / (1 - tracks.found)
-    score = fit + looks + np.log(odds * span / max(tracks.new_share * len(seen), 1.0))
-    score[innovation**2 > tracks.gate_sigma**2 * variance] = -np.inf
-    return np.asarray(score)
 
 
 def _live(sightings: Sightings, built: Built, reach: int) -> list[Index]:

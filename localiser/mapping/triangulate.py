@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.mapping.sightings import Index, direction_of, per_point
@@ -43,59 +42,33 @@ class Triangulated:
         return np.asarray(np.linalg.inv(self.information + (1e-12 * trace + 1e-6) * np.eye(2)))
 
 
-def triangulate(
-    landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array, start: Array | None = None
-) -> Triangulated:
-    """Return `count` landmarks (L) from bearings (K): landmark (K,) says whose, cameras (K, 2+) where from.
+def triangulate(landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array) -> Triangulated:
+    """Return `count` landmarks (L) from bearings (K): landmark (K,): which one each is of, cameras (K, 2+): from where.
 
-    direction, sigma: (K,) rad, headings in the map. start: (L, 2), by default the linear solution. A landmark without
-    two different bearings has no information and stays where it started.
+    direction, sigma: (K,) rad, headings in the map. A landmark without two different bearings has no information and
+    stays where the linear solution is.
     """
-    points = _linear(landmark, count, cameras, direction, sigma) if start is None else start.copy()
-    rays = _Rays(landmark, cameras[:, :2], direction, sigma)
-    active = np.arange(count)
-    damping = np.full(count, _DAMPING)
+    points = _linear(landmark, count, cameras, direction, sigma)
+    active, damping = np.arange(count), np.full(count, _DAMPING)
+    own, rays = landmark, [cameras[:, :2], direction, sigma]  # of the landmarks that still move
     for _ in range(_ITERATIONS):
-        moved, damping_now, done = _step(points[active], damping[active], rays)
-        points[active], damping[active] = moved, damping_now
-        if done.all():
+        at, noise = points[active], rays[-1]
+        residual, jacobian, weight = _linearised(at, own, *rays)
+        normal, gradient = _normal(own, len(active), residual / noise, jacobian / noise[:, None], weight)
+        diagonal = np.einsum("lii->li", normal)[:, :, None] * np.eye(2) + 1e-9 * np.eye(2)
+        step = _solve(normal + damping[:, None, None] * diagonal, gradient)
+        better = misfit(at + step, own, *rays) < _cost(own, len(active), residual / noise)
+        points[active] = np.where(better[:, None], at + step, at)
+        moves = (np.hypot(step[:, 0], step[:, 1]) >= _SMALL_M) & (better | (damping <= _MOST_DAMPING))
+        if not moves.any():
             break
-        rays, active = rays.of(~done), active[~done]
+        damping, active = np.where(better, damping / 10, damping * 10)[moves], active[moves]
+        kept = moves[own]
+        own, rays = (np.cumsum(moves) - 1)[own[kept]], [column[kept] for column in rays]
     residual, jacobian, weight = _linearised(points, landmark, cameras, direction, sigma)
     normal, _ = _normal(landmark, count, residual / sigma, jacobian / sigma[:, None], weight)
-    offset = points[landmark] - cameras[:, :2]
-    depth = (offset * forward(direction)).sum(axis=1)
+    depth = ((points[landmark] - cameras[:, :2]) * forward(direction)).sum(axis=1)
     return Triangulated(points, normal, residual, weight, depth, (residual / sigma) ** 2)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
-    """Bearings (K,): whose landmark, from where (K, 2), along which heading (K,), how certain (K,)."""
-
-    landmark: Index
-    cameras: Array
-    direction: Array
-    sigma: Array
-
-    def of(self, chosen: NDArray[np.bool_]) -> _Rays:
-        """Return the rays of the chosen landmarks (L,), which are numbered anew."""
-        kept = chosen[self.landmark]
-        number = np.cumsum(chosen) - 1
-        return _Rays(number[self.landmark[kept]], self.cameras[kept], self.direction[kept], self.sigma[kept])
-
-
-def _step(points: Array, damping: Array, rays: _Rays) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return points (L, 2) after one step of Levenberg-Marquardt, the damping (L,) for the next, and who is done."""
-    count = len(points)
-    residual, jacobian, weight = _linearised(points, rays.landmark, rays.cameras, rays.direction, rays.sigma)
-    scaled = residual / rays.sigma
-    normal, gradient = _normal(rays.landmark, count, scaled, jacobian / rays.sigma[:, None], weight)
-    step = _solve(normal + damping[:, None, None] * _diagonal(normal), gradient)
-    moved = points + step
-    after = misfit(moved, rays.landmark, rays.cameras, rays.direction, rays.sigma)
-    better = after < _cost(rays.landmark, count, scaled)
-    done = (np.hypot(step[:, 0], step[:, 1]) < _SMALL_M) | (~better & (damping > _MOST_DAMPING))
-    return np.where(better[:, None], moved, points), np.where(better, damping / 10, damping * 10), done
 
 
 def _linear(landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array) -> Array:
@@ -130,16 +103,12 @@ def misfit(points: Array, landmark: Index, cameras: Array, direction: Array, sig
 
 def _cost(landmark: Index, count: int, scaled: Array) -> Array:
     """Return the robust cost (L,) of residuals (K,) in sigmas."""
-    return np.asarray(np.bincount(landmark, CAUCHY**2 * np.log1p((scaled / CAUCHY) ** 2), count), dtype=np.float64)
+    return np.asarray(np.bincount(landmark, CAUCHY**2 * np.log1p((scaled / CAUCHY) ** 2), count))
 
 
 def _normal(landmark: Index, count: int, residual: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
     normal = _sum_by(landmark, count, weight[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :])
     return normal, _sum_by(landmark, count, (weight * residual)[:, None] * jacobian)
-
-
-def _diagonal(normal: Array) -> Array:
-    return np.asarray(np.einsum("lii->li", normal)[:, :, None] * np.eye(2) + 1e-9 * np.eye(2))
 
 
 def _solve(normal: Array, right: Array) -> Array:

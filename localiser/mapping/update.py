@@ -19,7 +19,7 @@ _BESIDE_RAD = np.deg2rad(2.0)  # what was seen so near to a direction,
 _BEHIND_M = 0.2  # and so much farther away, shows that nothing hides what stands before it
 _POSE_RAD = np.deg2rad(0.2)  # error of the camera's direction
 _GATE_SIGMA = 3.0
-_UNKNOWN = 0.95  # existence of a landmark of which the map does not say it
+_UNKNOWN = 0.95  # existence of a landmark where the map does not state it
 _MOST_ODDS = 12.0
 
 

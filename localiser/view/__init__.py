@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
+from localiser.view.aliasing import record_aliasing
 from localiser.view.context import Context
 from localiser.view.file import RrdFile
 from localiser.view.live import LiveView, check_kind
-from localiser.view.lookalikes import record_lookalikes
 from localiser.view.mapping import Finished, Growing, MapFile, MapView, building_context
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ __all__ = [
     "RrdFile",
     "building_context",
     "check_kind",
-    "record_lookalikes",
+    "record_aliasing",
     "record_map",
 ]
 

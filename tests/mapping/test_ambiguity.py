@@ -10,7 +10,7 @@ from mapping_worlds import world
 
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import ALIKE, Ambiguity, ambiguity, best_spots, lookalikes
+from localiser.mapping import ALIKE, Ambiguity, best_spots, find_aliasing, find_ambiguity
 
 ALCOVE = np.array([[-1.1, -4.0], [-0.3, -3.0], [0.2, -4.4], [0.9, -3.2], [1.3, -4.1]])
 """Posts that are seen together from the origin, looking along -z."""
@@ -32,7 +32,7 @@ def places() -> Array:
 def test_the_same_posts_twice_are_twins_exactly_as_far_apart() -> None:
     """The shift of 20.17 m is no multiple of the grid's step."""
     camera = world("corridor").camera
-    found = ambiguity(two_alcoves(np.array([20.17, 0.0])), camera, places())
+    found = find_ambiguity(two_alcoves(np.array([20.17, 0.0])), camera, places())
     here = ahead(found, 0.0, 0.0)
     assert found.nats[here] < 0.5
     assert found.twins[here] == pytest.approx([20.17, 0.0, 0.0], abs=0.15)
@@ -42,7 +42,7 @@ def test_the_same_posts_twice_are_twins_exactly_as_far_apart() -> None:
 def test_posts_that_differ_are_no_twins() -> None:
     camera = world("corridor").camera
     other = np.array([[19.5, -3.0], [20.0, -4.0], [20.4, -3.6], [20.6, -4.4]])
-    found = ambiguity(LandmarkMap.from_points(np.concatenate([ALCOVE, other])), camera, places())
+    found = find_ambiguity(LandmarkMap.from_points(np.concatenate([ALCOVE, other])), camera, places())
     assert found.nats[ahead(found, 0.0, 0.0)] > ALIKE
 
 
@@ -51,7 +51,7 @@ def test_polarity_tells_twins_apart() -> None:
     posts = two_alcoves(np.array([20.17, 0.0]))
     polarity = np.ones(len(posts), dtype=np.int8)
     polarity[len(ALCOVE) :] = -1
-    found = ambiguity(replace(posts, polarity=polarity), camera, places())
+    found = find_ambiguity(replace(posts, polarity=polarity), camera, places())
     assert found.nats[ahead(found, 0.0, 0.0)] > ALIKE
 
 
@@ -60,19 +60,19 @@ def test_a_landmark_at_the_best_spot_parts_the_twins() -> None:
     camera = world("corridor").camera
     posts = two_alcoves(np.array([20.17, 0.0]))
     view = np.array([[0.0, 0.0], [0.0, -0.3], [20.0, 0.0], [20.0, -0.3]])
-    before = ambiguity(posts, camera, view)
+    before = find_ambiguity(posts, camera, view)
     spots = np.array([[0.0, -5.0], [10.0, -5.0], [20.0, 5.0]])
     best = best_spots(before, camera, spots, count=1)[0]
     assert best.alike_share < before.alike.mean()
     more = LandmarkMap.from_points(np.concatenate([posts.points, [[best.x, best.z]]]))
-    after = ambiguity(more, camera, view)
+    after = find_ambiguity(more, camera, view)
     assert after.alike.mean() == pytest.approx(best.alike_share, abs=0.1)
 
 
 def test_near_a_path_only_what_the_path_reaches_is_looked_at() -> None:
     drive = world("corridor")
     path = drive.truth.poses[:20]
-    look = lookalikes(drive.landmark_map, drive.camera, path)
+    look = find_aliasing(drive.landmark_map, drive.camera, path)
     apart = np.linalg.norm(look.places[:, None] - path[None, :, :2], axis=-1).min(axis=1)
     assert apart.max() <= 1.5
     assert "% of" in look.text()

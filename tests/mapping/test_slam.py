@@ -13,11 +13,11 @@ from localiser import mapping
 from localiser.edges import Edges
 from localiser.geometry import Array, robot_from_map
 from localiser.mapping import Built, MappingParameters, Prior, Sightings
-from localiser.mapping.constellations import seen_before
 from localiser.mapping.factors import State, linearise
-from localiser.mapping.feet import Scale, scale_by_feet
+from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
 from localiser.mapping.landmarks import fitted
-from localiser.mapping.loops import same_landmarks
+from localiser.mapping.loop_closure import same_landmarks
+from localiser.mapping.place_recognition import recognised
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import dead_reckoned, smooth
 from localiser.mapping.triangulate import triangulate
@@ -125,14 +125,14 @@ def test_feet_on_the_floor_tell_the_scale_though_many_are_not(true_scale: float)
     lifted = np.concatenate([np.zeros(18), np.linspace(0.05, 0.25, 12)])
     sightings, points, cameras = edges_with_feet(true_scale, lifted)
     of = np.tile(np.arange(30), 6)
-    scale = scale_by_feet(sightings, of, points, cameras, Scale(0.0, 0.05))
+    scale = scale_by_floor_contacts(sightings, of, points, cameras, Scale(0.0, 0.05))
     assert scale.log == pytest.approx(np.log(true_scale), abs=0.01)
     assert scale.sigma < 0.01
 
 
 def test_feet_that_agree_on_nothing_tell_no_scale() -> None:
     sightings, points, cameras = edges_with_feet(1.0, np.linspace(0.05, 0.35, 30))
-    scale = scale_by_feet(sightings, np.tile(np.arange(30), 6), points, cameras, Scale(0.0, 0.05))
+    scale = scale_by_floor_contacts(sightings, np.tile(np.arange(30), 6), points, cameras, Scale(0.0, 0.05))
     assert scale.sigma == np.inf
 
 
@@ -232,9 +232,9 @@ def visits(drift: Array, repeats: bool) -> tuple[Array, Built, Index]:
 
 def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
     points, built, frame = visits(np.array([1.5, -0.8, 0.2]), repeats=False)
-    assert seen_before(points, built, frame).tolist() == [*range(12), *range(12)]
+    assert recognised(points, built, frame).tolist() == [*range(12), *range(12)]
 
 
 def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
     points, built, frame = visits(np.array([0.4, 0.0, 0.0]), repeats=True)
-    assert seen_before(points, built, frame).tolist() == list(range(len(points)))
+    assert recognised(points, built, frame).tolist() == list(range(len(points)))

@@ -46,7 +46,7 @@ def check(
     """Tell what looks wrong with a MAP, how it fits a log, where too little is in view, or looks like elsewhere."""
     from localiser.commands.map.pictures import draw_check
     from localiser.geometry import Trajectory
-    from localiser.mapping import cache_folder, coverage, fit_to_log, known_poses, lookalikes
+    from localiser.mapping import cache_folder, coverage, find_aliasing, fit_to_log, known_poses
     from localiser.storage import read_camera, read_map
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
@@ -69,12 +69,12 @@ def check(
     if camera is None:
         typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
         return
-    found, look = coverage(landmark_map, camera), lookalikes(landmark_map, camera, path)
+    found, look = coverage(landmark_map, camera), find_aliasing(landmark_map, camera, path)
     draw_check(landmark_map, found, look, picture)
     if rrd is not None:
-        from localiser.view import record_lookalikes
+        from localiser.view import record_aliasing
 
-        record_lookalikes(rrd, camera, landmark_map, look)
+        record_aliasing(rrd, camera, landmark_map, look)
     typer.echo(found.text())
     typer.echo(look.text())
     typer.echo(f"Picture in {picture}")

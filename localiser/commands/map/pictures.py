@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import ENOUGH, Coverage, Lookalikes
+from localiser.mapping import ENOUGH, Aliasing, Coverage
 from localiser.storage import write_bytes
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
     axes.plot([], [], color="#3f6f9f", linewidth=0.8, label="95 % of its place")
 
 
-def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Lookalikes, path: Path) -> None:
+def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path: Path) -> None:
     """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
     from matplotlib.figure import Figure
 
@@ -113,7 +113,7 @@ def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Lookalikes, pat
     _save(figure, path)
 
 
-def _draw_lookalikes(look: Lookalikes, axes: Axes) -> Any:
+def _draw_lookalikes(look: Aliasing, axes: Axes) -> Any:
     """Draw from which share of headings a place looks like another, where that other is, and the spots that help."""
     x, z = look.places.T
     columns = np.round((x - x.min()) / look.step_m).astype(int)

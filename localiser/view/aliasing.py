@@ -13,12 +13,12 @@ from localiser.view.paths import WORLD
 
 if TYPE_CHECKING:
     from localiser.landmarks import LandmarkMap
-    from localiser.mapping import Lookalikes
+    from localiser.mapping import Aliasing
 
 ALIKE = f"{WORLD}/building/alike"
 
 
-def record_lookalikes(path: Path, camera: Camera, landmark_map: LandmarkMap, look: Lookalikes) -> None:
+def record_aliasing(path: Path, camera: Camera, landmark_map: LandmarkMap, look: Aliasing) -> None:
     """Write to a `.rrd` file what looks like what, and where a landmark would help. Raises OutputError."""
     import rerun as rr
 

@@ -1,4 +1,4 @@
-"""Loop closure after large drift: which group of landmarks, as a whole, has been seen before.
+"""Place recognition: after large drift, which group of landmarks, as a whole, has been seen before.
 
 Single landmarks are told apart by looks alone once drift exceeds their spacing. But drift moves all that is seen at one
 time together: a few landmarks keep their distances from each other. So a group is moved rigidly to where most of it
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
 from localiser.geometry.compiled import checked
-from localiser.mapping.align import fitted_motion
+from localiser.mapping.alignment import fitted_motion
+from localiser.mapping.association import looks_alike
 from localiser.mapping.landmarks import Built
-from localiser.mapping.likeness import log_likeness
+from localiser.mapping.place_recognition_kernel import alike_pairs_loop, explained_loop
 from localiser.mapping.sightings import Index
 
 _WINDOW, _STEP = 24, 8  # frames whose landmarks make a group, and how far apart groups begin
@@ -38,7 +39,7 @@ class _Candidates:
     old: Index
 
 
-def seen_before(points: Array, built: Built, frame: Index) -> Index:
+def recognised(points: Array, built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the older one that it is; its own where there is none.
 
     points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order.
@@ -67,7 +68,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _C
     if len(group) < _FEWEST:
         return nothing
     near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
-    looks = log_likeness(built.side[group], built.polarity[group], built.side[older], built.polarity[older])
+    looks = looks_alike(built.side[group, None], built.polarity[group, None], built.side[older], built.polarity[older])
     may_be = near & (looks >= 0)
     older, may_be = older[may_be.any(axis=0)], may_be[:, may_be.any(axis=0)]
     if len(older) < _FEWEST:
@@ -81,8 +82,8 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _C
     best = int(count.argmax())
     middle = points[group].mean(axis=0)
     away = np.linalg.norm(_moved(middle, moves) - _moved(middle, moves[best : best + 1]), axis=-1)
-    rival = count[away > _OTHER_M].max(initial=0)
-    if count[best] < max(_FEWEST, _SHARE * len(group), _CLEARLY * rival):
+    alternative = count[away > _OTHER_M].max(initial=0)
+    if count[best] < max(_FEWEST, _SHARE * len(group), _CLEARLY * alternative):
         return nothing
     move = moves[best : best + 1]
     for _ in range(_REFINEMENTS):
@@ -90,11 +91,13 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _C
         new = np.flatnonzero(match >= 0)
         pose, _ = fitted_motion(points[older[match[new]]], points[group[new]])
         move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
-    new = new[_unrivalled(points, group, older, row, column, move)[new]]
+    new = new[_unambiguous(points, group, older, row, column, move)[new]]
     return _Candidates(group[new], older[match[new]])
 
 
-def _unrivalled(points: Array, group: Index, older: Index, row: Index, column: Index, move: Array) -> NDArray[np.bool_]:
+def _unambiguous(
+    points: Array, group: Index, older: Index, row: Index, column: Index, move: Array
+) -> NDArray[np.bool_]:
     """Return which of the group (A,) a move brings near one older landmark only, which no other comes near.
 
     What is ambiguous is left for when the loop is closed, and places are known better.
@@ -127,66 +130,3 @@ def _moved(points: Array, moves: Array) -> Array:
     cos, sin = np.cos(moves[:, 2]), np.sin(moves[:, 2])
     x, z = points[..., 0], points[..., 1]
     return np.stack([cos * x - sin * z, sin * x + cos * z], axis=-1) + moves[:, :2]
-
-
-def explained_loop(
-    new: Array, old: Array, row: Index, column: Index, moves: Array, close_m: float
-) -> tuple[Index, Index]:
-    """Return how many of the group (A, 2) each move (M, 3) brings onto older ones (B, 2), and the last one's match.
-
-    row, column: (P,) pairs that may be one. Two match that are each other's nearest and nearer than `close_m`. match:
-    (A,) the older landmark of each, -1 for none. Plain loops, for numba to compile.
-    """
-    count = np.zeros(len(moves), dtype=np.int64)
-    match, back = np.empty(len(new), dtype=np.int64), np.empty(len(old), dtype=np.int64)
-    nearest, nearest_back = np.empty(len(new)), np.empty(len(old))
-    for m in range(len(moves)):
-        cos, sin = np.cos(moves[m, 2]), np.sin(moves[m, 2])
-        match[:], back[:] = -1, -1
-        nearest[:], nearest_back[:] = close_m**2, close_m**2
-        for k in range(len(row)):
-            a, b = row[k], column[k]
-            x = cos * new[a, 0] - sin * new[a, 1] + moves[m, 0] - old[b, 0]
-            z = sin * new[a, 0] + cos * new[a, 1] + moves[m, 1] - old[b, 1]
-            apart = x * x + z * z
-            if apart < nearest[a]:
-                nearest[a], match[a] = apart, b
-            if apart < nearest_back[b]:
-                nearest_back[b], back[b] = apart, a
-        for a in range(len(new)):
-            if match[a] >= 0 and back[match[a]] == a:
-                count[m] += 1
-            else:
-                match[a] = -1
-    return count, match
-
-
-def alike_pairs_loop(
-    new: Array, old: Array, row: Index, baseline_m: float, close_m: float, most: int
-) -> tuple[Index, Index]:
-    """Return two of the matches (P,) each (M,) whose landmarks are as far apart in the group as among the older ones.
-
-    new: (A, 2) places of the group, row: (P,) which of them a match has, old: (P, 2) where its older one stands. Nearer
-    than `baseline_m` they tell no turn. Of more than `most`, every second, third … one. Plain loops for numba.
-    """
-    length = np.sqrt((new[:, :1] - new[:, 0]) ** 2 + (new[:, 1:] - new[:, 1]) ** 2)
-    # Squares of the distances that count as the same; none does where the baseline is too short.
-    least, largest = np.maximum(length - close_m, 0.0) ** 2, np.where(length > baseline_m, (length + close_m) ** 2, 0.0)
-    one, other = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    every, met, kept = 1, 0, 0
-    for i in range(len(row)):
-        low, high = least[row[i]], largest[row[i]]
-        for j in range(i + 1, len(row)):
-            apart = (old[j, 0] - old[i, 0]) ** 2 + (old[j, 1] - old[i, 1]) ** 2
-            if apart <= low[row[j]] or apart >= high[row[j]]:
-                continue
-            if met % every == 0:
-                if kept == most:
-                    kept = most // 2
-                    one[:kept], other[:kept] = one[: 2 * kept : 2].copy(), other[: 2 * kept : 2].copy()
-                    every *= 2
-                if met % every == 0:
-                    one[kept], other[kept] = i, j
-                    kept += 1
-            met += 1
-    return one[:kept], other[:kept]

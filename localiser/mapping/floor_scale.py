@@ -1,8 +1,9 @@
-"""How far everything is, in metres: feet on the floor, seen from a camera of known height, know what bearings never do.
+"""The scale of a map, by where edges touch the floor: bearings alone never tell how far everything is, in metres.
 
-An edge that ends above the floor (on a skirting board, on a table), or whose foot is hidden, looks as if its foot stood
-farther off than it does, by any amount; none looks nearer. So the ratios of apparent to present distance begin, all at
-once, at the scale.
+A camera of known height sees the foot of an edge on the floor under an angle that tells its distance. An edge that ends
+above the floor (on a skirting board, on a table), or has its foot hidden, looks as if its foot stood farther off than
+it does, by any amount; none looks nearer. So the ratios of apparent to present distance have a sharp lower limit, and
+that is the scale.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Scale:
     sigma: float
 
 
-def scale_by_feet(sightings: Sightings, of: Index, points: Array, cameras: Array, prior: Scale) -> Scale:
+def scale_by_floor_contacts(sightings: Sightings, of: Index, points: Array, cameras: Array, prior: Scale) -> Scale:
     """Return by what factor all distances should grow; `of` (S,) says which landmark (L, 2) a sighting shows.
 
     prior: the same factor by what is known without feet. The mixture of the module's text over the median ratios of
@@ -59,7 +60,7 @@ def scale_by_feet(sightings: Sightings, of: Index, points: Array, cameras: Array
 
 
 def _ratios(sightings: Sightings, of: Index, points: Array, cameras: Array) -> Array:
-    """Return the logarithms of apparent over present distance, the median of each landmark whose feet agree."""
+    """Return the logarithms of apparent over present distance, the median of each landmark with feet that agree."""
     seen: NDArray[np.int64] = np.flatnonzero((of >= 0) & (sightings.foot_m < _FARTHEST_M))
     landmark = of[seen]
     _, range_m = direction_of(points[landmark], cameras[sightings.frame[seen]])

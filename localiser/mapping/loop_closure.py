@@ -2,7 +2,7 @@
 
 Where two landmarks are believed to be is uncertain by the drift of the robot between, but most of that is common to all
 landmarks seen at the same time. The joint covariance of the smoother knows it: the distance of a pair is measured in
-sigmas of their difference. Pairs whose difference is best known go first; each closure makes the others more certain.
+sigmas of their difference. Pairs with the best known difference go first; each closure makes the others more certain.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.mapping.association import looks_alike
 from localiser.mapping.landmarks import Built
-from localiser.mapping.likeness import log_likeness_of_pairs
 from localiser.mapping.sightings import Index
 
 _GATE = 11.8  # 99.7 % of a Gaussian in the plane
@@ -25,7 +25,7 @@ _TOGETHER_SHARE = 0.1  # of the frames of the rarer one, in which another edge m
 _CONTRARY = -3.0  # log-likelihood ratio of one edge being seen with either sign
 _CERTAIN_SIGMA_M = 0.02  # a difference known as well as this tells two edges by their places
 _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
-_AMBIGUOUS = 2.0  # a rival this little worse (log-likelihood) forbids a choice
+_AMBIGUOUS = 2.0  # a alternative this little worse (log-likelihood) forbids a choice
 
 
 def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array], built: Built, frame: Index) -> Index:
@@ -40,7 +40,7 @@ def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
     if len(one) == 0:
         return np.arange(count)
-    looks = log_likeness_of_pairs(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
+    looks = looks_alike(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
     contrary = np.isneginf(looks)
     fewer, together = _together(frame, built.of[built.used], one, other)
     may = (together <= np.maximum(_TOGETHER_SHARE * fewer, 1)) & ((looks >= _UNLIKE) | contrary)
@@ -58,7 +58,7 @@ def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array
     return _united(one, other, clear, count)
 
 
-def without_contradicted(built: Built, weight: Array, track: Index) -> Index:
+def without_outvoted_tracks(built: Built, weight: Array, track: Index) -> Index:
     """Return the landmarks (S,) of the sightings with the tracks that do not fit theirs as landmarks of their own.
 
     weight: (K,) of the bearings used, by the robust cost: where a track as a whole is outvoted, it was joined wrongly.
@@ -104,17 +104,19 @@ def _partners(one: Index, other: Index, count: int) -> list[set[int]]:
 
 
 def _clear(one: Index, other: Index, score: Array, count: int) -> NDArray[np.bool_]:
-    """Return which pairs (P,) have no rival: no other pair of either landmark is nearly as likely.
+    """Return which pairs (P,) have no alternative hypothesis: no other pair of either landmark is nearly as likely.
 
-    A third landmark that may be one with both is no rival: all three may be one.
+    A third landmark that may be one with both is no alternative: all three may be one.
     """
     partners = _partners(one, other, count)
     value = {frozenset(pair): v for *pair, v in zip(one.tolist(), other.tolist(), score.tolist(), strict=True)}
     clear = np.ones(len(one), dtype=bool)
     for index, (i, j) in enumerate(zip(one.tolist(), other.tolist(), strict=True)):
         least = score[index] - _AMBIGUOUS
-        rivals = [(i, k) for k in partners[i] - partners[j] - {j}] + [(j, k) for k in partners[j] - partners[i] - {i}]
-        clear[index] = all(value[frozenset(pair)] < least for pair in rivals)
+        alternatives = [(i, k) for k in partners[i] - partners[j] - {j}] + [
+            (j, k) for k in partners[j] - partners[i] - {i}
+        ]
+        clear[index] = all(value[frozenset(pair)] < least for pair in alternatives)
     return clear
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.mapping.ambiguity import Ambiguity, Spot, ambiguity, best_spots
+from localiser.mapping.ambiguity import Ambiguity, Spot, best_spots, find_ambiguity
 from localiser.mapping.check import ENOUGH
 
 _STEP_M, _MOST_PLACES = 0.25, 300
@@ -20,7 +20,7 @@ _ARROW_APART_M = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lookalikes:
+class Aliasing:
     """What looks like what from places (P, 2), and the spots where one more landmark would help most.
 
     share: (P,) of headings from which another place looks the same.
@@ -65,16 +65,16 @@ class Lookalikes:
         return text
 
 
-def lookalikes(landmark_map: LandmarkMap, camera: Camera, path: Array | None) -> Lookalikes:
+def find_aliasing(landmark_map: LandmarkMap, camera: Camera, path: Array | None) -> Aliasing:
     """Return what looks alike all over the building; with a path (T, 3) that was driven, near it only."""
     step, places = _STEP_M, _places(landmark_map, path, _STEP_M)
     while len(places) > _MOST_PLACES:
         step *= max(1.05, float(np.sqrt(len(places) / _MOST_PLACES)))
         places = _places(landmark_map, path, step)
-    found = ambiguity(landmark_map, camera, places)
+    found = find_ambiguity(landmark_map, camera, places)
     near = _within(places, landmark_map.points, _NEAR_LANDMARK_M + step / 2)
     spots = best_spots(found, camera, places[near] if near.any() else places)
-    return Lookalikes(places, step, found.alike.reshape(len(places), -1).mean(axis=1), found, spots)
+    return Aliasing(places, step, found.alike.reshape(len(places), -1).mean(axis=1), found, spots)
 
 
 def _places(landmark_map: LandmarkMap, path: Array | None, step_m: float) -> Array:

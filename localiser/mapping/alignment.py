@@ -13,7 +13,7 @@ from localiser.landmarks import LandmarkMap
 _BIN_M = 0.3  # places of votes for a shift
 _TURN_STEP_RAD = np.deg2rad(1.5)
 _SCALES = np.exp(np.arange(-18, 19) * 0.02)  # 0.70 to 1.43, in steps of 2 %
-_MOST_VOTERS, _MOST_VOTERS_OF_SCALE = 200, 60  # landmarks of each map whose pairs vote at every turn, and scale
+_MOST_VOTERS, _MOST_VOTERS_OF_SCALE = 200, 60  # landmarks of each map that vote at every turn; with a scale, too
 _BEST = 12  # peaks of votes that are looked at closely
 _GATES_M = (1.0, 0.6, 0.4)  # before the last one: landmarks match within so much
 _ROUNDS = 10

@@ -15,8 +15,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Sightings
-from localiser.mapping.assign import assign
-from localiser.mapping.likeness import log_likeness
+from localiser.mapping.association import assign, looks_alike
 from localiser.mapping.sightings import direction_of, parallax, per_point
 from localiser.mapping.triangulate import triangulate
 from localiser.simulate import EdgeNoise, simulated_edges
@@ -134,12 +133,12 @@ def test_nothing_is_assigned_where_no_score_is_positive() -> None:
 
 def test_edges_of_opposite_polarity_are_never_one() -> None:
     side, polarity = np.array([[10.0, 200.0]]), np.array([1], dtype=np.int8)
-    same = log_likeness(side, polarity, side, polarity)
-    other = log_likeness(side, polarity, side, -polarity)
-    unlike = log_likeness(side, polarity, np.array([[120.0, 90.0]]), polarity)
-    unknown = log_likeness(side, polarity, np.full((1, 2), np.nan), np.zeros(1, dtype=np.int8))
-    assert other[0, 0] == -np.inf
-    assert same[0, 0] > unknown[0, 0] == 0.0 > unlike[0, 0]
+    same = looks_alike(side, polarity, side, polarity)
+    other = looks_alike(side, polarity, side, -polarity)
+    unlike = looks_alike(side, polarity, np.array([[120.0, 90.0]]), polarity)
+    unknown = looks_alike(side, polarity, np.full((1, 2), np.nan), np.zeros(1, dtype=np.int8))
+    assert other[0] == -np.inf
+    assert same[0] > unknown[0] == 0.0 > unlike[0]
 
 
 # -- whole drives -----------------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ def seen_from(cameras: Array, places: Array, rng: np.random.Generator, clutter: 
 
 def map_of(sightings: Sightings, cameras: Array) -> LandmarkMap:
     sigma = sightings.sigma
-    built = mapping.build_from_votes(sightings, cameras, sigma, PARAMETERS)
+    built = mapping.build_from_coarse(sightings, cameras, sigma, PARAMETERS)
     return mapping.landmark_map_of(sightings, built, cameras, sigma, CAMERA, PARAMETERS, "test", "test")
 
 
@@ -80,7 +80,7 @@ def test_a_landmark_has_one_sighting_a_frame_at_most() -> None:
     rng = np.random.default_rng(5)
     cameras = wandering(rng, 300)
     sightings = seen_from(cameras, PLACES, rng, 1.0, SIGMA)
-    of = mapping.landmarks_by_votes(sightings, cameras, sightings.sigma, 15.0)
+    of = mapping.landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 15.0)
     taken = of >= 0
     pairs = np.stack([sightings.frame[taken], of[taken]])
     assert taken.any()
@@ -89,7 +89,7 @@ def test_a_landmark_has_one_sighting_a_frame_at_most() -> None:
 
 def test_frames_without_bearings_vote_for_nothing() -> None:
     sightings = seen_from(np.zeros((4, 3)), np.zeros((0, 2)), np.random.default_rng(0), 0.0, SIGMA)
-    assert len(mapping.landmarks_by_votes(sightings, np.zeros((4, 3)), sightings.sigma, 15.0)) == 0
+    assert len(mapping.landmarks_of_coarse_bearings(sightings, np.zeros((4, 3)), sightings.sigma, 15.0)) == 0
 
 
 def test_a_place_that_is_looked_at_from_one_spot_only_is_no_landmark() -> None:

@@ -1,10 +1,10 @@
-"""Landmarks from coarse bearings at known poses: every bearing votes along its ray, a mixture model shares them out.
+"""Landmarks from coarse bearings at known poses: a mixture model, found by expectation-maximisation.
 
 Where a bearing is coarser than landmarks stand apart, what is followed from image to image mixes neighbours. All
-bearings together still tell them apart, so nothing is followed: the floor's cells that most rays cross are candidates,
-and expectation-maximisation finds which of them explain the bearings, where they stand, and how good bearings are.
-Candidates start with equal shares; those that explain less than their own two coordinates cost lose theirs
-[Figueiredo, Jain 2002].
+bearings together still tell them apart, so nothing is followed. A Hough transform finds the cells of the floor that
+most rays cross: the candidates. Expectation-maximisation then finds which of them explain the bearings, where they
+stand, and how good bearings are. Candidates start with equal shares; those that explain less than their own two
+coordinates cost lose theirs [Figueiredo, Jain 2002].
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SIGHTINGS_EACH, _MOST_CANDIDATES = 8, 400
 _FOUND = 0.8
 _FIRST_SHARE, _FIRST_CLUTTER = 0.2, 0.3  # chance to be seen in an image; share of sightings that are clutter
 _COST = 2.0  # sightings that the two coordinates of a landmark are worth
-_FEWEST = 3.0  # sightings, beside that cost
+_FEWEST = 3.0  # sightings beyond that cost
 _STEADY = 0.95  # the error of bearings shrinks by no more than this a round: slowly, or neighbours never part
 _BEST_SHARE = 0.2  # nor below this share of what is stated
 _SAME_M = 0.02
@@ -66,7 +66,7 @@ class _Mixture:
     sigma: float
 
 
-def landmarks_by_votes(sightings: Sightings, cameras: Array, sigma: Array, range_max_m: float) -> Index:
+def landmarks_of_coarse_bearings(sightings: Sightings, cameras: Array, sigma: Array, range_max_m: float) -> Index:
     """Return the landmark (S,) of each sighting, -1 for clutter; see `Sightings`.
 
     cameras: (T, 3) floor poses. sigma: (S,) rad; true errors may be a fraction of it. A landmark has at most one

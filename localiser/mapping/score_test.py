@@ -1,8 +1,8 @@
-"""Which visits to a landmark contradict everything else: those that would rather show a landmark of their own.
+"""Score test of loop closures: which visits to a landmark would rather show a landmark of their own.
 
-A wrong join bends the poses until its bearings fit, so their residuals do not betray it; the force with which they
-pull does. Let the visit's landmark stand beside the one it was joined to: how far, and by how much the cost would fall,
-follows from the linear problem at the solution, without solving anew (the score test) [Rao 1948].
+A wrong join bends the poses until its bearings fit, so that their residuals stay small; but it pulls with a large
+force. Let the visit have a landmark of its own. How far from the other it would stand, and by how much the cost would
+fall, follows from the linear problem at the solution, without solving anew [Rao 1948].
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LEAST_SIGMA_M = 0.008  # from its other side, an edge is the other side of a fr
 _APART_FRAMES = 30  # without a landmark, after which it is visited again
 
 
-def without_contradictions(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
+def without_contradicting_visits(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
     """Return the landmarks `of` (S,) with the visits that contradict their landmarks as landmarks of their own.
 
     used: (K,) the sightings that are the bearings of the problem. Of visits at one time only the worst leaves: it may
@@ -62,10 +62,10 @@ def visits(landmark: Index, frame: Index) -> Index:
 
 
 def contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> Array:
-    """Return for each visit `asked` (V,) how many squared sigmas its own landmark would stand beside the present one.
+    """Return for each visit `asked` (V,) how many squared sigmas its own landmark would stand from the present one.
 
-    With cost(δ) = cost - 2 λᵀδ + δᵀMδ for a landmark that stands δ beside, all else at its best: λ is the pull of the
-    visit's bearings, M their information less what poses and landmark take up. visit: (K,).
+    With cost(δ) = cost - 2 λᵀδ + δᵀMδ for a landmark of its own at distance δ, all else at its best: λ is the pull of
+    the visit's bearings, M their information less what poses and landmark take up. visit: (K,).
     """
     pull, information = _pulls(problem, smoothed, visit, asked)
     # A visit that tells one direction only has no information along the other.

@@ -1,15 +1,15 @@
-"""Landmarks from known poses: follow, triangulate, join, and associate again until nothing changes; or by votes."""
+"""Landmarks from known poses: follow, triangulate, join, and associate again until nothing changes."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from localiser.geometry import Array
+from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
 from localiser.mapping.landmarks import Built, fitted, joined, long_enough, numbered
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.reassociate import reassociate
 from localiser.mapping.sightings import Index, Sightings
-from localiser.mapping.votes import landmarks_by_votes
 
 _ROUNDS = 6
 
@@ -27,9 +27,9 @@ def build_from_poses(
     return built
 
 
-def build_from_votes(sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
-    """Return the landmarks of bearings too coarse to be followed, from cameras (T, 3) whose poses are true."""
-    of = landmarks_by_votes(sightings, cameras, sigma, parameters.range_max_m)
+def build_from_coarse(sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
+    """Return the landmarks of bearings too coarse to be followed, from cameras (T, 3) at true poses."""
+    of = landmarks_of_coarse_bearings(sightings, cameras, sigma, parameters.range_max_m)
     return fitted(sightings, numbered(long_enough(of)), cameras, sigma)
 
 

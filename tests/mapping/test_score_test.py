@@ -9,8 +9,8 @@ import pytest
 from ring_world import circle
 
 from localiser.geometry import Array
-from localiser.mapping.contradictions import contradiction, visits, without_contradictions
 from localiser.mapping.factors import Bearings, Problem
+from localiser.mapping.score_test import contradiction, visits, without_contradicting_visits
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed, dead_reckoned, smooth
 
@@ -74,7 +74,7 @@ def test_a_wrong_join_is_opened(seed: int) -> None:
     frame, landmark, bearing, sigma = (column[kept] for column in names)
     wrong = np.where((landmark == one) & second[kept], other, landmark)
     mixed = replace(problem, bearings=Bearings(frame, wrong, bearing, sigma))
-    of = without_contradictions(mixed, solved(mixed, points), wrong, np.arange(len(wrong)))
+    of = without_contradicting_visits(mixed, solved(mixed, points), wrong, np.arange(len(wrong)))
     left = of != wrong
     assert left[wrong == other].any()
     assert (wrong[left] == other).all()
@@ -87,5 +87,5 @@ def test_nothing_leaves_a_landmark_visited_once() -> None:
     alone = replace(problem, bearings=replace(bearings, landmark=once))
     start = np.zeros((once.max() + 1, 2))
     start[once] = points[bearings.landmark]
-    of = without_contradictions(alone, solved(alone, start), once, np.arange(len(once)))
+    of = without_contradicting_visits(alone, solved(alone, start), once, np.arange(len(once)))
     assert (of == once).all()

@@ -1,0 +1,85 @@
+"""Data association: how likely each edge is each landmark, and the best one-to-one assignment of edges to landmarks.
+
+The score of a pair is a log-likelihood ratio: the edge being of the landmark, against the landmark being missed and the
+edge being of something unknown, anywhere in view. It has two parts, the bearing and how the edge looks.
+
+Looks are polarity and the grey values left and right of the edge. The grey value beside an edge is that of a surface
+and stays; but at an outer corner one side is whatever lies behind, which changes with the viewpoint. So each side is
+alike with some probability, else it is anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from localiser.geometry import Array, wrap_angle
+from localiser.mapping.sightings import Index
+
+Signs = NDArray[np.int8] | np.int8
+
+_NARROWEST_SPAN_RAD = np.deg2rad(20.0)
+_SAME_SIDE = 0.7  # share of sides that show the same surface again
+_GREY_SIGMA = 12.0  # how much that differs: light that falls otherwise, blur, noise
+_GREY_SPAN = 128.0  # over which the grey values of other edges spread
+
+
+@dataclass(frozen=True, slots=True)
+class TrackParameters:
+    """How edges are followed."""
+
+    nearest_m: Annotated[float, Field(gt=0, description="distance that few edges fall below (m)")] = 1.0
+    found: Annotated[float, Field(gt=0, lt=1, description="chance that an edge is found again in the next image")] = 0.8
+    new_share: Annotated[float, Field(gt=0, le=1, description="share of edges that the image before did not show")] = (
+        0.3
+    )
+    missed_most: Annotated[int, Field(ge=0, description="images that a track may miss in a row")] = 4
+    gate_sigma: Annotated[float, Field(gt=0, description="how far an edge may be from its prediction (sigmas)")] = 4.0
+
+
+def association_scores(
+    predicted: Array, own_variance: Array, heading: Array, sigma: Array, looks: Array, parameters: TrackParameters
+) -> Array:
+    """Return the log-likelihood ratios (A, B) of landmarks (A) showing in the edges (B) of one image.
+
+    predicted, own_variance: (A,) rad, rad², headings under which landmarks are expected. heading, sigma: (B,) rad,
+    of the edges. looks: (A, B), see `looks_alike`. -inf where
+    an edge lies outside a landmark's gate.
+    """
+    innovation = wrap_angle(heading[None] - predicted[:, None])
+    variance = own_variance[:, None] + sigma[None] ** 2
+    fit = -0.5 * innovation**2 / variance - 0.5 * np.log(2 * np.pi * variance)
+    span = max(float(np.ptp(heading)), _NARROWEST_SPAN_RAD)
+    odds = parameters.found / (1 - parameters.found)
+    score = fit + looks + np.log(odds * span / max(parameters.new_share * len(heading), 1.0))
+    return np.where(innovation**2 > parameters.gate_sigma**2 * variance, -np.inf, score)
+
+
+def looks_alike(side: Array, polarity: Signs, other_side: Array, other_polarity: Signs) -> Array:
+    """Return the log-likelihood ratio (...) of pairs of edges being one edge, by looks alone; arguments broadcast.
+
+    side, other_side: (..., 2) grey values left and right, nan unknown. polarity, other_polarity: (...), 0 unknown.
+    -inf where polarities contradict each other.
+    """
+    same = _SAME_SIDE * np.exp(-0.5 * ((side - other_side) / _GREY_SIGMA) ** 2) / (_GREY_SIGMA * np.sqrt(2 * np.pi))
+    ratio = np.log(same * _GREY_SPAN + 1 - _SAME_SIDE)
+    looks = np.where(np.isnan(ratio), 0.0, ratio).sum(axis=-1)
+    product = polarity * other_polarity
+    return np.asarray(np.where(product < 0, -np.inf, looks + np.log(2.0) * (product > 0)))
+
+
+def assign(score: Array) -> tuple[Index, Index]:
+    """Return rows and columns (M,) of the matches with positive scores (A, B) whose sum is largest.
+
+    -inf forbids a pair. A global nearest neighbour, solved as a linear assignment [Bar-Shalom, Li 1995].
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    gain = np.maximum(score, 0.0)
+    row, column = linear_sum_assignment(gain, maximize=True)
+    real = gain[row, column] > 0
+    return row[real], column[real]
