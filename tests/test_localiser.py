@@ -150,8 +150,8 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     last = feed(one, first_events(8))[-1]
     assert last.located.sighting is not None
     as_weighed, as_measured = last.located.sighting.edges, last.located.edges
-    assert as_weighed is not None and np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
-    expected = one.observation.associate(last.located.estimate.pose_as_seen, as_weighed, LOG.landmark_map)
+    assert np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
+    expected = one.observation.associate(last.located.estimate.pose_as_seen, last.located.sighting, LOG.landmark_map)
     np.testing.assert_array_equal(last.matches.landmark, expected.landmark)
     np.testing.assert_array_equal(last.matches.residual, expected.residual)
 

@@ -89,11 +89,11 @@ def replay(
     recorded, effective = opened(log, config, settings, format=log_format, topics=topics_by_role(topics), camera=camera)
     with working("Getting ready; the first run compiles …", quiet):
         ready = prepare(recorded, effective, start, map_file=map_file)
-        ready.inputs.localiser.warm_up(images=recorded.has_images)
+        ready.localiser.warm_up(images=recorded.has_images)
         run = FolderRun.open(ready, Outputs(out, rrd, view))
     if run.viewer is not None and run.viewer.address:
         typer.echo(f"Watch at {run.viewer.address}", err=True)
-    if start is None and ready.inputs.start is None and not quiet:
+    if start is None and ready.start is None and not quiet:
         typer.echo("The log states no start: the robot is looked for on the whole map.", err=True)
     with progress("Localising", len(recorded.frames), quiet) as advance:
         times_ns = [frame.t_ns for frame in recorded.frames]

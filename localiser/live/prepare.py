@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from localiser import view
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.config import Config
 from localiser.documents import nearest, read_text
 from localiser.errors import InputError
 from localiser.filter import Start
+from localiser.landmarks import LandmarkMap
 from localiser.live.inbound import TOPICS, CameraFinder, type_of
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, PosePublisher, Published
@@ -24,12 +25,12 @@ from localiser.live.recording import Recording
 from localiser.live.run import LiveRun
 from localiser.live.sources import ENDPOINT, Arrival, CameraSource, Inbox, Network
 from localiser.live.state import Checkpoints, Resumed
-from localiser.live.warm_up import warm_up
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.storage import encode_image, read_camera, read_map
-from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, TEXT, Messages, live_label_text
+from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, Messages, live_label_text
 
+_CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0), "plumb_bob", (-0.1,) * 5)
 JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
 
 
@@ -128,21 +129,17 @@ def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
     }
     if options.camera is not None:
         texts[CAMERA_TOPIC] = read_text(options.camera)
-    make = Messages()
     for topic, text in texts.items():
-        recording.write(topic, TEXT, time.time_ns(), make.encode(make.text(text)))
+        recording.tell(topic, text)
     return recording
 
 
 def _changed_settings(config: Config) -> dict[str, Any]:
     """Return every setting that is not the default, by its name with dots."""
-    default = Config().model_dump(exclude={"versions"})
     found: dict[str, Any] = {}
-    for name, value in config.model_dump(exclude={"versions"}).items():
-        if isinstance(value, dict):
-            found |= {f"{name}.{key}": part for key, part in value.items() if part != default[name][key]}
-        elif value != default[name]:
-            found[name] = value
+    for name, value in config.model_dump(exclude_defaults=True, exclude={"versions"}).items():
+        section = isinstance(value, dict)
+        found |= {f"{name}.{key}": part for key, part in value.items()} if section else {name: value}
     return found
 
 
@@ -157,3 +154,15 @@ def open_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
     source = CameraSource(address, take)
     source.start()
     return source
+
+
+def warm_up(landmark_map: LandmarkMap, config: Config) -> None:
+    """Take a localiser of its own through images of stripes: libraries are loaded, loops compiled, before any waits."""
+    stripes = np.where(np.arange(_CAMERA.width) // 40 % 2, 200, 50).astype(np.uint8)
+    file = encode_image(np.tile(stripes, (_CAMERA.height, 1)), ".jpg", JPEG_QUALITY)
+    localiser = Localiser(landmark_map, _CAMERA, config)
+    localiser.warm_up()
+    localiser.start([*landmark_map.points.mean(axis=0), 0.0], np.eye(3))
+    for number, t_ns in enumerate((1, 100_000_000, 200_000_000)):
+        localiser.odometry(t_ns, [0.0, -0.1 * number, 0.0])
+        localiser.image(t_ns, file, by_wheels=number < 2)

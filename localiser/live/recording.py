@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Condition, Thread
 
 from localiser.errors import OutputError
-from localiser.storage.bags import BagRecorder
+from localiser.storage.bags import TEXT, BagRecorder, Messages
 
 COMMIT_S = 0.5
 MOST_BYTES = 256 * 2**20
@@ -27,7 +27,7 @@ class Recording:
     def __init__(self, path: Path, failed: Callable[[str], None]) -> None:
         """Make the bag. failed: is told, in another thread, why the recording ended. Raises InputError, OutputError."""
         self._recorder = BagRecorder(path)
-        self._failed = failed
+        self._failed, self._messages = failed, Messages()
         self._queue: deque[_Row] = deque()
         self._bytes = 0
         self._changed = Condition()
@@ -43,6 +43,10 @@ class Recording:
             self._queue.append((topic, msgtype, t_ns, content))
             self._bytes += len(content)
             self._changed.notify()
+
+    def tell(self, topic: str, text: str) -> None:
+        """Record what no message says."""
+        self.write(topic, TEXT, time.time_ns(), self._messages.encode(self._messages.text(text)))
 
     def close(self) -> None:
         """Write what waits, and end."""

@@ -30,8 +30,6 @@ from localiser.storage.bags import (
     DECISIONS_TOPIC,
     POSE,
     STATE_TOPIC,
-    TEXT,
-    Messages,
     anywhere_decision,
     clock_decision,
     floor_cov,
@@ -70,7 +68,6 @@ class LiveRun:
     clock: RobotClock = field(default_factory=RobotClock)
     timeline: Timeline = field(init=False)
     _counts: Counter[str] = field(default_factory=Counter)
-    _messages: Messages = field(default_factory=Messages)
     _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
     _stated: bytes = b""
     _newest_odometry: tuple[int, Array] | None = None
@@ -198,7 +195,7 @@ class LiveRun:
     def _tell(self, topic: str, text: str) -> None:
         """Record what no message says."""
         if self.recording is not None:
-            self.recording.write(topic, TEXT, time.time_ns(), self._messages.encode(self._messages.text(text)))
+            self.recording.tell(topic, text)
 
     # -- the localiser ------------------------------------------------------------------------------------------------
 

@@ -83,7 +83,7 @@ def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], parameters: MotionP
     turned = _between_times(odometry, np.abs(steps[:, 2]), t_ns)
     noise_only = replace(parameters, bias=motion.EXACT)
     whole = (
-        Increment(move, np.zeros((3, 3)), float(path), float(turn), "wheel")
+        Increment(move, np.zeros((3, 3)), float(path), float(turn))
         for move, path, turn in zip(moves, path_m, turned, strict=True)
     )
     cov = np.array([motion.wheel_cov(increment, noise_only) for increment in whole]) + np.diag(_LEAST_SIGMA**2)

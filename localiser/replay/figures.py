@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,24 +14,27 @@ from localiser.edges import Edges
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array, Trajectory
-from localiser.replay.inputs import RunInputs
+from localiser.replay.about import about
+
+if TYPE_CHECKING:
+    from localiser.replay.run import Replay
 
 
-def run_metrics(inputs: RunInputs, frames: Sequence[LocatedFrame], bound: Array | None) -> dict[str, Any]:
-    """Return the metrics of a run and what it learnt of wheels and camera, without timing. bound: see `bound_of`."""
-    located = [frame.located for frame in frames]
+def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
+    """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
+    located = [frame.located for frame in run.frames]
     edges = [result.edges for result in located]
-    track = track_of(frames)
     figures = evaluate.metrics(
-        track,
-        truth_of(inputs, frames),
-        log=inputs.log.name,
-        about=inputs.about,
+        run.track,
+        truth_of(run),
+        log=run.log.name,
+        about=about(run),
         bound=bound,
         sighted=_sighted(edges),
         reasons=[result.reason for result in located],
     )
-    return figures | {"biases": _constants(inputs, frames)} | _mount(inputs, edges, track.odometry)
+    figures |= {"biases": _constants(run)} | _mount(run, edges)
+    return figures | evaluate.timing_metrics(run.timing)
 
 
 def track_of(frames: Sequence[LocatedFrame]) -> Track:
@@ -48,17 +51,17 @@ def track_of(frames: Sequence[LocatedFrame]) -> Track:
     )
 
 
-def truth_of(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> Trajectory | None:
+def truth_of(run: Replay) -> Trajectory | None:
     """Return the truth, None where there is none or the run ended before it begins."""
-    truth = inputs.log.groundtruth
-    return truth if truth is not None and any(truth.covers(frame.located.t_ns) for frame in frames) else None
+    truth = run.log.groundtruth
+    return truth if truth is not None and any(truth.covers(frame.located.t_ns) for frame in run.frames) else None
 
 
-def bound_of(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> Array | None:
+def bound_of(run: Replay) -> Array | None:
     """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
-    log, config, landmark_map = inputs.log, inputs.localiser.config, inputs.localiser.landmark_map
-    located = [frame.located for frame in frames]
-    if log.groundtruth is None or inputs.start is None or _sighted([result.edges for result in located]) is None:
+    log, config, landmark_map = run.log, run.localiser.config, run.localiser.landmark_map
+    located = [frame.located for frame in run.frames]
+    if log.groundtruth is None or run.start is None or _sighted([result.edges for result in located]) is None:
         return None
     if landmark_map is not log.landmark_map:
         return None  # the log's associations are those of its own map
@@ -70,7 +73,7 @@ def bound_of(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> Array | None:
         for pose, result in zip(poses, located, strict=True)
     ]
     return evaluate.posterior_bound(
-        inputs.start.cov,
+        run.start.cov,
         np.array([jac for jac, _ in moves]).reshape(-1, 3, 3),
         np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
         np.array(informations),
@@ -83,26 +86,25 @@ def _sighted(all_edges: Sequence[Edges]) -> NDArray[np.bool_] | None:
     return sighted if sighted.any() else None
 
 
-def _constants(inputs: RunInputs, frames: Sequence[LocatedFrame]) -> dict[str, Any]:
+def _constants(run: Replay) -> dict[str, Any]:
     """Return what the run has learnt of its wheels, beside what the truth says of them."""
-    truth, fit = inputs.log.groundtruth, {}
-    first, last = frames[0].located, frames[-1].located
-    if truth is not None and inputs.localiser.config.increments.source == "wheel":
-        fit = evaluate.fit_wheels(inputs.log.odometry, truth, first.t_ns, last.t_ns)
+    truth, fit = run.log.groundtruth, {}
+    first, last = run.frames[0].located, run.frames[-1].located
+    if truth is not None and run.localiser.config.increments.source == "wheel":
+        fit = evaluate.fit_wheels(run.log.odometry, truth, first.t_ns, last.t_ns)
     return evaluate.bias_figures(last.estimate, fit)
 
 
-def _mount(inputs: RunInputs, frames: Sequence[Edges], odometry: Array) -> dict[str, Any]:
+def _mount(run: Replay, edges: Sequence[Edges]) -> dict[str, Any]:
     """Return what the edges of all images together say about tilt and roll.
 
-    odometry: (F, 3) poses at the images. `warnings` has a text when they contradict what is stated; see `check_mount`.
+    `warnings` has a text when they contradict what is stated; see `check_mount`.
     """
-    log, parameters = inputs.log, inputs.localiser.config.edges
+    log, parameters = run.log, run.localiser.config.edges
     if not log.has_images:
         return {"warnings": []}
-    check = check_mount(
-        frames, odometry, log.camera, np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
-    )
+    stated_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
+    check = check_mount(edges, run.track.odometry, log.camera, stated_sigma_rad)
     stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
     warning = (
         f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "

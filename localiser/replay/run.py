@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from localiser import evaluate, view
+from localiser import evaluate
 from localiser.config import Config, in_force, read_config, to_yaml
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.evaluate import Track, write_report
@@ -19,35 +20,38 @@ from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser, check_settings
+from localiser.replay.about import described, identity_of
 from localiser.replay.figures import bound_of, run_metrics, track_of, truth_of
-from localiser.replay.inputs import RunInputs, map_of
 from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
 from localiser.replay.start import has_start, start_of
 from localiser.replay.stop import asked_to_stop
-from localiser.storage import ImageEvent, Log, RunFolder, camera_error, checkpoint_of, open_log
-from localiser.view import LiveView
+from localiser.storage import ImageEvent, Log, RunFolder, camera_error, checkpoint_of, open_log, read_map
+from localiser.view import Context, LiveView
 
 SIGINT_EXIT_CODE = 130
 STAGES = ("load", "edges", "filter", "sinks")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Replay:
     """A log that is replayed, and what was located until now.
 
-    frames: without images and particles. timing: what each of them took (ms), by stage.
+    localiser: as it was made for this run; it has the map, which was read from `map_file` where that is not None, and
+    the settings. start: None where nothing is said of it. frames: without images and particles. timing: what each of
+    them took (ms), by stage.
     """
 
-    inputs: RunInputs
+    log: Log
+    localiser: Localiser
+    start: Start | None
+    map_file: Path | None = None
     frames: list[LocatedFrame] = field(default_factory=list)
     timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
 
-    def run(self, sinks: Sequence[Sink] = (), after_each: Callable[[], None] = lambda: None) -> None:
-        """Replay the log: hand every located image to the sinks, then call `after_each`. Raises InputError."""
-        for found in self._steps():
-            for frame in found:
-                self._hand_over(self._completed(frame), sinks)
-                after_each()
+    @cached_property
+    def identity(self) -> dict[str, str]:
+        """What the run was made from: every setting by its name, and fingerprints of map, camera and log."""
+        return identity_of(self)
 
     @property
     def track(self) -> Track:
@@ -57,13 +61,19 @@ class Replay:
     @property
     def metrics(self) -> dict[str, Any]:
         """The figures of the run so far, as `metrics.json` has them."""
-        bound = bound_of(self.inputs, self.frames)
-        return run_metrics(self.inputs, self.frames, bound) | evaluate.timing_metrics(self.timing)
+        return run_metrics(self, bound_of(self))
+
+    def run(self, sinks: Sequence[Sink] = (), after_each: Callable[[], None] = lambda: None) -> None:
+        """Replay the log: hand every located image to the sinks, then call `after_each`. Raises InputError."""
+        for found in self._steps():
+            for frame in found:
+                self._hand_over(self._completed(frame), sinks)
+                after_each()
 
     def _steps(self) -> Iterator[list[LocatedFrame]]:
-        inputs, localiser = self.inputs, self.inputs.localiser
-        events = inputs.log.events(inputs.start, anywhere=inputs.start is None)
-        for event in islice(events, _resumed(inputs), None):
+        localiser = self.localiser
+        events = self.log.events(self.start, anywhere=self.start is None)
+        for event in islice(events, self._resumed(), None):
             match event:
                 case Start():
                     yield localiser.start(event.mean, event.cov, event.t_ns)
@@ -78,14 +88,14 @@ class Replay:
     def _image(self, event: ImageEvent) -> list[LocatedFrame]:
         data = event.encoded()
         try:
-            return self.inputs.localiser.image(event.t_ns, data, by_wheels=event.by_wheels)
+            return self.localiser.image(event.t_ns, data, by_wheels=event.by_wheels)
         except InputError as error:
-            raise InputError(error.problem, path=self.inputs.log.path, field=event.name) from None
+            raise InputError(error.problem, path=self.log.path, field=event.name) from None
 
     def _completed(self, frame: LocatedFrame) -> LocatedFrame:
         """Return the frame with the truth; its odometry is what the run went by, which need not be the wheels alone."""
-        located, truth = frame.located, self.inputs.log.groundtruth
-        if self.inputs.localiser.config.increments.source != "wheel":
+        located, truth = frame.located, self.log.groundtruth
+        if self.localiser.config.increments.source != "wheel":
             before = self.frames[-1].located.odometry if self.frames else np.zeros(3)
             located = replace(located, odometry=compose(before, located.increment.mean))
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
@@ -100,20 +110,19 @@ class Replay:
         for stage in STAGES:
             self.timing[stage].append(stage_ms[stage])
 
+    def _resumed(self) -> int:
+        """Go on from where the live run went on that the log is a recording of; return how many events that replaces.
 
-def _resumed(inputs: RunInputs) -> int:
-    """Go on from where the live run went on that the log is a recording of; return how many events are passed over.
-
-    That is the start, which is in the state. A state belongs to its settings, map and camera: with others the replay
-    starts about there, as for any start. Raises InputError when the state is damaged.
-    """
-    log, localiser = inputs.log, inputs.localiser
-    if not log.resumed or inputs.start is not log.start:
-        return 0
-    if checkpoint_of(log.resumed, log.path).identity != localiser.identity:
-        return 0
-    localiser.restore(log.resumed, log.path)
-    return 1
+        That is the start. A state belongs to its settings, map and camera: with others the replay starts about there,
+        as for any start. Raises InputError when the state is damaged.
+        """
+        log, localiser = self.log, self.localiser
+        if not log.resumed or self.start is not log.start:
+            return 0
+        if checkpoint_of(log.resumed, log.path).identity != localiser.identity:
+            return 0
+        localiser.restore(log.resumed, log.path)
+        return 1
 
 
 def prepare(
@@ -129,13 +138,16 @@ def prepare(
     start: see `start_of`. landmark_map, or that in map_file, takes the place of the log's own. Raises InputError when
     the map is missing, or settings, camera and log do not fit.
     """
-    landmark_map = map_of(log, map_file) if landmark_map is None else landmark_map
+    if landmark_map is None:
+        landmark_map = read_map(map_file) if map_file else log.landmark_map
+    if landmark_map is None:
+        raise InputError("the log has no map; expected --map MAP", path=log.path, field="map")
     try:
         check_settings(config, log.camera, images=log.has_images, has_start=has_start(log, start))
     except InputError as error:
         raise _placed(error, log) from None
     localiser = Localiser(landmark_map, log.camera, config)
-    return Replay(RunInputs(log, localiser, map_file, start_of(log, start, localiser.rng)))
+    return Replay(log, localiser, start_of(log, start, localiser.rng), map_file)
 
 
 def _placed(error: InputError, log: Log) -> InputError:
@@ -187,11 +199,9 @@ class FolderRun:
     @classmethod
     def open(cls, replay: Replay, outputs: Outputs) -> FolderRun:
         """Make the folder and open the sinks. Raises OutputError when results cannot be written."""
-        log, localiser = replay.inputs.log, replay.inputs.localiser
+        log, landmark_map = replay.log, replay.localiser.landmark_map
         folder = RunFolder.create(outputs.results, log.name)
-        context = view.Context(
-            log.name, log.camera, localiser.landmark_map, truth=log.groundtruth, images=log.has_images
-        )
+        context = Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
         return cls(replay, folder, sinks_of(outputs, folder.path, context))
 
     @property
@@ -205,8 +215,8 @@ class FolderRun:
         Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
         """
         try:
-            self.folder.write_text("config.yaml", to_yaml(in_force(self.replay.inputs.localiser.config)))
-            self.folder.write_text("run.yaml", self.replay.inputs.described())
+            self.folder.write_text("config.yaml", to_yaml(in_force(self.replay.localiser.config)))
+            self.folder.write_text("run.yaml", described(self.replay))
             with asked_to_stop() as asked:
 
                 def after_each() -> None:
@@ -229,7 +239,7 @@ class FolderRun:
     def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
         """Save what was done and return the error that says how much that is and where."""
         close_all(self.sinks, complete=False)
-        done, frames = len(self.replay.frames), len(self.replay.inputs.log.frames)
+        done, frames = len(self.replay.frames), len(self.replay.log.frames)
         if done:
             self._write_figures(complete=False)
         return RunEndedEarlyError(
@@ -239,19 +249,12 @@ class FolderRun:
 
     def _write_figures(self, complete: bool) -> dict[str, Any]:
         """Write `metrics.json`, `timing.json` and `report.png` of what was located, and return the metrics."""
-        replay, folder = self.replay, self.folder
-        inputs, frames = replay.inputs, replay.frames
-        bound = bound_of(inputs, frames)
-        figures = run_metrics(inputs, frames, bound) | {"complete": complete}
-        times = evaluate.timing_metrics(replay.timing)
-        folder.write_json("metrics.json", figures | times)
-        folder.write_json("timing.json", times)
-        write_report(
-            folder.path / "report.png",
-            replay.track,
-            figures,
-            truth=truth_of(inputs, frames),
-            landmark_map=inputs.localiser.landmark_map,
-            bound=bound,
-        )
-        return figures | times
+        run, folder = self.replay, self.folder
+        bound = bound_of(run)
+        figures = run_metrics(run, bound) | {"complete": complete}
+        folder.write_json("metrics.json", figures)
+        folder.write_json("timing.json", evaluate.timing_metrics(run.timing))
+        landmark_map = run.localiser.landmark_map
+        report = folder.path / "report.png"
+        write_report(report, run.track, figures, truth=truth_of(run), landmark_map=landmark_map, bound=bound)
+        return figures

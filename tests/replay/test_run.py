@@ -353,7 +353,7 @@ def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Pat
 def test_run_without_a_display_says_so_and_goes_on(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(live, "_viewer", lambda kind: ([sys.executable, "-c", "pass"], None))
+    monkeypatch.setattr(live, "viewer_command", lambda kind: ([sys.executable, "-c", "pass"], None))
     result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--quiet", "--view", kind)
     assert (result.exit_code, result.out) == (0, "")
     assert "could not start" in result.err

@@ -21,18 +21,17 @@ Take = Callable[[int, NDArray[np.uint8]], None]
 class CameraSource:
     """Hands every frame with its time over, in a thread of its own; a camera that goes away is tried again.
 
-    A frame's time is when it came out of the camera, by the calendar, less `delay_s`. A file is played at its own rate.
+    A frame's time is when it came out of the camera, by the calendar. A file is played at its own rate.
     """
 
-    def __init__(self, address: str, take: Take, *, delay_s: float = 0.0) -> None:
+    def __init__(self, address: str, take: Take) -> None:
         """Open the camera. take: gets the time (ns) and (H, W, 3) BGR or (H, W) grey. Raises InputError."""
-        self._address, self._take, self._delay_ns = address, take, round(delay_s * 1e9)
+        self._address, self._take = address, take
         self._is_file = Path(address).is_file()
         self._stop = Event()
         self._capture: Any = _open(address)
         if self._capture is None:
             raise InputError("expected a camera that can be opened", path=address, field="--image")
-        self.ended = False
         self._thread = Thread(target=self._read, name="camera", daemon=True)
 
     def start(self) -> None:
@@ -54,9 +53,8 @@ class CameraSource:
                 if self._is_file:
                     t_ns = begin_ns + round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
                     self._stop.wait((t_ns - time.time_ns()) / 1e9)
-                self._take(t_ns - self._delay_ns, image)
+                self._take(t_ns, image)
             elif self._is_file:
-                self.ended = True
                 return
             else:
                 self._stop.wait(_RETRY_S)
