@@ -102,7 +102,7 @@ def found(setting: Setting, places: Places, index: int, kind: str) -> Found:
         return observation.log_likelihood(particles, Sighting(0, edges), setting.landmark_map)
 
     start = time.process_time()
-    proposals = propose([view_of(setting.camera, edges, kind)], places, log_likelihood, rng)
+    proposals = propose(view_of(setting.camera, edges, kind), places, log_likelihood, rng)
     duration_ms = 1e3 * (time.process_time() - start)
     near = beside(proposals.mean, truth)
     others = proposals.mean[~beside(proposals.mean, truth, metres=0.5, degrees=10.0)]

@@ -1,10 +1,10 @@
 """The observation's sum over particles, landmarks and edges, compiled.
 
-It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes the
-result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be in
-view from a cell are looked at. An edge that no landmark comes near costs nothing, since its factor 1 - w is common to
-all particles. The loops run as vector instructions (`likelihood_kernel`). No more particles are weighed at a time than
-the cache holds. A particle's result depends on that particle alone, whatever number of threads share the work.
+It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes
+the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be
+in view from a cell are looked at. An edge that no landmark comes near costs nothing, since its factor 1 - w is common
+to all particles. The loops run as vector instructions (`likelihood_kernel`). No more particles are weighed at a time
+than the cache holds. A particle's result depends on that particle alone, whatever number of threads share the work.
 """
 
 from __future__ import annotations

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.geometry.compiled import checked
 from localiser.landmarks import CELL_M, field_of_view_rad, half_view_rad
 from localiser.observation import polarity
-from localiser.relocalisation.places import Indices, Places
+from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
 
 COLUMNS, ROWS = 512, 48
@@ -99,115 +98,32 @@ def _likeliest(density: Array, ends: Array) -> tuple[NDArray[np.int64], Array]:
     return edge, best
 
 
-def score_poses(evidences: list[Evidence], places: Places, robot_poses: Array) -> Array:
-    """Return the score (N,) of robot poses (N, 3) at even shares of landmarks and clutter: the sum over the views."""
-    even = np.array([0.5])
-    return np.asarray(sum(score_by_rate(evidence, places, robot_poses, even)[0] for evidence in evidences))
+def score_poses(evidence: Evidence, places: Places, robot_poses: Array) -> Array:
+    """Return the score (N,) of robot poses (N, 3), at an inlier rate of ½."""
+    from localiser.relocalisation import evidence_kernel as kernel
 
-
-def score_by_rate(evidence: Evidence, places: Places, robot_poses: Array, shares: Array) -> Array:
-    """Return the score (K, N) of robot poses (N, 3) if the share w_k (K,) of the edges belongs to landmarks."""
-    loop: Any = checked(score_loop)
-    return np.asarray(loop(*_arguments(evidence, places, robot_poses), shares))
+    return np.asarray(kernel.score(*arguments(evidence, places, robot_poses)))
 
 
 def warm_up(view: View, places: Places) -> None:
     """Compile the score, or load it from the cache, so that the first frame need not wait for it."""
-    score_poses([evidence_of(view, places.polarities, 0.01, 0.01)], places, np.zeros((1, 3)))
+    score_poses(evidence_of(view, places.polarities, 0.01, 0.01), places, np.zeros((1, 3)))
 
 
-def _arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
-    """Return what `score_loop` takes."""
-    mount, sectors = evidence.view.camera.mount, places.index
+def arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
+    """Return what `evidence_kernel.score` takes."""
+    mount, index = evidence.view.camera.mount, places.index
     return (
-        np.ascontiguousarray(evidence.view.camera_poses(robot_poses)),
+        np.ascontiguousarray(evidence.view.camera.pose_in_map(robot_poses)),
         np.stack([*places.points.T, places.bottom_m - mount.height_m, places.top_m - mount.height_m], axis=-1),
         np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), places.sight.range_min_m, places.sight.range_max_m]),
-        np.array([*sectors.corner, CELL_M]),
-        sectors.shape,
-        sectors.start,
-        sectors.item,
+        np.array([*index.corner, CELL_M]),
+        index.shape,
+        index.start,
+        index.item,
         places.table,
         evidence.edge.astype(np.int16),  # small tables stay in the processor's cache
         evidence.fit.astype(np.float32),
         len(evidence.view),
         np.array([evidence.tangent_low, evidence.tangent_step, evidence.e_low, evidence.e_step]),
     )
-
-
-def score_loop(
-    poses: Array,
-    landmarks: Array,
-    sight: Array,
-    floor: Array,
-    shape: tuple[int, int, int],
-    start: Indices,
-    item: NDArray[np.int32],
-    table: Indices,
-    edge: NDArray[np.int16],
-    fit: NDArray[np.float32],
-    edges: int,
-    grid: Array,
-    shares: Array,
-) -> Array:
-    """Return the score (K, N) of camera poses (N, 3), one pose and one landmark in view after the other.
-
-    landmarks: (L, 4) x, z, and the heights of both ends above the camera. sight: sine and cosine of the tilt, nearest
-    and farthest range. floor, shape, start, item: the sectors, floor being corner and cell. table: (L,) which of the
-    tables is of the landmark's polarity. grid: low and step of tan(bearing), low and step of e. shares: (K,) of edges
-    that belong to landmarks. Plain loops, for numba to compile.
-    """
-    result = np.zeros((len(shares), len(poses)))
-    s, c = sight[0], sight[1]
-    _, rows, columns = fit.shape
-    explained = np.zeros(edges)
-    low, high, per_column = grid[0], grid[0] + (columns - 0.01) * grid[1], 1.0 / grid[1]
-    per_row = 1.0 / grid[3]
-    nearest, farthest = sight[2] ** 2, sight[3] ** 2
-    for n in range(len(poses)):
-        x, z, heading = poses[n, 0], poses[n, 1], poses[n, 2]
-        i, j = int(np.floor((x - floor[0]) / floor[2])), int(np.floor((z - floor[1]) / floor[2]))
-        if i < 0 or j < 0 or i >= shape[0] or j >= shape[1]:  # where nothing is in view, nothing is explained
-            for share in range(len(shares)):
-                result[share, n] = edges * np.log(1.0 - shares[share])
-            continue
-        sector = int(np.floor((heading + np.pi) * shape[2] / (2 * np.pi))) % shape[2]
-        cell = (i * shape[1] + j) * shape[2] + sector
-        cos, sin = np.cos(heading), np.sin(heading)
-        explained[:] = 0.0
-        in_view = 0
-        for place in range(start[cell], start[cell + 1]):
-            k = item[place]
-            dx, dz = landmarks[k, 0] - x, landmarks[k, 1] - z
-            ahead = -(dx * sin + dz * cos)
-            right = dx * cos - dz * sin
-            # Outside the field of view: told without a division.
-            if ahead <= 1e-6 or right <= low * ahead or right >= high * ahead:
-                continue
-            squared = right * right + ahead * ahead
-            if squared < nearest or squared > farthest:
-                continue
-            # The top must be above the image's lower border, the foot below its upper one.
-            top, bottom = landmarks[k, 3], landmarks[k, 2]
-            if top * c + ahead * s < grid[2] * max(ahead * c - top * s, 1e-6):
-                continue
-            depth = max(ahead * c - bottom * s, 1e-6)
-            inverse = 1.0 / (ahead * depth)  # one division for both quotients
-            row = max(int(np.floor(((bottom * c + ahead * s) * ahead * inverse - grid[2]) * per_row)) + 1, 0)
-            if row >= rows - 1:
-                continue
-            in_view += 1
-            column = int((right * depth * inverse - low) * per_column)
-            best = edge[table[k], row, column]
-            if best >= 0:
-                explained[best] += fit[table[k], row, column]
-        for share in range(len(shares)):
-            clutter, each = 1.0 - shares[share], shares[share] / max(in_view, 1)
-            product, total = 1.0, 0.0  # one logarithm for many factors, as long as their product is a number
-            for k in range(edges):
-                product *= clutter + each * explained[k]
-                if product > 1e100 or product < 1e-100:
-                    total += np.log(product)
-                    product = 1.0
-            result[share, n] = total + np.log(product)
-    return result

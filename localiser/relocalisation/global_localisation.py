@@ -136,7 +136,7 @@ class GlobalLocalisation:
         def log_likelihood(poses: Array) -> Array:
             return inliers.log_mean(clues.by_pose(poses))
 
-        poses, log_prior_over_q = propose([clues.view], self.places, log_likelihood, rng).drawn(count, rng)
+        poses, log_prior_over_q = propose(clues.view, self.places, log_likelihood, rng).drawn(count, rng)
         log_weight = log_prior_over_q + log_likelihood(poses)
         others = resampling.multinomial_resample(like.weight, count, rng)
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)

@@ -96,23 +96,19 @@ def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
     return np.where(told, range_m, np.nan), np.where(told, sigma_m, np.nan)
 
 
-def from_bearings(views: list[View], places: Places, count: int, rng: np.random.Generator) -> Array:
-    """Return robot poses (K, 3), up to two for each of `count` draws, at which three edges are three landmarks.
+def from_bearings(view: View, places: Places, count: int, rng: np.random.Generator) -> Array:
+    """Return robot poses (K ≤ count, 3) at which three edges are three landmarks.
 
-    The edges may be of one image or of several. None where the map is so large that three right edges would hardly
-    ever be drawn with their three landmarks.
+    None where the map is so large that three right edges would hardly ever be drawn with their three landmarks.
     """
     if len(places) ** 3 > MOST_TRIPLES * count:
         return np.zeros((0, 3))
-    bearing = np.concatenate([view.bearing - view.camera_in_robot[2] for view in views])
-    origin = np.concatenate([np.broadcast_to(view.camera_in_robot[:2], (len(view), 2)) for view in views])
-    if len(bearing) < 3 or len(places) < 3:
+    if len(view) < 3 or len(places) < 3:
         return np.zeros((0, 3))
-    edges = _distinct(len(bearing), 3, count, rng)
+    edges = _distinct(len(view), 3, count, rng)
     landmarks = _neighbours(places, len(edges), rng)
-    poses = from_three_bearings(places.points[landmarks], origin[edges], bearing[edges])
-    poses = poses.reshape(-1, 3)
-    return np.asarray(poses[np.isfinite(poses).all(axis=1)])
+    cameras = from_three_bearings(places.points[landmarks], view.bearing[edges])
+    return view.robot_poses(cameras[np.isfinite(cameras).all(axis=1)])
 
 
 def _wide_pairs(view: View, usable: Indices) -> tuple[Indices, Indices]:

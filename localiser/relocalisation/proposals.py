@@ -40,23 +40,22 @@ class ProposalParameters:
 
 
 def propose(
-    views: list[View],
+    view: View,
     places: Places,
     log_likelihood: LogLikelihood,
     rng: np.random.Generator,
     parameters: ProposalParameters | None = None,
 ) -> Proposals:
-    """Return a density over robot poses that is high where the edges of the views fit the map.
+    """Return a density over robot poses that is high where the edges of an image fit the map.
 
-    views: the present image first; earlier ones, carried forward by odometry, help where it shows few edges.
     log_likelihood: maps robot poses (K, 3) to log p(edges | pose) (K,), up to a constant. Called once, with at most
     `refined` poses.
     """
     parameters = parameters or ProposalParameters()
-    if sum(len(view) for view in views) < FEWEST:
+    if len(view) < FEWEST:
         return Proposals.blind(places.region)
-    candidates = _best_hypotheses(views, places, rng, parameters)
-    poses, covs = refined(views, places, candidates)
+    candidates = _best_hypotheses(view, places, rng, parameters)
+    poses, covs = refined(view, places, candidates)
     inside = places.region.contains(poses)
     poses, covs = poses[inside], covs[inside]
     if len(poses) == 0:
@@ -69,18 +68,16 @@ def propose(
     return Proposals(log_weight, poses[best], covs[best] * parameters.widened**2, places.region, parameters.even)
 
 
-def _best_hypotheses(
-    views: list[View], places: Places, rng: np.random.Generator, parameters: ProposalParameters
-) -> Array:
+def _best_hypotheses(view: View, places: Places, rng: np.random.Generator, parameters: ProposalParameters) -> Array:
     """Return the poses (K, 3) that the quick score likes best, none beside another."""
     count = parameters.hypotheses
-    poses = hypotheses.from_feet(max(views, key=len), places, count, rng)
+    poses = hypotheses.from_feet(view, places, count, rng)
     if len(poses) < count // 2:
-        more = hypotheses.from_bearings(views, places, count - len(poses), rng)
+        more = hypotheses.from_bearings(view, places, count - len(poses), rng)
         poses = np.concatenate([poses, more])
     poses = poses[places.region.contains(poses)]
-    evidences = [evidence_of(view, places.polarities, SEARCH_BLUR_RAD, SEARCH_BLUR_RAD) for view in views]
-    score = score_poses(evidences, places, poses)
+    evidence = evidence_of(view, places.polarities, SEARCH_BLUR_RAD, SEARCH_BLUR_RAD)
+    score = score_poses(evidence, places, poses)
     return np.asarray(poses[_distinct(poses, score)[: parameters.refined]])
 
 

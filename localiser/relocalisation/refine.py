@@ -19,7 +19,7 @@ WINDOWS_RAD = np.radians([2.0, 1.0, 0.5, 0.25, 0.1])
 LOOSE_SIGMA = np.array([0.3, 0.3, np.radians(10.0)])
 
 
-def refined(views: list[View], places: Places, poses: Array) -> tuple[Array, Array]:
+def refined(view: View, places: Places, poses: Array) -> tuple[Array, Array]:
     """Return poses (K, 3) after Gauss-Newton on bearings and feet, and their covariances (K, 3, 3).
 
     The landmarks in view are those of the first pose; each belongs, at every step, to the edge that explains it best in
@@ -28,13 +28,12 @@ def refined(views: list[View], places: Places, poses: Array) -> tuple[Array, Arr
     covs = np.tile(np.diag(LOOSE_SIGMA**2), (len(poses), 1, 1))
     if len(poses) == 0:
         return poses, covs
-    pairs = [_in_reach(view, places, poses) for view in views]
+    pair = _in_reach(view, places, poses)
     for window in WINDOWS_RAD:
         information = np.tile(np.diag(LOOSE_SIGMA**-2.0), (len(poses), 1, 1))
         gradient = np.zeros((len(poses), 3))
-        for view, pair in zip(views, pairs, strict=True):
-            evidence = evidence_of(view, places.polarities, window, window)
-            _add_normal_equations(evidence, places, poses, pair, window, information, gradient)
+        evidence = evidence_of(view, places.polarities, window, window)
+        _add_normal_equations(evidence, places, poses, pair, window, information, gradient)
         covs = np.linalg.inv(information)
         poses = poses + np.einsum("kij,kj->ki", covs, gradient)
         poses[:, 2] = wrap_angle(poses[:, 2])
@@ -43,7 +42,7 @@ def refined(views: list[View], places: Places, poses: Array) -> tuple[Array, Arr
 
 def _in_reach(view: View, places: Places, poses: Array) -> tuple[Indices, Indices]:
     """Return pairs (P,) of pose and landmark that can be in view, a little beyond its sides included."""
-    right, ahead = in_camera(view.camera_poses(poses), places.points)
+    right, ahead = in_camera(view.camera.pose_in_map(poses), places.points)
     beside = np.tan(half_view_rad(view.camera)) * ahead + 0.2
     possible = (ahead > 0.1) & (ahead < places.sight.range_max_m) & (np.abs(right) < beside)
     pose, landmark = np.nonzero(possible)
@@ -59,9 +58,9 @@ def _add_normal_equations(
     information: Array,
     gradient: Array,
 ) -> None:
-    """Add JᵀWJ (K, 3, 3) and JᵀWr (K, 3) of one view's bearings and feet."""
+    """Add JᵀWJ (K, 3, 3) and JᵀWr (K, 3) of bearings and feet."""
     view, (pose, landmark) = evidence.view, pair
-    cameras = view.camera_poses(poses)[pose]
+    cameras = view.camera.pose_in_map(poses)[pose]
     dx, dz = (places.points[landmark] - cameras[:, :2]).T
     cos, sin = np.cos(cameras[:, 2]), np.sin(cameras[:, 2])
     right, ahead = dx * cos - dz * sin, -(dx * sin + dz * cos)

@@ -1,4 +1,4 @@
-"""What one image says to the search for poses: bearings, and how far down each edge goes."""
+"""What one image says to global localisation: bearings, and how far down each edge goes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array
+from localiser.geometry import Array, between, compose
+from localiser.observation import Angle
 
 END_SIGMA_PX = 3.0  # where a detector ends an edge
 BORDER_PX = 5.0  # an end this near the border is where the image ends, not the edge
@@ -19,16 +19,14 @@ BORDER_PX = 5.0  # an end this near the border is where the image ends, not the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """The E edges of one image, left to right, seen by `camera` from a place that the robot's present frame knows.
+    """The E edges of one image, left to right.
 
-    camera_in_robot: (3,) floor pose of the camera, when the image was taken, in the robot's present frame.
     bearing, bearing_sigma: (E,) rad. foot: (E,) upright image height of the lower end, nan where it is not known.
     cut: (E,) whether that end is the border of the image. foot_sigma: its error, the mount's included. length_px: (E,),
     1 where it is not known. polarity: (E,) as in `Edges`.
     """
 
     camera: Camera
-    camera_in_robot: Array
     bearing: Array
     bearing_sigma: Array
     foot: Array
@@ -40,38 +38,22 @@ class View:
     def __len__(self) -> int:
         return len(self.bearing)
 
-    def camera_poses(self, robot_poses: Array) -> Array:
-        """Return where in the map (N, 3) the camera was for robots now at (N, 3)."""
-        return geometry.compose(robot_poses, self.camera_in_robot)
-
     def robot_poses(self, camera_poses: Array) -> Array:
-        """Return where in the map (N, 3) the robot is now for cameras that were at (N, 3)."""
-        return geometry.compose(camera_poses, geometry.between(self.camera_in_robot, np.zeros(3)))
+        """Return where in the map (N, 3) the robot is whose camera is at (N, 3)."""
+        return compose(camera_poses, between(self.camera.robot_from_level, np.zeros(3)))
 
 
-def view_of(
-    camera: Camera,
-    edges: Edges,
-    kind: Literal["line", "slope"] = "line",
-    motion: Array | None = None,
-    motion_cov: Array | None = None,
-) -> View:
-    """Return the view of `edges` seen by `camera`, by their line or by their slope alone.
-
-    motion: (3,) how the robot has moved since (right, backward, turn), with covariance motion_cov (3, 3); both zero for
-    the present image. An uncertain turn widens the bearings, as an uncertain way does at a typical range of 3 m.
-    """
-    bearing, variance = _bearings(camera, edges, kind)
-    if motion_cov is not None:
-        variance = variance + motion_cov[2, 2] + (motion_cov[0, 0] + motion_cov[1, 1]) / 2 / 3.0**2
+def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line") -> View:
+    """Return the view of `edges` seen by `camera`, by their line or by their slope alone."""
+    angle = Angle(camera, kind)
+    bearing, sigma = angle.bearings(edges)
+    variance = sigma**2 + angle.mount_var(edges)
     known = np.flatnonzero(np.isfinite(bearing) & np.isfinite(variance))
     order = known[np.argsort(bearing[known], kind="stable")]
     foot = camera.upright_from_pixels(edges.ends_px[order])[..., 1].min(axis=1)
     foot = np.where(np.isnan(foot), _height_at(camera, bearing[order], edges.foot_range_m[order]), foot)
-    motion = np.zeros(3) if motion is None else np.asarray(motion, dtype=np.float64)
     return View(
         camera=camera,
-        camera_in_robot=geometry.compose(geometry.between(motion, np.zeros(3)), camera.robot_from_level),
         bearing=bearing[order],
         bearing_sigma=np.sqrt(variance[order]),
         foot=foot,
@@ -80,18 +62,6 @@ def view_of(
         length_px=np.nan_to_num(edges.length_px[order], nan=1.0),
         polarity=edges.polarity[order],
     )
-
-
-def _bearings(camera: Camera, edges: Edges, kind: str) -> tuple[Array, Array]:
-    """Return bearings (E,) and their variances (E,), the mount's common error included."""
-    common = edges.common
-    if kind == "line":
-        by, bearing, sigma = common.bearing_from_line, edges.bearing, edges.bearing_sigma
-    else:
-        tilt = camera.mount.tilt_rad
-        by, bearing = common.bearing_from_lean, geometry.bearing_from_lean(edges.lean, tilt)
-        sigma = edges.lean_sigma * geometry.bearing_per_lean(bearing, tilt)
-    return bearing, sigma**2 + np.einsum("ek,kl,el->e", by, common.cov, by)
 
 
 def _tilt_sigma(edges: Edges) -> float:

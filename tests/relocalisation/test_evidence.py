@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 
 from localiser.landmarks import field_of_view_rad, half_view_rad, in_camera
-from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.polarity import SAME
 from localiser.relocalisation import Places, view_of
-from localiser.relocalisation.evidence import _arguments, evidence_of, score_by_rate, score_loop, score_poses
+from localiser.relocalisation.evidence import arguments, evidence_of, score_poses
+from localiser.relocalisation.evidence_kernel import score
 
 ROOM = room()
 PLACES = Places.of(ROOM, CAMERA)
@@ -45,7 +45,7 @@ def plain_score(evidence, poses):
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     span, (_, _, e_low, e_high) = field_of_view_rad(camera), camera.upright_bounds
     sigma_b, sigma_e = np.hypot(view.bearing_sigma, 0.01), np.hypot(view.foot_sigma, 0.01)
-    right, ahead = in_camera(view.camera_poses(poses), PLACES.points)
+    right, ahead = in_camera(camera.pose_in_map(poses), PLACES.points)
     scores = []
     for across, forward in zip(right, ahead, strict=True):
         explained, in_view = np.zeros(len(view)), 0
@@ -59,12 +59,7 @@ def plain_score(evidence, poses):
                 continue
             in_view += 1
             b = np.arctan2(across[k], forward[k])
-            fit = (
-                field_of_view_rad(camera)
-                * np.exp(-0.5 * ((b - view.bearing) / sigma_b) ** 2)
-                / np.sqrt(2 * np.pi)
-                / sigma_b
-            )
+            fit = span * np.exp(-0.5 * ((b - view.bearing) / sigma_b) ** 2) / np.sqrt(2 * np.pi) / sigma_b
             at_foot = np.exp(-0.5 * ((foot - view.foot) / sigma_e) ** 2) / np.sqrt(2 * np.pi) / sigma_e
             hanging = 0.6 * at_foot * (e_high - e_low) + np.where(foot < view.foot + sigma_e, 0.4, 0.05)
             cut = np.where(foot < e_low, 1.0, np.where(foot < view.foot + 2 * sigma_e, 0.5, 0.05))
@@ -79,7 +74,7 @@ def test_score_is_that_of_the_plain_formula(evidence):
     truth, _ = drawn_frames(ROOM, 1, seed=2, clutter=8)
     rng = np.random.default_rng(0)
     poses = np.concatenate([truth + rng.normal(0, [0.02, 0.02, 0.005], (30, 3)), drawn_frames(ROOM, 60, seed=3)[0]])
-    ours, plain = score_poses([evidence], PLACES, poses), plain_score(evidence, poses)
+    ours, plain = score_poses(evidence, PLACES, poses), plain_score(evidence, poses)
     assert np.abs(ours - plain).max() < 2.0
     assert np.corrcoef(ours, plain)[0, 1] > 0.995
     assert np.median(plain[:30]) > plain[30:].max()  # the formula itself tells right from wrong
@@ -87,16 +82,15 @@ def test_score_is_that_of_the_plain_formula(evidence):
 
 def test_compiled_score_is_that_of_the_loops(evidence):
     poses = drawn_frames(ROOM, 40, seed=4)[0]
-    loops = score_loop(*_arguments(evidence, PLACES, poses), INLIER_RATES)
-    np.testing.assert_allclose(score_by_rate(evidence, PLACES, poses, INLIER_RATES), loops, rtol=1e-9, atol=1e-9)
+    loop = getattr(score, "py_func", score)
+    expected = loop(*arguments(evidence, PLACES, poses))
+    np.testing.assert_allclose(score_poses(evidence, PLACES, poses), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_poses_off_the_map_explain_nothing(evidence):
     """All edges are clutter then, as they are to poses that look away from all landmarks."""
     nowhere = np.array([[100.0, 0.0, 0.0], [0.0, -100.0, 1.0]])
-    expected = len(evidence.view) * np.log1p(-INLIER_RATES)
-    lost = score_by_rate(evidence, PLACES, nowhere, INLIER_RATES)
-    np.testing.assert_allclose(lost, np.tile(expected[:, None], 2))
+    np.testing.assert_allclose(score_poses(evidence, PLACES, nowhere), len(evidence.view) * np.log(0.5))
 
 
 def test_an_edge_of_the_landmarks_polarity_scores_more_than_one_of_the_other():
@@ -118,7 +112,7 @@ def test_the_score_looks_up_each_landmark_by_its_own_polarity():
     for pose, edges in zip(poses, frames, strict=True):
         if len(edges):
             one, none, other = (
-                score_poses([evidence_of(view_of(CAMERA, edges), places.polarities, 0.01, 0.01)], places, pose[None])[0]
+                score_poses(evidence_of(view_of(CAMERA, edges), places.polarities, 0.01, 0.01), places, pose[None])[0]
                 for places in (Places.of(landmark_map, CAMERA) for landmark_map in (known, ROOM, turned))
             )
             assert one > none > other

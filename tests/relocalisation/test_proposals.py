@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from proposal_room import CAMERA, drawn_frames, room
 
-from localiser import geometry
 from localiser.edges import Edges
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
@@ -14,7 +13,6 @@ from localiser.observation import EdgeObservation, ObservationParameters, Sighti
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
 from localiser.relocalisation import Places, ProposalParameters, propose, view_of, warm_up
 from localiser.relocalisation.refine import refined
-from localiser.simulate import EdgeNoise, simulated_edges
 
 ROOM = room()
 PLACES = Places.of(ROOM, CAMERA)
@@ -40,7 +38,7 @@ def test_one_frame_proposes_the_true_pose(kind, clutter, least):
     for pose, edges in zip(*drawn_frames(ROOM, 90, seed=1, clutter=clutter), strict=True):
         if (edges.landmark_id >= 0).sum() >= 6 and len(hits) < 25:
             view = view_of(CAMERA, edges, kind)
-            found = propose([view], PLACES, likelihood(edges, ROOM, kind), np.random.default_rng(0), QUICK)
+            found = propose(view, PLACES, likelihood(edges, ROOM, kind), np.random.default_rng(0), QUICK)
             hits.append(beside(found.mean, pose).any())
     assert len(hits) == 25
     assert np.mean(hits) >= least
@@ -55,7 +53,7 @@ def test_draws_are_many_where_the_posterior_is_and_their_weights_say_the_truth()
     for pose, edges in zip(*drawn_frames(ROOM, 60, seed=5), strict=True):
         if len(edges) >= 10:
             score, rng = likelihood(edges, ROOM), np.random.default_rng(1)
-            poses, log_weight = propose([view_of(CAMERA, edges)], PLACES, score, rng, QUICK).drawn(4000, rng)
+            poses, log_weight = propose(view_of(CAMERA, edges), PLACES, score, rng, QUICK).drawn(4000, rng)
             weight = normalised(log_weight + score(poses))
             assert weight[beside(poses, pose)].sum() > 0.9
             assert np.hypot(*(weight @ poses[:, :2] - pose[:2])) < 0.05
@@ -72,7 +70,7 @@ def test_refinement_leads_to_the_truth_with_its_covariance():
     for pose, edges in zip(*drawn_frames(ROOM, 120, seed=6), strict=True):
         if len(edges) >= 7:
             start = pose + rng.normal(0, [0.05, 0.05, np.radians(1)])
-            mean, cov = refined([view_of(CAMERA, edges)], PLACES, start[None])
+            mean, cov = refined(view_of(CAMERA, edges), PLACES, start[None])
             error = mean[0] - pose
             error[2] = wrap_angle(error[2])
             nees.append(error @ np.linalg.solve(cov[0], error))
@@ -89,49 +87,17 @@ def test_bearings_alone_propose_the_pose():
     for pose, edges in zip(*drawn_frames(bare, 60, seed=7), strict=True):
         edges.ends_px[:] = np.nan
         if len(edges) >= 5:
-            found = propose([view_of(CAMERA, edges)], places, likelihood(edges, bare), np.random.default_rng(0))
+            found = propose(view_of(CAMERA, edges), places, likelihood(edges, bare), np.random.default_rng(0))
             hits.append(beside(found.mean, pose).any())
     assert len(hits) >= 5
     assert np.mean(hits) >= 0.8
-
-
-def test_earlier_views_help_where_the_present_one_shows_little():
-    """Two bearings now and some before a turn, carried forward by odometry."""
-    bare = LandmarkMap.from_points(room(14, seed=4).points)
-    places = Places.of(bare, CAMERA)
-    motion = np.array([0.05, -0.3, np.radians(40.0)])
-    before, frames = drawn_frames(bare, 60, seed=7)
-    now = geometry.compose(before, motion)
-    hits = []
-    for pose, earlier, index in zip(now, frames, range(60), strict=True):
-        present = _seen_from(bare, pose, index)
-        if len(present) >= 2 and len(earlier) >= 4:
-            present = present.take(np.arange(2))
-            for edges in (earlier, present):
-                edges.ends_px[:] = np.nan
-            views = [view_of(CAMERA, present), view_of(CAMERA, earlier, motion=motion, motion_cov=np.zeros((3, 3)))]
-            back = geometry.between(motion, np.zeros(3))
-            then, here = likelihood(earlier, bare), likelihood(present, bare)
-
-            def both(poses, then=then, here=here, back=back):
-                return here(poses) + then(geometry.compose(poses, back))
-
-            found = propose(views, places, both, np.random.default_rng(0))
-            hits.append(beside(found.mean, pose).any())
-    assert len(hits) >= 5
-    assert np.mean(hits) >= 0.7
-
-
-def _seen_from(landmark_map, pose, seed):
-    track = geometry.Trajectory(np.zeros(1, dtype=np.int64), pose[None])
-    return simulated_edges(landmark_map, CAMERA, track, np.random.default_rng(seed), noise=EdgeNoise())[0]
 
 
 @pytest.mark.parametrize("count", [0, 1, 4])
 def test_few_edges_are_left_to_even_draws(count):
     _, frames = drawn_frames(ROOM, 1, seed=8, clutter=10)
     edges = frames[0].take(np.arange(count))
-    found = propose([view_of(CAMERA, edges)], PLACES, likelihood(edges, ROOM), np.random.default_rng(0))
+    found = propose(view_of(CAMERA, edges), PLACES, likelihood(edges, ROOM), np.random.default_rng(0))
     assert len(found) == 0
     assert found.even == 1.0
 
@@ -139,7 +105,7 @@ def test_few_edges_are_left_to_even_draws(count):
 def test_the_same_seed_proposes_the_same():
     _, frames = drawn_frames(ROOM, 1, seed=9, clutter=10)
     view, score = view_of(CAMERA, frames[0]), likelihood(frames[0], ROOM)
-    one, other = (propose([view], PLACES, score, np.random.default_rng(7), QUICK) for _ in range(2))
+    one, other = (propose(view, PLACES, score, np.random.default_rng(7), QUICK) for _ in range(2))
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.log_weight, other.log_weight)
 
@@ -148,19 +114,8 @@ def test_a_map_of_one_landmark_is_left_to_even_draws():
     lonely = LandmarkMap.from_points(np.zeros((1, 2)))
     _, frames = drawn_frames(ROOM, 1, seed=9, clutter=10)
     score = likelihood(frames[0], lonely)
-    found = propose([view_of(CAMERA, frames[0])], Places.of(lonely, CAMERA), score, np.random.default_rng(0))
+    found = propose(view_of(CAMERA, frames[0]), Places.of(lonely, CAMERA), score, np.random.default_rng(0))
     assert len(found) == 0
-
-
-def test_a_present_image_without_edges_leaves_the_word_to_an_earlier_one():
-    pose, frames = drawn_frames(ROOM, 60, seed=5)
-    index = next(k for k, edges in enumerate(frames) if len(edges) >= 12)
-    motion = np.array([0.0, -0.2, 0.1])
-    views = [view_of(CAMERA, Edges.none()), view_of(CAMERA, frames[index], motion=motion)]
-    then = likelihood(frames[index], ROOM)
-    back = geometry.between(motion, np.zeros(3))
-    found = propose(views, PLACES, lambda poses: then(geometry.compose(poses, back)), np.random.default_rng(0), QUICK)
-    assert beside(found.mean, geometry.compose(pose[index], motion)).any()
 
 
 def test_a_floor_range_says_the_same_as_the_end_that_it_was_measured_from():
