@@ -2,12 +2,12 @@
 
 A pose from which n landmarks are in view explains the edges by the mixture of `observation`,
 
-    score = Σ_i log(1 - w + w a_i / n),   a_i = Σ_l span · N(b_i; b_l, σ) h_i(e_l) s_il
+    score = Σ_i log(1 - w + w a_i / n),   a_i = Σ_l span · N(b_i; b_l, σ) h_i(e_l)
 
-where h_i compares the upright height e_l of the landmark's foot with where edge i ends, and s_il their polarities. Each
+at an inlier rate w of ½. h_i compares the upright height e_l of the landmark's foot with where edge i ends. Each
 landmark counts for the one edge i that it fits best. That edge and the term are tabulated once a frame over
-tan(bearing) and e, for each polarity that the map knows, so a landmark costs one look-up whatever the number of edges.
-σ is widened to how far off the poses may be.
+tan(bearing) and e, so a landmark costs one look-up whatever the number of edges. σ is widened to how far off the poses
+may be.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.landmarks import CELL_M, field_of_view_rad, half_view_rad
-from localiser.observation import polarity
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
 
@@ -32,10 +31,10 @@ BELOW = 0.05  # density, beside an even one, of edges that go on below the foot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The tables of one view, each (S, ROWS + 2, COLUMNS): the edge that fits best, -1 for none, and how well, `fit`.
+    """The tables of one view, (ROWS + 2, COLUMNS): the edge that fits best, -1 for none, and how well, `fit`.
 
-    There is one for each of S polarities of landmarks, `Places.polarities`. Columns are even in tan(bearing), rows in e
-    from the lower to the upper border; the first row is for feet below the image, the last for feet above it.
+    Columns are even in tan(bearing), rows in e from the lower to the upper border; the first row is for feet below the
+    image, the last for feet above it.
     """
 
     view: View
@@ -47,11 +46,8 @@ class Evidence:
     e_step: float
 
 
-def evidence_of(view: View, polarities: NDArray[np.int8], blur_rad: float, blur_e: float) -> Evidence:
-    """Return the tables of a view for landmarks of the polarities (S,).
-
-    The poses to be scored are off by about blur_rad in bearings and blur_e in feet's heights.
-    """
+def evidence_of(view: View, blur_rad: float) -> Evidence:
+    """Return the tables of a view, for poses that are off by about blur_rad in bearings and in feet's heights."""
     _, _, e_low, e_high = view.camera.upright_bounds
     widest = np.tan(half_view_rad(view.camera))
     left, tangent_step, e_step = -widest, 2 * widest / COLUMNS, (e_high - e_low) / ROWS
@@ -61,12 +57,8 @@ def evidence_of(view: View, polarities: NDArray[np.int8], blur_rad: float, blur_
     across = (np.arctan(tangent) - view.bearing[:, None]) / sigma[:, None]
     density = np.where(np.abs(across) < GATE_SIGMAS, np.exp(-0.5 * np.minimum(across**2, GATE_SIGMAS**2)), 0.0)
     density *= field_of_view_rad(view.camera) / (np.sqrt(2 * np.pi) * sigma[:, None])
-    ends = _ends_match(view, rows, float(np.hypot(view.foot_sigma, blur_e)), e_high - e_low)
-    tables = [
-        _likeliest(density * (1.0 + view.polarity * expected)[:, None], ends)
-        for expected in polarity.mean_polarity(polarities)
-    ]
-    edge, fit = (np.stack(table) for table in zip(*tables, strict=True))
+    ends = _ends_match(view, rows, float(np.hypot(view.foot_sigma, blur_rad)), e_high - e_low)
+    edge, fit = _likeliest(density, ends)
     return Evidence(view, edge, fit, left, tangent_step, e_low, e_step)
 
 
@@ -107,7 +99,7 @@ def score_poses(evidence: Evidence, places: Places, robot_poses: Array) -> Array
 
 def warm_up(view: View, places: Places) -> None:
     """Compile the score, or load it from the cache, so that the first frame need not wait for it."""
-    score_poses(evidence_of(view, places.polarities, 0.01, 0.01), places, np.zeros((1, 3)))
+    score_poses(evidence_of(view, 0.01), places, np.zeros((1, 3)))
 
 
 def arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[Any, ...]:
@@ -121,7 +113,6 @@ def arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[A
         index.shape,
         index.start,
         index.item,
-        places.table,
         evidence.edge.astype(np.int16),  # small tables stay in the processor's cache
         evidence.fit.astype(np.float32),
         len(evidence.view),

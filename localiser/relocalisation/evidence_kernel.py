@@ -20,7 +20,6 @@ def score(
     shape: tuple[int, int, int],
     start: Indices,
     item: NDArray[np.int32],
-    table: Indices,
     edge: NDArray[np.int16],
     fit: NDArray[np.float32],
     edges: int,
@@ -29,12 +28,12 @@ def score(
     """Return the score (N,) of camera poses (N, 3), one pose and one landmark in view after the other.
 
     landmarks: (L, 4) x, z, and the heights of both ends above the camera. sight: sine and cosine of the tilt, nearest
-    and farthest range. floor, shape, start, item: the landmarks' index, floor being corner and cell. table: (L,) which
-    of the tables is of the landmark's polarity. grid: low and step of tan(bearing), low and step of e.
+    and farthest range. floor, shape, start, item: the landmarks' index, floor being corner and cell. grid: low and step
+    of tan(bearing), low and step of e.
     """
     result = np.zeros(len(poses))
     s, c = sight[0], sight[1]
-    _, rows, columns = fit.shape
+    rows, columns = fit.shape
     explained = np.zeros(edges)
     low, high, per_column = grid[0], grid[0] + (columns - 0.01) * grid[1], 1.0 / grid[1]
     per_row = 1.0 / grid[3]
@@ -72,9 +71,9 @@ def score(
                 continue
             in_view += 1
             column = int((right * depth * inverse - low) * per_column)
-            best = edge[table[k], row, column]
+            best = edge[row, column]
             if best >= 0:
-                explained[best] += fit[table[k], row, column]
+                explained[best] += fit[row, column]
         clutter, each = 0.5, 0.5 / max(in_view, 1)
         product, total = 1.0, 0.0  # one logarithm for many factors, as long as their product is a number
         for k in range(edges):

@@ -23,19 +23,16 @@ class Places:
     """Landmarks (L) of a map, and their ordered pairs (M) by distance.
 
     points: (L, 2) m. bottom_m, top_m: (L,) with what the map does not know taken as floor and as endless. sigma_m: (L,)
-    of each position. polarities: (S,) those that landmarks have, 0 for unknown, `table` (L,) saying which one each has.
-    sight: what counts as visible. class_m: (B,) heights that lower ends are grouped to, ascending. pair: (M, 2)
-    landmarks no farther apart than both can be in sight, sorted by `pair_class` (M,), the group of the first times B
-    plus that of the second, and then by `pair_m` (M,), their distance. region: where the robot may be. index: which
-    landmarks can be in view from where in it.
+    of each position. sight: what counts as visible. class_m: (B,) heights that lower ends are grouped to, ascending.
+    pair: (M, 2) landmarks no farther apart than both can be in sight, sorted by `pair_class` (M,), the group of the
+    first times B plus that of the second, and then by `pair_m` (M,), their distance. region: where the robot may be.
+    index: which landmarks can be in view from where in it.
     """
 
     points: Array
     bottom_m: Array
     top_m: Array
     sigma_m: Array
-    polarities: NDArray[np.int8]
-    table: Indices
     sight: SightParameters
     class_m: Array
     pair: Indices
@@ -65,7 +62,6 @@ class Places:
         region = region or Region.around(points, 1.0)
         bottom_m = np.where(np.isnan(landmark_map.bottom_m), 0.0, landmark_map.bottom_m)
         top_m = np.where(np.isnan(landmark_map.top_m), ENDLESS_M, landmark_map.top_m)
-        polarities, table = np.unique(landmark_map.polarity, return_inverse=True)
         step, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
         distance = np.hypot(*(points[:, None] - points[None, :]).T).T
         first, second = np.nonzero((distance > 1e-3) & (distance <= 2 * sight.range_max_m))
@@ -77,8 +73,6 @@ class Places:
             bottom_m=bottom_m,
             top_m=top_m,
             sigma_m=landmark_map.sigma_m(sigma_m),
-            polarities=polarities,
-            table=table,
             sight=sight,
             class_m=step.astype(np.float64) * BOTTOM_STEP_M,
             pair=np.stack([first, second], axis=-1)[order],

@@ -76,7 +76,7 @@ def _best_hypotheses(view: View, places: Places, rng: np.random.Generator, param
         more = hypotheses.from_bearings(view, places, count - len(poses), rng)
         poses = np.concatenate([poses, more])
     poses = poses[places.region.contains(poses)]
-    evidence = evidence_of(view, places.polarities, SEARCH_BLUR_RAD, SEARCH_BLUR_RAD)
+    evidence = evidence_of(view, SEARCH_BLUR_RAD)
     score = score_poses(evidence, places, poses)
     return np.asarray(poses[_distinct(poses, score)[: parameters.refined]])
 

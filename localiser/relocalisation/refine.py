@@ -32,7 +32,7 @@ def refined(view: View, places: Places, poses: Array) -> tuple[Array, Array]:
     for window in WINDOWS_RAD:
         information = np.tile(np.diag(LOOSE_SIGMA**-2.0), (len(poses), 1, 1))
         gradient = np.zeros((len(poses), 3))
-        evidence = evidence_of(view, places.polarities, window, window)
+        evidence = evidence_of(view, window)
         _add_normal_equations(evidence, places, poses, pair, window, information, gradient)
         covs = np.linalg.inv(information)
         poses = poses + np.einsum("kij,kj->ki", covs, gradient)
@@ -70,15 +70,14 @@ def _add_normal_equations(
     depth = np.maximum(ahead * c - drop * s, 1e-6)
     e = (drop * c + ahead * s) / depth
     column = ((right / ahead - evidence.tangent_low) / evidence.tangent_step).astype(np.int64)
-    row = np.clip(np.floor((e - evidence.e_low) / evidence.e_step) + 1, 0, evidence.edge.shape[1] - 1).astype(np.int64)
-    inside = (column >= 0) & (column < evidence.edge.shape[2])
-    table = places.table[landmark]
-    edge = np.where(inside, evidence.edge[table, row, np.where(inside, column, 0)], -1)
+    row = np.clip(np.floor((e - evidence.e_low) / evidence.e_step) + 1, 0, evidence.edge.shape[0] - 1).astype(np.int64)
+    inside = (column >= 0) & (column < evidence.edge.shape[1])
+    edge = np.where(inside, evidence.edge[row, np.where(inside, column, 0)], -1)
     keep = np.flatnonzero(edge >= 0)
     edge, pose, landmark = edge[keep], pose[keep], landmark[keep]
     dx, dz, right, ahead, e = dx[keep], dz[keep], right[keep], ahead[keep], e[keep]
     # The probability that the edge is this landmark and not clutter, as in the mixture.
-    fit = evidence.fit[table[keep], row[keep], column[keep]]
+    fit = evidence.fit[row[keep], column[keep]]
     trust = fit / (fit + np.bincount(pose, minlength=len(poses))[pose])
     squared = dx**2 + dz**2
     by_bearing = np.stack([dz / squared, -dx / squared, np.ones_like(dx)], axis=-1)

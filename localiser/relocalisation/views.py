@@ -23,7 +23,7 @@ class View:
 
     bearing, bearing_sigma: (E,) rad. foot: (E,) upright image height of the lower end, nan where it is not known.
     cut: (E,) whether that end is the border of the image. foot_sigma: its error, the mount's included. length_px: (E,),
-    1 where it is not known. polarity: (E,) as in `Edges`.
+    1 where it is not known.
     """
 
     camera: Camera
@@ -33,7 +33,6 @@ class View:
     cut: NDArray[np.bool_]
     foot_sigma: float
     length_px: Array
-    polarity: NDArray[np.int8]
 
     def __len__(self) -> int:
         return len(self.bearing)
@@ -60,7 +59,6 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
         cut=foot < camera.upright_bounds[2] + BORDER_PX / camera.focal_px,
         foot_sigma=float(np.hypot(END_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))),
         length_px=np.nan_to_num(edges.length_px[order], nan=1.0),
-        polarity=edges.polarity[order],
     )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 
 from localiser.landmarks import field_of_view_rad, half_view_rad, in_camera
-from localiser.observation.polarity import SAME
 from localiser.relocalisation import Places, view_of
 from localiser.relocalisation.evidence import arguments, evidence_of, score_poses
 from localiser.relocalisation.evidence_kernel import score
@@ -23,7 +20,7 @@ PLACES = Places.of(ROOM, CAMERA)
 @pytest.fixture(scope="module")
 def evidence():
     _, frames = drawn_frames(ROOM, 1, seed=2, clutter=8)
-    return evidence_of(view_of(CAMERA, frames[0]), PLACES.polarities, 0.01, 0.01)
+    return evidence_of(view_of(CAMERA, frames[0]), 0.01)
 
 
 @settings(derandomize=True, deadline=None, max_examples=40)
@@ -91,28 +88,3 @@ def test_poses_off_the_map_explain_nothing(evidence):
     """All edges are clutter then, as they are to poses that look away from all landmarks."""
     nowhere = np.array([[100.0, 0.0, 0.0], [0.0, -100.0, 1.0]])
     np.testing.assert_allclose(score_poses(evidence, PLACES, nowhere), len(evidence.view) * np.log(0.5))
-
-
-def test_an_edge_of_the_landmarks_polarity_scores_more_than_one_of_the_other():
-    """The term of every look-up is that of unknown polarity times 2 SAME or 2 (1 - SAME)."""
-    _, frames = drawn_frames(ROOM, 1, seed=2, clutter=0)
-    signs = np.array([-1, 0, 1], dtype=np.int8)
-    view = view_of(CAMERA, replace(frames[0], polarity=np.ones(len(frames[0]), dtype=np.int8)))
-    other, unknown, same = evidence_of(view, signs, 0.01, 0.01).fit
-    assert (unknown > 0).any()
-    np.testing.assert_allclose(same, 2 * SAME * unknown)
-    np.testing.assert_allclose(other, 2 * (1 - SAME) * unknown)
-
-
-def test_the_score_looks_up_each_landmark_by_its_own_polarity():
-    """Where every edge has its landmark's polarity, turning all of the map's makes the true pose less likely."""
-    signs = np.random.default_rng(0).choice(np.array([-1, 1], dtype=np.int8), len(ROOM))
-    known, turned = replace(ROOM, polarity=signs), replace(ROOM, polarity=-signs)
-    poses, frames = drawn_frames(known, 10, seed=3)
-    for pose, edges in zip(poses, frames, strict=True):
-        if len(edges):
-            one, none, other = (
-                score_poses(evidence_of(view_of(CAMERA, edges), places.polarities, 0.01, 0.01), places, pose[None])[0]
-                for places in (Places.of(landmark_map, CAMERA) for landmark_map in (known, ROOM, turned))
-            )
-            assert one > none > other
