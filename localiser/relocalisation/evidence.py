@@ -45,6 +45,15 @@ class Evidence:
     e_low: float
     e_step: float
 
+    def look_up(self, tangent: Array, e: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return the edge (P,), -1 for none, and its fit (P,), of feet at tan(bearing) and upright heights (P,)."""
+        rows, columns = self.edge.shape
+        column = np.floor((tangent - self.tangent_low) / self.tangent_step)
+        row = np.clip(np.floor((e - self.e_low) / self.e_step) + 1, 0, rows - 1).astype(np.int64)
+        inside = (column >= 0) & (column < columns)
+        column = np.where(inside, column, 0).astype(np.int64)
+        return np.where(inside, self.edge[row, column], -1), self.fit[row, column]
+
 
 def evidence_of(view: View, blur_rad: float) -> Evidence:
     """Return the tables of a view, for poses that are off by about blur_rad in bearings and in feet's heights."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, wrap_angle
-from localiser.landmarks import half_view_rad, in_camera
+from localiser.geometry import Array, robot_from_map, wrap_angle
+from localiser.landmarks import half_view_rad, image_heights, in_camera
 from localiser.relocalisation.evidence import Evidence, evidence_of
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
@@ -59,44 +59,35 @@ def _add_normal_equations(
     gradient: Array,
 ) -> None:
     """Add JᵀWJ (K, 3, 3) and JᵀWr (K, 3) of bearings and feet."""
-    view, (pose, landmark) = evidence.view, pair
-    cameras = view.camera.pose_in_map(poses)[pose]
-    dx, dz = (places.points[landmark] - cameras[:, :2]).T
-    cos, sin = np.cos(cameras[:, 2]), np.sin(cameras[:, 2])
-    right, ahead = dx * cos - dz * sin, -(dx * sin + dz * cos)
-    ahead = np.maximum(ahead, 0.05)
-    s, c = np.sin(view.camera.mount.tilt_rad), np.cos(view.camera.mount.tilt_rad)
-    drop = places.bottom_m[landmark] - view.camera.mount.height_m
-    depth = np.maximum(ahead * c - drop * s, 1e-6)
-    e = (drop * c + ahead * s) / depth
-    column = ((right / ahead - evidence.tangent_low) / evidence.tangent_step).astype(np.int64)
-    row = np.clip(np.floor((e - evidence.e_low) / evidence.e_step) + 1, 0, evidence.edge.shape[0] - 1).astype(np.int64)
-    inside = (column >= 0) & (column < evidence.edge.shape[1])
-    edge = np.where(inside, evidence.edge[row, np.where(inside, column, 0)], -1)
-    keep = np.flatnonzero(edge >= 0)
-    edge, pose, landmark = edge[keep], pose[keep], landmark[keep]
-    dx, dz, right, ahead, e = dx[keep], dz[keep], right[keep], ahead[keep], e[keep]
+    view, camera, (pose, landmark) = evidence.view, evidence.view.camera, pair
+    cameras = camera.pose_in_map(poses)
+    right, back = robot_from_map(cameras[pose], places.points[landmark]).T
+    ahead = np.maximum(-back, 0.05)
+    e, _ = image_heights(camera, ahead, places.bottom_m[landmark], places.top_m[landmark])
+    edge, fit = evidence.look_up(right / ahead, e)
+    keep = np.flatnonzero((edge >= 0) & np.isfinite(e))
+    pose, landmark, edge, fit = pose[keep], landmark[keep], edge[keep], fit[keep]
+    right, ahead, e = right[keep], ahead[keep], e[keep]
     # The probability that the edge is this landmark and not clutter, as in the mixture.
-    fit = evidence.fit[row[keep], column[keep]]
     trust = fit / (fit + np.bincount(pose, minlength=len(poses))[pose])
+    dx, dz = (places.points[landmark] - cameras[pose, :2]).T
     squared = dx**2 + dz**2
     by_bearing = np.stack([dz / squared, -dx / squared, np.ones_like(dx)], axis=-1)
     variance = view.bearing_sigma[edge] ** 2 + places.sigma_m[landmark] ** 2 / squared + window**2
-    # The foot: e depends on the distance ahead alone.
-    per_ahead = (s * depth[keep] - (drop[keep] * c + ahead * s) * c) / depth[keep] ** 2
-    by_foot = per_ahead[:, None] * np.stack([sin[keep], cos[keep], -right], axis=-1)
+    # The foot: e depends on the distance ahead alone, de/dahead = (s - e c) / depth.
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    per_ahead = (s - e * c) / (ahead * c - (places.bottom_m[landmark] - camera.mount.height_m) * s)
+    heading = cameras[pose, 2]
+    by_foot = per_ahead[:, None] * np.stack([np.sin(heading), np.cos(heading), -right], axis=-1)
     # A robot that turns about its own centre carries the camera along.
-    arm = cameras[keep, :2] - poses[pose, :2]
+    arm = cameras[pose, :2] - poses[pose, :2]
     for jac in (by_bearing, by_foot):
         jac[:, 2] += jac[:, 0] * arm[:, 1] - jac[:, 1] * arm[:, 0]
-    _accumulate(
-        pose, by_bearing, view.bearing[edge] - np.arctan2(right, ahead), trust / variance, information, gradient
-    )
-    miss = view.foot[edge] - e
-    sigma = np.hypot(view.foot_sigma, window)
+    residual = view.bearing[edge] - np.arctan2(right, ahead)
+    _accumulate(pose, by_bearing, residual, trust / variance, information, gradient)
+    miss, sigma = view.foot[edge] - e, np.hypot(view.foot_sigma, window)
     near = ~view.cut[edge] & (np.abs(miss) < 2.0 * sigma)
-    weight = np.where(near, trust / sigma**2, 0.0)
-    _accumulate(pose, by_foot, np.where(near, miss, 0.0), weight, information, gradient)
+    _accumulate(pose, by_foot, np.where(near, miss, 0.0), np.where(near, trust / sigma**2, 0.0), information, gradient)
 
 
 def _accumulate(pose: Indices, jac: Array, residual: Array, weight: Array, information: Array, gradient: Array) -> None:
