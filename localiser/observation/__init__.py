@@ -2,7 +2,8 @@
 
 from localiser.observation.angle import Angle
 from localiser.observation.edge_observation import EdgeObservation
-from localiser.observation.endpoint_likelihood import at_border
+from localiser.observation.endpoint_likelihood import MISSED, at_border
+from localiser.observation.endpoint_likelihood import SIGMA_PX as ENDPOINT_SIGMA_PX
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
 from localiser.observation.known_association import OBSERVATIONS, IdentifiedObservation, observation_of
 from localiser.observation.parameters import ObservationParameters, novelty_of
@@ -22,7 +23,9 @@ from localiser.observation.protocols import (
 )
 
 __all__ = [
+    "ENDPOINT_SIGMA_PX",
     "INLIER_RATES",
+    "MISSED",
     "OBSERVATIONS",
     "Angle",
     "Associates",

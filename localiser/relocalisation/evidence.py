@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.landmarks import CELL_M, field_of_view_rad, half_view_rad
+from localiser.observation import MISSED
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
 
 COLUMNS, ROWS = 512, 48
-COMPLETE = 0.6  # probability that an edge goes down to its landmark's foot
 GATE_SIGMAS = 5.0
 BELOW = 0.05  # density, beside an even one, of edges that go on below the foot
 
@@ -76,7 +76,7 @@ def _ends_match(view: View, rows: Array, sigma: float, height: float) -> Array:
     foot = view.foot[:, None]
     with np.errstate(invalid="ignore"):
         at_foot = np.exp(-0.5 * ((rows - foot) / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma) * height
-        match = COMPLETE * at_foot + np.where(rows < foot + sigma, 1.0 - COMPLETE, BELOW)
+        match = (1.0 - MISSED) * at_foot + np.where(rows < foot + sigma, MISSED, BELOW)
     # The border cuts the edge: its landmark's foot is below.
     below = np.where(np.isneginf(rows), 1.0, np.where(rows < foot + 2 * sigma, 0.5, BELOW))
     match = np.where(view.cut[:, None], below, match)

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose
-from localiser.observation import Angle
-
-END_SIGMA_PX = 3.0  # where a detector ends an edge
-BORDER_PX = 5.0  # an end this near the border is where the image ends, not the edge
+from localiser.observation import ENDPOINT_SIGMA_PX, Angle, at_border
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,15 +46,17 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
     variance = sigma**2 + angle.mount_var(edges)
     known = np.flatnonzero(np.isfinite(bearing) & np.isfinite(variance))
     order = known[np.argsort(bearing[known], kind="stable")]
-    foot = camera.upright_from_pixels(edges.ends_px[order])[..., 1].min(axis=1)
+    ends_px = edges.ends_px[order]
+    heights = camera.upright_from_pixels(ends_px)[..., 1]
+    foot, lower = heights.min(axis=1), heights.argmin(axis=1)
     foot = np.where(np.isnan(foot), _height_at(camera, bearing[order], edges.foot_range_m[order]), foot)
     return View(
         camera=camera,
         bearing=bearing[order],
         bearing_sigma=np.sqrt(variance[order]),
         foot=foot,
-        cut=foot < camera.upright_bounds[2] + BORDER_PX / camera.focal_px,
-        foot_sigma=float(np.hypot(END_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))),
+        cut=at_border(ends_px, camera)[np.arange(len(order)), lower],
+        foot_sigma=float(np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))),
         length_px=np.nan_to_num(edges.length_px[order], nan=1.0),
     )
 

@@ -58,7 +58,7 @@ def plain_score(evidence, poses):
             b = np.arctan2(across[k], forward[k])
             fit = span * np.exp(-0.5 * ((b - view.bearing) / sigma_b) ** 2) / np.sqrt(2 * np.pi) / sigma_b
             at_foot = np.exp(-0.5 * ((foot - view.foot) / sigma_e) ** 2) / np.sqrt(2 * np.pi) / sigma_e
-            hanging = 0.6 * at_foot * (e_high - e_low) + np.where(foot < view.foot + sigma_e, 0.4, 0.05)
+            hanging = 0.5 * at_foot * (e_high - e_low) + np.where(foot < view.foot + sigma_e, 0.5, 0.05)
             cut = np.where(foot < e_low, 1.0, np.where(foot < view.foot + 2 * sigma_e, 0.5, 0.05))
             fit = fit * np.where(view.cut, cut, hanging)
             explained[fit.argmax()] += fit.max()
