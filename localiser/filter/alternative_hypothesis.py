@@ -1,4 +1,4 @@
-"""An alternative hypothesis: another place where the robot may be, followed beside the one where it is believed to be.
+"""An alternative hypothesis: another place where the robot may be, followed besides the place believed in.
 
 While the robot may be lost, a second cloud of particles follows the images from poses that these proposed. It carries
 the odds that it is right and the first cloud is wrong:

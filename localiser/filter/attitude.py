@@ -1,4 +1,4 @@
-"""Tilt and roll of the camera, estimated with the pose: how it hangs, beside what is stated of its mount.
+"""The attitude: tilt and roll of the camera, estimated beside the pose.
 
 An error of the mount moves all edges of an image together, and those of the next image in the same way. Taken as an
 error of each edge by itself it would be averaged away, although nothing ever averages it; and an edge whose error is
@@ -7,8 +7,8 @@ edge points at the nadir point, whatever pose it is seen from and whatever landm
 image miss it tells the mount [Taylor06]. So tilt and roll are known apart from the pose (a Kalman filter of two states
 beside the particles), edges are corrected by them, and what is left common to them is as small as what is not known.
 
-Neither stays as it is: floors are uneven, and a load shifts. As an Ornstein-Uhlenbeck process that forgets over 100 m,
-half a degree of stated doubt allows 0.14° between places 4 m apart: 10 mm, which is what DIN 18202 allows a floor.
+Both change: floors are uneven, and a load shifts. As an Ornstein-Uhlenbeck process that forgets over 100 m, half a
+degree of stated uncertainty allows 0.14° between places 4 m apart: 10 mm, which is what DIN 18202 allows a floor.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Attitude:
         # What the image tells beside the prior, which counts once and not with every image.
         certain = np.linalg.inv(image.cov)
         information, pull = novelty * (certain - np.diag(prior_sigma**-2.0)), novelty * certain @ image.mean
-        cov = self.cov @ np.linalg.inv(np.eye(2) + information @ self.cov)  # also right where nothing is in doubt
+        cov = self.cov @ np.linalg.inv(np.eye(2) + information @ self.cov)  # also right where nothing is uncertain
         cov = (cov + cov.T) / 2
         return Attitude(self.mean + cov @ (pull - information @ self.mean), cov)
 

@@ -1,8 +1,16 @@
-"""Where the edges of an image end, and how well that agrees with where their landmarks do.
+"""The endpoint likelihood: how well the ends of an edge agree with the ends of its landmark.
 
-What belongs to nothing on the map stands in rows: bricks, books, bars of a railing. Where other edges end, one more end
-is no surprise. So the density 1 / R_e of clutter's ends is that of a Dirichlet process with concentration 1 whose other
-draws are the ends of the other edges.
+c_el is the squared part of the edge that lies between the landmark's ends, times for each end
+
+    m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
+
+An edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while the
+density of clutter's ends is 1 / R_e there. An end of a landmark beyond the image's border cannot be reached (min(R_e /
+v_l, 1) is left). One that the map does not know tells nothing, and an edge that the border ends is not short.
+
+Clutter often stands side by side: bricks, books, bars of a railing. Where other edges end, one more end is likely. So
+1 / R_e is the density of a Dirichlet process with concentration 1 whose other draws are the ends of the other edges:
+R_e is large where an end stands alone and small where other edges of the image end.
 """
 
 from __future__ import annotations
@@ -20,7 +28,7 @@ from localiser.geometry import Array
 SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
 TOLERANCE_PX = 6.0  # how far an edge may stick out
 MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
-ROW_PX = 10.0  # how far from each other things that stand in a row end
+ROW_PX = 10.0  # how far from each other the ends of such clutter are
 _UNKNOWN = 1e9  # beyond every height
 
 

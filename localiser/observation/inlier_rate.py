@@ -1,9 +1,9 @@
-"""What share of the edges belongs to landmarks of the map: learnt while driving, never set.
+"""The inlier rate: how many of the edges belong to landmarks of the map, learnt while driving.
 
-The share differs from place to place and from frame to frame: an empty corridor shows hardly anything but landmarks,
-full bookshelves hardly anything but clutter. So every frame has a share w of its own, drawn from a distribution that
-the frames before have shown: p(edges | pose) = Σ_k p(w_k) p(edges | pose, w_k), with p(w_k) learnt as the proportions
-of a mixture, whose prior is Dirichlet's.
+The rate differs from place to place and from frame to frame: an empty corridor shows hardly anything but landmarks,
+full bookshelves hardly anything but clutter. So every frame has a rate w of its own, drawn from a distribution that the
+frames before have shown: p(edges | pose) = Σ_k p(w_k) p(edges | pose, w_k). p(w_k) is learnt as the proportions of a
+mixture with a Dirichlet prior.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from localiser.geometry import Array
 
-# Jeffreys' prior of a share is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
+# Jeffreys' prior of a rate is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
 _NODES = 6
 INLIER_RATES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
 PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike are no reason to be sure of the next
@@ -25,7 +25,7 @@ MEMORY_FRAMES = 30.0  # independent frames after which another part of the build
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InlierRate:
-    """The distribution of a frame's inlier share. count (K,): how many frames had each of `INLIER_RATES`."""
+    """The distribution of a frame's inlier rate. count (K,): how many frames had each of `INLIER_RATES`."""
 
     count: Array
 
@@ -41,7 +41,7 @@ class InlierRate:
 
     @property
     def mean(self) -> float:
-        """The inlier share expected of the next frame."""
+        """The inlier rate expected of the next frame."""
         return float(self.probability @ INLIER_RATES)
 
     def after(self, independent_frames: float) -> InlierRate:
@@ -49,7 +49,7 @@ class InlierRate:
         return replace(self, count=_PRIOR + np.exp(-independent_frames / MEMORY_FRAMES) * (self.count - _PRIOR))
 
     def log_mean(self, by_rate: Array) -> Array:
-        """Return log p(edges | pose) (N,), the shares integrated out of `by_rate` (K, N)."""
+        """Return log p(edges | pose) (N,), the rates integrated out of `by_rate` (K, N)."""
         return _log_sum(by_rate + np.log(self.probability)[:, None])
 
     def given(self, by_rate: Array, weight: Array, independent_frames: float) -> InlierRate:
@@ -61,14 +61,10 @@ class InlierRate:
         responsibility = np.exp(joint - _log_sum(joint)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
 
-    def towards(self, other: InlierRate, share: float) -> InlierRate:
-        """Return the distribution a share, 0 … 1, of the way towards another."""
-        return replace(self, count=self.count + share * (other.count - self.count))
-
 
 def _log_sum(joint: Array) -> Array:
     """Return log Σ_k exp(joint) (N,) of joint (K, N): twice as fast as `np.logaddexp.reduce`."""
     top = joint.max(axis=0)
     top = np.where(np.isfinite(top), top, 0.0)
-    with np.errstate(divide="ignore"):  # a particle that every share rules out
+    with np.errstate(divide="ignore"):  # a particle that every rate rules out
         return np.asarray(top + np.log(np.exp(joint - top).sum(axis=0)))

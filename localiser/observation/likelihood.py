@@ -1,4 +1,4 @@
-"""The observation's sum over particles, landmarks and edges, compiled.
+"""The likelihood of edges by compiled loops: the sum over particles, landmarks and edges.
 
 It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes
 the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be

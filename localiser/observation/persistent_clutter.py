@@ -1,18 +1,18 @@
-"""Clutter lasts: what is on no map is seen again in the next image, where the last one showed it.
+"""Persistent clutter: what is on no map is seen again in the next image, where the last one showed it.
 
-A mixture whose clutter is spread anew over each image takes every image of the same thing for new evidence: a robot
-that drives ahead for a minute, seen a hundred times near where some landmark should be, would be that landmark beyond
-doubt. But of an edge that continues one of the last image it is known where it is, whatever it is. If it is clutter,
-its bearing is that of the last image, turned with the robot and shifted by the parallax of a distance that nobody
-knows, with 1/r even between 0 and 1/near:
+A mixture whose clutter is spread anew over each image takes every image of the same thing for new evidence. A thing on
+no map that is seen a hundred times near where some landmark should be would become that landmark for certain. But where
+an edge continues one of the last image, its place is known whatever it is. If it is clutter, its bearing is that of the
+last image, turned with the robot and shifted by the parallax of an unknown distance r, with 1/r even between 0 and
+1/near:
 
-    b' = b + turn - across / r,   across = m_right cos b + m_back sin b,
+    b' = b + turn - across / r,   across = m_right cos b + m_back sin b.
 
-and that, not the whole width of the image, is what a landmark's bearing must be likelier than. How an edge moves as the
-robot passes by still tells which landmark it is; that it is there once more does not.
+A landmark's bearing must be likelier than this density, not than one spread over the whole width of the image. How an
+edge moves as the robot passes by still tells which landmark it is; that it is there once more does not.
 
-A landmark that is followed tells less by this, too, than one that is known for what it is: whether an edge is clutter
-is asked anew of each image. What it was found to be in the images before is not carried along.
+A known landmark that is followed also tells less by this. Whether an edge is clutter is asked anew of each image: what
+was found in the images before is not carried along.
 """
 
 from __future__ import annotations

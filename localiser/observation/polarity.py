@@ -1,4 +1,4 @@
-"""Which side of an edge is the lighter one, and how well that agrees with the landmark's.
+"""Polarity: which side of an edge is the lighter one, and how well that agrees with the landmark's.
 
 Clutter has either polarity as often as the other. An edge of a landmark has the landmark's own with probability
 `SAME`: another light, or another wall behind a corner, turns it. So a pair of an edge and a landmark is likelier than

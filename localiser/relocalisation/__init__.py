@@ -1,4 +1,4 @@
-"""Where may the robot be? Poses proposed from one image's edges, as a density to draw particles from."""
+"""Global localisation: poses proposed from the edges of one image, and whether the robot is lost."""
 
 from localiser.relocalisation.evidence import warm_up
 from localiser.relocalisation.global_localisation import (

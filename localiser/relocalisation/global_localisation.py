@@ -1,13 +1,13 @@
-"""Where else may the robot be? Poses made from one image join the particles of a robot that may be lost.
+"""Global localisation: poses proposed from one image join the particles of a robot that may be lost.
 
-The belief is a mixture: the truth is among the particles, or the robot may be anywhere, by the odds of `doubt`. Poses
-of the second kind are drawn from `proposals`, or evenly where an image shows too few edges, and weighed by the whole
-image, so
+The belief is a mixture: the truth is among the particles, or the robot may be anywhere, by the odds of being lost.
+Poses of the second kind are drawn from `proposals`, or evenly where an image shows too few edges, and weighed by the
+whole image, so
 
     their weight : that of the particles = odds of being lost · mean of prior/q · p(edges | pose)
 
-Bayes decides, and next to nothing goes to them while the particles explain the edges. Several places stay until one
-has won; the number of particles follows from the cells that they occupy [Fox 2003].
+Bayes' rule decides, and next to nothing goes to them while the particles explain the edges. Several places stay until
+one has won; the number of particles follows from the cells that they occupy [Fox 2003].
 
 What tells places apart is the filter's own likelihood, a little blurred.
 """
@@ -44,7 +44,7 @@ BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place
 
 @dataclass(frozen=True, slots=True)
 class SearchParameters:
-    """When and how hard the robot is looked for elsewhere."""
+    """When global localisation is tried, and with how many poses."""
 
     carried: Annotated[
         float, Field(ge=0, lt=1, description="chance of being carried away, or led astray, between independent images")
@@ -83,7 +83,7 @@ class Clues:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlobalLocalisation:
-    """Everything about the search for poses that stays the same during a run."""
+    """Everything about global localisation that stays the same during a run."""
 
     observation: LocalisesGlobally
     landmark_map: LandmarkMap
@@ -94,7 +94,7 @@ class GlobalLocalisation:
     def of(
         cls, observation: LocalisesGlobally, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
     ) -> GlobalLocalisation:
-        """Return a search on this map; its tables take a second on a large one."""
+        """Return the global localisation on this map; its tables take a second on a large one."""
         sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m
         region = Region.around(landmark_map.points, BESIDE_MAP_M)
         places = Places.of(landmark_map, observation.camera, sight, region, sigma_m)

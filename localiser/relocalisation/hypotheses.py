@@ -1,4 +1,4 @@
-"""Poses at which chosen edges would be chosen landmarks: from the ranges of two feet, or from three bearings.
+"""Pose hypotheses: at which poses chosen edges would be chosen landmarks, by two feet or by three bearings.
 
 Each function draws as many hypotheses as it is asked for, at random among all combinations that do not contradict what
 was measured; a random share of a large set is what keeps one frame cheap, and the next frame draws another share.

@@ -1,4 +1,4 @@
-"""A mixture of Gaussians over poses, to draw particles from whose weights are exact."""
+"""Proposal density: a mixture of Gaussians over poses, to draw particles with exact weights from."""
 
 from __future__ import annotations
 

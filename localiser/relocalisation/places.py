@@ -1,4 +1,4 @@
-"""The map as the search for poses needs it: landmarks with ends, and their pairs sorted by distance. Made once."""
+"""The map as global localisation needs it: landmarks with ends, and their pairs sorted by distance; made once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses proposed from the measurements themselves: the way from edges to a density that particles are drawn from."""
+"""Pose proposals: from the edges of one image to a density that particles are drawn from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From rough poses to Gaussians: least squares on the edges that each pose explains, in windows that narrow."""
+"""Refinement of poses: least squares on the edges that each pose explains, in windows that narrow."""
 
 from __future__ import annotations
 

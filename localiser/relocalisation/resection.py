@@ -1,4 +1,4 @@
-"""Poses in closed form: from three bearings of known landmarks, and from two with the ratio of their ranges."""
+"""Resection: poses in closed form, from three bearings of known landmarks or from two with the ratio of ranges."""
 
 from __future__ import annotations
 

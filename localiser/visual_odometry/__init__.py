@@ -1,4 +1,4 @@
-"""Edges of two frames → how the robot moved between them ([Taylor06] section 3), alone or together with wheels."""
+"""Visual odometry: how the robot moved between two images, by their edges, alone or with wheels [Taylor06, sec. 3]."""
 
 from localiser.visual_odometry.estimate import Belief, Followed, Frames, follow
 from localiser.visual_odometry.odometer import Odometer

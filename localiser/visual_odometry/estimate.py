@@ -1,4 +1,4 @@
-"""Two frames → the motion between them: search, then alternate between pairing edges and solving for the motion.
+"""The motion between two frames: vote for where to start, then pair edges and solve for the motion in turns.
 
 Edges of one thing share their fate: all edges of a poster end above the floor, and a moving chair moves them all. A
 covariance that takes them as independent is far too small. So the motion is found again without the edges of each
@@ -27,7 +27,7 @@ from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights
 from localiser.visual_odometry.twist import Gaussian, motion_gaussian
 
 if TYPE_CHECKING:
-    from localiser.visual_odometry import twist_kernel as loops
+    from localiser.visual_odometry import twist_kernel as kernel
 
 _PEAKS = 4
 _HANGING_SHARE = 0.3
@@ -77,12 +77,12 @@ class Frames:
         """Return the frames with these edges, seen by one camera."""
         return cls((Sights.of(before, camera), Sights.of(after, camera)), candidates(before, after), camera)
 
-    def model(self) -> loops.Model:
+    def model(self) -> kernel.Model:
         """Return what edges are like, as the compiled loops take it."""
-        from localiser.visual_odometry import twist_kernel as loops
+        from localiser.visual_odometry import twist_kernel as kernel
 
         followed = pairing.FOLLOWED_SHARE / max(len(self.sights[0].bearing), 1)
-        return loops.Model(
+        return kernel.Model(
             pairing.HUNG_SHARE,
             pairing.NEIGHBOUR_SHARE,
             pairing.NEIGHBOUR_SIGMA_RAD,
@@ -93,11 +93,11 @@ class Frames:
             *pairing.FLOOR_SHARES,
         )
 
-    def arrays(self) -> tuple[loops.Frame, loops.Frame]:
+    def arrays(self) -> tuple[kernel.Frame, kernel.Frame]:
         """Return both frames as the compiled loops take them."""
-        from localiser.visual_odometry import twist_kernel as loops
+        from localiser.visual_odometry import twist_kernel as kernel
 
-        one, two = (loops.Frame(sight.measured, sight.sigma, sight.common) for sight in self.sights)
+        one, two = (kernel.Frame(sight.measured, sight.sigma, sight.common) for sight in self.sights)
         return one, two
 
     def likely_motions(self, prior: Gaussian) -> list[Array]:
@@ -167,17 +167,17 @@ class _Solver:
 
         on_floor: whether lower ends may be feet at all. usable: (P,) whether a pair is, by default all are.
         """
-        from localiser.visual_odometry import twist_kernel as loops
+        from localiser.visual_odometry import twist_kernel as kernel
 
         pairs, prior = self._frames.pairs, self._belief.prior
-        mean, cov, chosen, weight, floor, log_likelihood = loops.refine(
+        mean, cov, chosen, weight, floor, log_likelihood = kernel.refine(
             self._pairs,
             pairs.look,
             np.ones(len(self._pairs), dtype=np.bool_) if usable is None else usable,
             self._one,
             self._two,
             self._frames.camera.robot_from_level,
-            loops.Belief(prior.mean, self._information, on_floor),
+            kernel.Belief(prior.mean, self._information, on_floor),
             start,
             _START_SIGMA**2,
             self._model,

@@ -1,4 +1,4 @@
-"""Several Gaussian motions → one."""
+"""Several Gaussian motions made into one."""
 
 from __future__ import annotations
 

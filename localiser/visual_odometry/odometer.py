@@ -1,9 +1,9 @@
-"""What says how the robot moved between two images: wheels, the camera, or both, when wheels may slip unnoticed.
+"""Odometry by wheels, by the camera or by both, where wheels may slip unnoticed.
 
 Either the wheels are right to within their sigma, and the edges are followed from there; or they slipped, and the edges
 are followed from nothing but the robot's pace until then. Each explains the edges more or less well, and Bayes' rule
 weighs them by that: wheels that agree with the edges make the first certain; a slip makes pairs under it impossible,
-and the second takes over, of itself.
+and the second takes over.
 
 Where wheels hold, edges tell the turn alone. What is wrong with their ranges (skirting boards, the tilt, what is
 typical of a room) is wrong alike for metres on end: a hundred frames tell the way no better than one, though each would

@@ -1,4 +1,4 @@
-"""Which edge of one frame is which of the next: candidates, and how likely each is under a motion.
+"""Pairs of edges of two frames that may be one edge, and how likely each is under a motion.
 
 An edge of the second frame continues one of the n edges of the first with probability w, each as likely as the other,
 else it is new. Polarities must agree; grey values on at least one side do, since what stands behind the other side

@@ -1,4 +1,4 @@
-"""Where to start: turns that many pairs of edges agree on, for a coarse grid of ways the robot may have moved.
+"""Votes for where to start: turns that many pairs of edges agree on, for a coarse grid of translations.
 
 A pair votes for the turn that is left of its change of bearing once the parallax of a supposed translation is taken
 off; the vote is as blurred as its range and the grid leave it uncertain. A Hough transform, in other words.
@@ -25,7 +25,7 @@ def likely_motions(
     pairs: Pairs, sights: tuple[Sights, Sights], camera: Camera, prior_mean: Array, prior_cov: Array, count: int
 ) -> list[Array]:
     """Return up to `count` motions (3,) that have most votes, of turns apart from one another, best first."""
-    from localiser.visual_odometry import twist_kernel as loops
+    from localiser.visual_odometry import twist_kernel as kernel
     from localiser.visual_odometry import votes
 
     one, two = sights
@@ -37,7 +37,7 @@ def likely_motions(
     grid = prior_mean[:2] + offset * sigma[:2]
     cell = (_GRID[1] - _GRID[0]) * _REACH * 0.8 * sigma[:2] / 2
     mount = camera.robot_from_level
-    moves = np.array([loops.camera_moved(np.array([*step, 0.0]), mount)[:2] for step in grid])
+    moves = np.array([kernel.camera_moved(np.array([*step, 0.0]), mount)[:2] for step in grid])
 
     kernels = _kernels(turns[1] - turns[0])
     foot = one.inverse_range[pairs.first]

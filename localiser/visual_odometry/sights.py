@@ -1,4 +1,4 @@
-"""What one frame says about where its edges stand: bearings and inverse ranges, and what is wrong with all of them."""
+"""Where the edges of one frame stand: bearings, inverse ranges, and the errors that all of them share."""
 
 from __future__ import annotations
 
