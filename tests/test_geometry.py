@@ -175,12 +175,6 @@ def test_increments_compose_and_add_their_paths():
     assert both.turned_rad == pytest.approx(0.7 + 1.2)
 
 
-def test_increments_remember_where_they_came_from():
-    seen = g.Increment.from_mean([0, 0, 0], source="vision")
-    assert FIRST.then(SECOND).source == "wheel"
-    assert FIRST.then(seen).source == seen.then(FIRST).source == "both"
-
-
 def test_covariance_of_composed_increments_is_of_first_order():
     both = np.concatenate([FIRST.mean, SECOND.mean])
     jacobian = numerical_jacobian(lambda v: g.compose(v[:3], v[3:]), both)

@@ -39,7 +39,7 @@ def moves_between(
     by_delay = _by_delay(track, knots_ns[ends], means, delay_s)
     paths, turns = np.add.reduceat(path_m, first), np.add.reduceat(turned_rad, first)
     moves = [
-        Increment(mean, np.zeros((3, 3)), path, turned, "wheel", late)
+        Increment(mean, np.zeros((3, 3)), path, turned, late)
         for mean, path, turned, late in zip(means, paths, turns, by_delay, strict=True)
     ]
     # Keep the last pose at or before where the next increment, or a later robot's, starts.

@@ -67,7 +67,7 @@ class Odometer:
         pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
         if self.parameters.source == "vision":
             return _by_vision(found.motion), pace
-        return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad, "both"), pace
+        return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad), pace
 
     def _from_nothing(self, frames: Frames, prior: Gaussian, seconds: float) -> list[Belief]:
         """Return the beliefs that the robot steers, and that it moves sideways as well as any way."""
@@ -92,4 +92,4 @@ def _by_vision(seen: Gaussian) -> Increment:
     # How far it may well have come: a robot of which nothing is known has not stood still.
     path_m = np.sqrt(np.square(seen.mean[:2]).sum() + np.trace(seen.cov[:2, :2]))
     turned_rad = np.sqrt(seen.mean[2] ** 2 + seen.cov[2, 2])
-    return Increment(seen.mean, seen.cov, float(path_m), float(turned_rad), "vision")
+    return Increment(seen.mean, seen.cov, float(path_m), float(turned_rad))

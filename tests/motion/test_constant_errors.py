@@ -153,7 +153,7 @@ def test_an_estimate_is_forgotten_towards_the_prior_the_cameras_heading_staying_
 
 
 def test_what_vision_measured_tells_nothing_of_the_wheels() -> None:
-    increment = Increment.from_mean([0, -0.5, 0.1], "vision", np.diag([0.01, 0.01, 0.01]) ** 2)
+    increment = Increment.from_mean([0, -0.5, 0.1], np.diag([0.01, 0.01, 0.01]) ** 2)
     cloud = start(50)
     after = predict(cloud, increment, NOISE, np.random.default_rng(0))
     np.testing.assert_allclose(after.columns[3:], cloud.columns[3:])

@@ -63,7 +63,7 @@ def test_mean_and_covariance_are_those_of_the_linearised_model(motion: list[floa
 
 
 def test_variances_are_those_stated_per_metre_and_per_radian() -> None:
-    increment = Increment(np.array([0.0, -1.0, 0.2]), np.zeros((3, 3)), path_m=3.0, turned_rad=0.5, source="wheel")
+    increment = Increment(np.array([0.0, -1.0, 0.2]), np.zeros((3, 3)), path_m=3.0, turned_rad=0.5)
     distance, turn = noise_variances(increment, MotionParameters(0.1, 0.2, 0.3, 0.4))
     assert distance == pytest.approx(0.3 * 3.0 + 0.4 * 0.5)
     assert turn == pytest.approx(0.1 * 0.5 + 0.2 * 3.0)
@@ -125,7 +125,7 @@ def test_a_robot_that_stands_has_no_noise() -> None:
 
 def test_a_robot_that_went_to_and_fro_has_noise() -> None:
     """The path counts, not where it ended; the noise of distance then acts straight ahead."""
-    increment = Increment(np.zeros(3), np.zeros((3, 3)), path_m=2.0, turned_rad=0.0, source="wheel")
+    increment = Increment(np.zeros(3), np.zeros((3, 3)), path_m=2.0, turned_rad=0.0)
     _, cov = linearised(np.zeros(3), increment, PARAMETERS)
     distance = 2 * PARAMETERS.alpha3
     np.testing.assert_allclose(np.diag(cov), [SLIP**2 * distance, distance, 2 * PARAMETERS.alpha2], atol=1e-18)
@@ -179,7 +179,7 @@ def test_columns_that_are_no_biases_and_weights_stay_as_they_are() -> None:
 def test_an_increment_that_knows_its_covariance_adds_it_in_the_robot_frame() -> None:
     """Correlated, singular (the robot cannot slip sideways), and turned into the map by the heading."""
     root = np.array([[0.0, 0.0], [0.03, 0.0], [0.01, 0.02]])
-    increment = Increment.from_mean([0.0, -0.2, 0.0], "vision", root @ root.T)
+    increment = Increment.from_mean([0.0, -0.2, 0.0], root @ root.T)
     _, expected = linearised(START, increment, NO_NOISE)
     to_map = np.array([[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
     np.testing.assert_allclose(expected, to_map @ root @ root.T @ to_map.T, atol=1e-18)

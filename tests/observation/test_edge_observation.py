@@ -253,7 +253,7 @@ def test_share_of_a_frame_that_is_new() -> None:
     rho = np.exp(-0.05 / 0.1 - np.radians(2) / np.radians(5))
     moved = Increment.from_mean([0.0, 0.05, -np.radians(2)])
     assert novelty_of(moved, parameters) == pytest.approx((1 - rho) / (1 + rho))
-    there_and_back = Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0, "wheel")
+    there_and_back = Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0)
     assert novelty_of(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
 
 

@@ -251,7 +251,6 @@ def test_both_sharpen_the_turn_of_wheels_that_hold() -> None:
     wheel = Increment.from_mean([0.0, -0.096, 0.106])
     frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
     found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
-    assert found.source == "both"
     assert abs(found.mean[2] - motion[2]) < np.radians(0.1) < abs(wheel.mean[2] - motion[2])
     assert np.sqrt(found.cov[2, 2]) < np.radians(0.25)
 
