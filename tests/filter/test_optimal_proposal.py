@@ -9,9 +9,9 @@ from localiser.camera import Camera, Mount
 from localiser.filter import optimal_proposal
 from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_density
 from localiser.geometry import Increment, Trajectory
-from localiser.landmarks import LandmarkMap
+from localiser.landmarks import LandmarkMap, in_camera
 from localiser.motion import MotionParameters, expected_step, predict
-from localiser.observation import EdgeObservation, ObservationParameters, Sighting, Targets
+from localiser.observation import Angle, EdgeObservation, ObservationParameters, Sighting, Targets
 from localiser.observation.known_association import IdentifiedObservation
 from localiser.particles import effective_sample_size, estimate, from_gaussian, normalised, take
 from localiser.simulate import simulated_edges
@@ -38,13 +38,9 @@ def edges_at(pose, seed=1):
 
 
 def expected_angles(poses, kind):
-    """Return what `step_density` linearises, (N, K), computed without it."""
-    robots = np.column_stack(poses)
-    levels = CAMERA.pose_in_map(robots)
-    dx, dz = POINTS[:, 0] - levels[:, :1], POINTS[:, 1] - levels[:, 1:2]
-    cos, sin = np.cos(levels[:, 2:]), np.sin(levels[:, 2:])
-    tangent = (dx * cos - dz * sin) / -(dx * sin + dz * cos)
-    return np.arctan(tangent if kind == "line" else np.sin(CAMERA.mount.tilt_rad) * tangent)
+    """Return what `step_density` linearises, (N, K), by the plain functions."""
+    right, ahead = in_camera(CAMERA.pose_in_map(np.column_stack(poses)), POINTS)
+    return Angle(CAMERA, kind).predicted(right / ahead)[0]
 
 
 @pytest.mark.parametrize("kind", ["line", "slope"])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 
-from localiser.landmarks import field_of_view_rad, half_view_rad, in_camera
+from localiser.landmarks import field_of_view_rad, half_view_rad, image_heights, in_camera
 from localiser.relocalisation import Places, view_of
 from localiser.relocalisation.evidence import arguments, evidence_of, score_poses
 from localiser.relocalisation.evidence_kernel import score
@@ -39,7 +39,6 @@ def test_pairs_are_found_by_class_and_distance(low, width, first, second):
 def plain_score(evidence, poses):
     """The score of `evidence`'s docstring, each landmark given to the edge that fits it best, without tables."""
     view, camera = evidence.view, evidence.view.camera
-    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     span, (_, _, e_low, e_high) = field_of_view_rad(camera), camera.upright_bounds
     sigma_b, sigma_e = np.hypot(view.bearing_sigma, 0.01), np.hypot(view.foot_sigma, 0.01)
     right, ahead = in_camera(camera.pose_in_map(poses), PLACES.points)
@@ -47,11 +46,9 @@ def plain_score(evidence, poses):
     for across, forward in zip(right, ahead, strict=True):
         explained, in_view = np.zeros(len(view)), 0
         for k in range(len(PLACES)):
-            drop, rise = PLACES.bottom_m[k] - camera.mount.height_m, PLACES.top_m[k] - camera.mount.height_m
             if forward[k] <= 0 or abs(np.arctan2(across[k], forward[k])) > half_view_rad(camera):
                 continue
-            foot = (drop * c + forward[k] * s) / (forward[k] * c - drop * s)
-            top = (rise * c + forward[k] * s) / (forward[k] * c - rise * s)
+            foot, top = image_heights(camera, forward[k], PLACES.bottom_m[k], PLACES.top_m[k])
             if not 0.2 <= np.hypot(across[k], forward[k]) <= 12 or top < e_low or foot > e_high:
                 continue
             in_view += 1
