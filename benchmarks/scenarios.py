@@ -244,7 +244,7 @@ def _trial(
     frames = [replace(f, landmark_id=np.where(f.landmark_id < place.mapped, f.landmark_id, -1)) for f in frames]
     start_rng = np.random.default_rng([seed, _START])
     mean = truth.poses[0] + np.sqrt(np.diag(START_COV)) * start_rng.standard_normal(3)
-    odometry = _odometry(truth, wheels or place.world.odometry, jump, np.random.default_rng([seed, _DRIVE, 1]))
+    odometry = odometry_of_trial(truth, wheels or place.world.odometry, jump, np.random.default_rng([seed, _DRIVE, 1]))
     return Trial(place.landmark_map, place.camera, truth, odometry, frames, Start(0, mean, START_COV))
 
 
@@ -270,7 +270,9 @@ def _thinned(
     return chosen
 
 
-def _odometry(truth: Trajectory, wheels: OdometrySpec, jump: int | None, rng: np.random.Generator) -> Trajectory:
+def odometry_of_trial(
+    truth: Trajectory, wheels: OdometrySpec, jump: int | None, rng: np.random.Generator
+) -> Trajectory:
     """Return what the wheels say; they stand still where the robot is carried."""
     if jump is None:
         return odometry_of(truth, wheels, rng)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -14,9 +17,33 @@ from localiser.geometry import compiled
 
 compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
 
+WORKER_END_S = 2
+"""What workers are given to end after Ctrl-C; the default is 10 s."""
+
 settings.register_profile("usual", deadline=None)  # how long an example takes depends on what else the machine does
 settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times the default: see `examples`
 settings.load_profile("usual")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile loops once, before there are workers, who would all compile the same."""
+    options = session.config.option
+    if (
+        getattr(options, "numprocesses", None)
+        and not options.collectonly
+        and not hasattr(session.config, "workerinput")
+    ):
+        path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+        command = [sys.executable, ROOT / "tests" / "support" / "warm_up.py"]
+        subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, check=True)
+
+
+def pytest_keyboard_interrupt() -> None:
+    """Do not wait for workers that are inside of a long computation: Ctrl-C ends everything at once."""
+    with suppress(ImportError):
+        from xdist.workermanage import NodeManager
+
+        NodeManager.EXIT_TIMEOUT = WORKER_END_S
 
 
 @pytest.fixture(scope="session")

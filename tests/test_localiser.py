@@ -23,8 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.live import LiveOptions, opened
 from localiser.localiser import Localiser
 from localiser.replay import replay_log
-from localiser.storage import ImageEvent, open_log, read_track, write_camera
-from localiser.storage.log import Event
+from localiser.storage import Event, ImageEvent, open_log, read_track, write_camera
 
 SECOND = 1_000_000_000
 KNOWN = "observation.association=known"

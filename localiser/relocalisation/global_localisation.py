@@ -24,7 +24,16 @@ from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import InlierRate, LocalisesGlobally, Sighting
-from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum, poses_per_cell, resampling
+from localiser.particles import (
+    CAMERA_YAW,
+    POSE,
+    Particles,
+    enough_particles,
+    log_sum,
+    multinomial_resample,
+    poses_per_cell,
+    systematic_resample,
+)
 from localiser.relocalisation import evidence
 from localiser.relocalisation.lost_probability import LostProbability
 from localiser.relocalisation.mixture import Region
@@ -138,7 +147,7 @@ class GlobalLocalisation:
 
         poses, log_prior_over_q = propose(clues.view, self.places, log_likelihood, rng).drawn(count, rng)
         log_weight = log_prior_over_q + log_likelihood(poses)
-        others = resampling.multinomial_resample(like.weight, count, rng)
+        others = multinomial_resample(like.weight, count, rng)
         drawn = replace(like, columns=like.columns[:, others], log_weight=log_weight)
         return placed(drawn, self._seeing_the_same(poses, drawn)), float(log_sum(log_weight) - np.log(count))
 
@@ -198,10 +207,10 @@ def resampled(particles: Particles, fewest: int, most: int, rng: np.random.Gener
     and a cloud far sparser than the edges are sharp is made as even as its number allows.
     """
     weight = particles.weight
-    index = resampling.systematic_resample(weight, most, rng)
-    enough = resampling.enough_particles(particles.poses[index], CELL_M, CELL_RAD)
+    index = systematic_resample(weight, most, rng)
+    enough = enough_particles(particles.poses[index], CELL_M, CELL_RAD)
     count = int(np.clip(enough, fewest, most))
-    index = resampling.systematic_resample(weight, count, rng)
+    index = systematic_resample(weight, count, rng)
     poses = particles.poses[index]
     step = poses_per_cell(poses, CELL_M, CELL_RAD)[:, None] ** (-1.0 / 3.0) / np.sqrt(12.0)
     poses += rng.standard_normal(poses.shape) * step * [CELL_M, CELL_M, CELL_RAD]

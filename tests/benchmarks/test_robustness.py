@@ -97,7 +97,7 @@ def test_wheels_do_not_notice_that_the_robot_is_carried(benchmarks: dict[str, An
     parts = [np.cumsum(np.c_[np.zeros(5), -0.1 * np.ones(5), 0.05 * np.ones(5)], axis=0) for _ in range(2)]
     parts[1] = geometry.compose(np.array([4.0, 2.0, 2.5]), parts[1])
     truth = Trajectory(np.arange(10) * 200_000_000, np.concatenate(parts))
-    wheels = benchmarks["scenarios"]._odometry(truth, OdometrySpec(), 5, rng).poses
+    wheels = benchmarks["scenarios"].odometry_of_trial(truth, OdometrySpec(), 5, rng).poses
     moved, driven = (geometry.between(poses[:-1], poses[1:]) for poses in (truth.poses, wheels))
     np.testing.assert_allclose(np.delete(driven, 4, axis=0), np.delete(moved, 4, axis=0), atol=1e-9)
     np.testing.assert_allclose(driven[4], 0.0, atol=1e-12)

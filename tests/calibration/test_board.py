@@ -12,7 +12,6 @@ from board_views import board_image, floor_pose, poses_before
 from edge_images import camera_of
 
 from localiser.calibration import Board, BoardView, calibrated, mount_over_board
-from localiser.calibration.intrinsics import _projected
 from localiser.camera import Camera
 from localiser.errors import InputError
 
@@ -35,9 +34,9 @@ def exact_views(camera: Camera, count=12, sigma_px=0.1, seed=0, turn_rad=0.6) ->
     corners = np.stack([column, row, 0 * column], axis=-1).reshape(-1, 3) * board.square_m
     views = []
     for i, pose in enumerate(poses_before(board, count, seed, turn_rad)):
-        blank = BoardView(str(i), corners, np.zeros((len(corners), 2)))
-        seen = _projected(camera, blank, pose)
-        views.append(replace(blank, corners_px=seen + rng.normal(0, sigma_px, seen.shape)))
+        right, down, ahead = cv2.Rodrigues(pose[:3])[0] @ corners.T + pose[3:, None]
+        seen = camera.pixels_from_image(np.stack([right / ahead, -down / ahead], axis=-1))
+        views.append(BoardView(str(i), corners, seen + rng.normal(0, sigma_px, seen.shape)))
     return views
 
 

@@ -15,11 +15,11 @@ from edge_images import camera_of, wall_image
 from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 
-from localiser.calibration.check import MountCheck
+from localiser.calibration import MountCheck
 from localiser.camera import Camera
 from localiser.commands.edges.mount import mount_warnings
 from localiser.config import Config
-from localiser.edges.profile import PROFILE_OFFSETS_PX
+from localiser.edges import PROFILE_OFFSETS_PX
 from localiser.storage import read_camera, write_camera
 
 BEARINGS_DEG = np.array([-21.0, -6.0, 4.0, 19.0])

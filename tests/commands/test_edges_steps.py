@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from localiser.camera import Camera
 from localiser.commands.edges.compare import NEAR_PX, Comparison, matches
 from localiser.commands.edges.guides import bearings_shown, horizon, meridian
-from localiser.commands.edges.inputs import _stems
+from localiser.commands.edges.inputs import stems_of
 from localiser.commands.edges.overlay import draw_overlay
 from localiser.commands.edges.records import COLUMNS, csv_text, rows_of
 from localiser.edges import Edges
@@ -91,7 +91,7 @@ def test_unknown_values_are_empty_cells() -> None:
 @given(st.lists(st.sampled_from(["a/1.png", "b/1.png", "b/1.jpg", "c/b/1.png", "A/1.png", "ü.png", "ö.png", "..x"]),
                 min_size=1, unique=True))  # fmt: skip
 def test_outputs_never_share_a_name(names: list[str]) -> None:
-    stems = _stems([Path(name) for name in names])
+    stems = stems_of([Path(name) for name in names])
     assert len({stem.lower() for stem in stems}) == len(names)
     assert all("/" not in stem and not stem.startswith(".") for stem in stems)
 

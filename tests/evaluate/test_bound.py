@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
-from localiser.edges import Edges
-from localiser.edges.types import CommonError
+from localiser.edges import CommonError, Edges
 from localiser.evaluate import bearing_information, efficiency, posterior_bound, rms_position
 from localiser.evaluate.bound import bearing_jacobian, information, position_bound
 from localiser.geometry import Array, Increment

@@ -10,13 +10,12 @@ import pytest
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.edges.measure import common_error
-from localiser.evaluate.consistency import nees
+from localiser.evaluate import nees
 from localiser.filter import mcl
 from localiser.filter.attitude import MEMORY_M, Attitude, Level
 from localiser.geometry import Array, Trajectory, lean_sigma_of_segment
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MotionParameters
-from localiser.motion.constant_errors import EXACT
+from localiser.motion import EXACT, MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.simulate import EdgeNoise, simulated_edges
 

@@ -17,10 +17,8 @@ from localiser.edges import Edges
 from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, step
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MotionParameters, linearised
-from localiser.motion.constant_errors import EXACT
-from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import InlierRate
+from localiser.motion import EXACT, MotionParameters, linearised
+from localiser.observation import EdgeObservation, InlierRate, ObservationParameters
 from localiser.particles import POSE, Particles
 from localiser.simulate import EdgeNoise, simulated_edges
 

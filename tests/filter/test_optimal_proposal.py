@@ -11,8 +11,14 @@ from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_d
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
 from localiser.motion import MotionParameters, expected_step, predict
-from localiser.observation import Angle, EdgeObservation, ObservationParameters, Sighting, Targets
-from localiser.observation.known_association import IdentifiedObservation
+from localiser.observation import (
+    Angle,
+    EdgeObservation,
+    IdentifiedObservation,
+    ObservationParameters,
+    Sighting,
+    Targets,
+)
 from localiser.particles import effective_sample_size, estimate, from_gaussian, normalised, take
 from localiser.simulate import simulated_edges
 

@@ -21,8 +21,7 @@ from localiser.live.prepare import open_camera
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.storage import open_log, read_track
-from localiser.storage.bags.bag import stamp_of
-from localiser.storage.bags.images import stated_size
+from localiser.storage.bags import stamp_of, stated_size
 
 N = 6
 

@@ -10,8 +10,7 @@ from coarse_worlds import matched
 
 from localiser import mapping
 from localiser.config import read_config
-from localiser.edges import Edges
-from localiser.edges.bearings import BearingSensor, complete
+from localiser.edges import BearingSensor, Edges, complete
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import MappingParameters, Sightings, build_map

@@ -13,7 +13,7 @@ from localiser.config import read_config
 from localiser.evaluate import bias_figures, fit_wheels
 from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
-from localiser.observation.known_association import observation_of
+from localiser.observation import observation_of
 from localiser.replay.start import start_of
 from localiser.storage import open_log
 

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
-from localiser.edges import Edges
-from localiser.edges.types import CommonError
+from localiser.edges import CommonError, Edges
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting, novelty_of

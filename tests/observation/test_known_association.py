@@ -9,8 +9,7 @@ import pytest
 
 from localiser import geometry, particles
 from localiser.camera import Camera, Mount
-from localiser.edges import Edges
-from localiser.edges.bearings import complete
+from localiser.edges import Edges, complete
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting

@@ -13,10 +13,8 @@ from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry,
 from localiser.filter.alternative_hypothesis import AlternativeHypothesis
 from localiser.filter.confidence import confidence_of, is_near
 from localiser.geometry import Array, Trajectory
-from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.observation.inlier_rate import INLIER_RATES
-from localiser.particles import CAMERA_YAW, POSE, Particles
-from localiser.particles.clusters import Clusters, find_clusters
+from localiser.observation import INLIER_RATES, EdgeObservation, ObservationParameters
+from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, find_clusters
 from localiser.relocalisation import global_localisation as search
 from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
 from localiser.relocalisation.lost_probability import OVERLOOKED, LostProbability

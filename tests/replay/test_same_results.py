@@ -7,7 +7,7 @@ import pytest
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.filter.mcl import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
+from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Trajectory, arc_motion, compose
 from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import EdgeObservation, ObservationParameters, likelihood

@@ -246,7 +246,7 @@ def test_a_compressed_message_that_swells_is_stopped(tmp_path: Path) -> None:
 def test_a_zstd_chunk_without_its_size_is_stopped() -> None:
     swelling = zstd.compress(bytes(ZEROS))
     with pytest.raises(ValueError, match="found more"):
-        limits._zstd(swelling)
+        limits.unpacked_zstd(swelling)
 
 
 def assert_refused_in_little_memory(path: Path, problem: str) -> None:

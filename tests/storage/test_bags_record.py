@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from small_log import CAMERA, MAP, image
 
 from localiser.errors import InputError, OutputError
-from localiser.live.recording import Recording
 from localiser.storage import open_log
 from localiser.storage.bags.bag import Bag
 from localiser.storage.bags.decisions import image_decision, odometry_decision
@@ -70,42 +68,6 @@ def test_what_was_not_committed_is_taken_back_after_a_kill(tmp_path: Path) -> No
     assert path.with_name("a.db3-journal").exists(), "the case that is meant"
     assert texts(path) == ["kept"] * 5
     assert texts(path) == ["kept"] * 5
-
-
-def test_a_recording_is_committed_while_it_goes_on(tmp_path: Path) -> None:
-    failures: list[str] = []
-    recording = Recording(tmp_path / "a.db3", failures.append)
-    recording.write("/a", TEXT, 1, text("now"))
-    end = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end and not _readable(tmp_path / "a.db3"):
-        time.sleep(0.05)
-    assert texts(tmp_path / "a.db3") == ["now"]
-    recording.write("/a", TEXT, 2, text("later"))
-    recording.close()
-    assert texts(tmp_path / "a.db3") == ["now", "later"] and not failures
-
-
-def _readable(path: Path) -> bool:
-    try:
-        return bool(texts(path))
-    except InputError:
-        return False
-
-
-def test_a_full_disk_ends_the_recording_with_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    failures: list[str] = []
-    recording = Recording(tmp_path / "a.db3", failures.append)
-    recording._recorder._database.execute("COMMIT")
-    recording._recorder._database.execute("PRAGMA max_page_count = 60")  # SQLite says that the disk is full
-    recording._recorder._database.execute("BEGIN")
-    for k in range(200):
-        recording.write("/a", TEXT, k, text("x" * 4000))
-    end = time.monotonic() + PATIENCE_S
-    while not failures and time.monotonic() < end:
-        time.sleep(0.05)
-    assert len(failures) == 1 and "full" in failures[0] and "the run goes on" in failures[0]
-    recording.write("/a", TEXT, 1000, text("too late"))  # no error
-    recording.close()
 
 
 def test_decisions_leave_out_what_a_live_run_left_out(tmp_path: Path) -> None:

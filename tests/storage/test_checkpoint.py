@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from small_log import CAMERA, MAP, START, sightings
 
 from localiser.errors import InputError
-from localiser.filter.mcl import FilterState, Mcl, MclParameters, Odometry, Start, step
+from localiser.filter import FilterState, Mcl, MclParameters, Odometry, Start, step
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.storage.checkpoint import FORMAT, Checkpoint, checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.packing import decode, encode

@@ -9,7 +9,7 @@ import pytest
 from mrclam_files import FILES
 
 from localiser import geometry
-from localiser.edges.bearings import BearingSensor
+from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.storage import open_log

@@ -10,8 +10,7 @@ import pytest
 
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
-from localiser.filter.frames import LocatedFrame
-from localiser.filter.mcl import Located
+from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array, Increment
 from localiser.observation import Matches
 from localiser.particles import Estimate, Particles

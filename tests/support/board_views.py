@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from localiser.calibration.board import Board
+from localiser.calibration import Board
 from localiser.camera import Camera
 
 SQUARE_PX = 40

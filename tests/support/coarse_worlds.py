@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from localiser.edges import Edges
-from localiser.edges.bearings import BearingSensor, complete
+from localiser.edges import BearingSensor, Edges, complete
 from localiser.geometry import Array, between, compose, wrap_angle
 from localiser.mapping import Sightings, Wheels, direction_of
 

@@ -10,8 +10,9 @@ from collections import Counter
 from pathlib import Path
 from threading import Event, Thread
 
+from localiser.live import Passage, StandIn
 from localiser.live.sources import Network
-from localiser.live.stand_in import IMAGE, ODOMETRY, Passage, StandIn
+from localiser.live.stand_in import IMAGE, ODOMETRY
 from localiser.storage import open_log
 
 ODOMETRY_HZ = 50

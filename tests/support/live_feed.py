@@ -12,16 +12,16 @@ from short_log import CORRIDOR
 from localiser.camera import Camera
 from localiser.config import Config, read_config
 from localiser.filter import mcl
-from localiser.live.inbound import TOPICS, CameraFinder
+from localiser.live import TOPICS, CameraFinder, LiveOptions
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published
-from localiser.live.prepare import LiveOptions, begun_recording
+from localiser.live.prepare import begun_recording
 from localiser.live.run import LiveRun
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Resumed
 from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, open_log
-from localiser.storage.bags.messages import ODOM, Messages
+from localiser.storage.bags import ODOM, Messages
 
 MAKE = Messages()
 LOG = open_log(CORRIDOR)

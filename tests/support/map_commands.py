@@ -8,7 +8,7 @@ import numpy as np
 from mapping_worlds import world
 from typer.testing import CliRunner, Result
 
-from localiser.commands.main import app
+from localiser.commands import app
 from localiser.edges import Edges
 from localiser.errors import LocaliserError
 from localiser.filter import mcl

@@ -8,7 +8,8 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Array, between, compose, robot_from_map
-from localiser.mapping.factors import Bearings, Prior, Problem, Wheels
+from localiser.mapping import Prior, Wheels
+from localiser.mapping.factors import Bearings, Problem
 from localiser.motion import MotionParameters
 
 CAMERA = Camera(

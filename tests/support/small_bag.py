@@ -11,7 +11,7 @@ import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Nodetype
 
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS, typestore
+from localiser.storage.bags import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS, typestore
 
 WIDTH, HEIGHT = 8, 6
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame that looks straight ahead, tilted by nothing

@@ -19,8 +19,7 @@ from rerun.chunk import RrdReader
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
-from localiser.filter.frames import Image, LocatedFrame
-from localiser.filter.mcl import Located
+from localiser.filter import Image, Located, LocatedFrame
 from localiser.geometry import Array, Increment, Trajectory, compose, forward, robot_from_map
 from localiser.landmarks import LandmarkMap
 from localiser.observation import Matches

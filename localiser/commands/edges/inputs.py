@@ -49,7 +49,7 @@ def _of_log(path: Path, camera: Camera | None) -> tuple[Camera, list[Taken]]:
         raise InputError(
             f"expected a camera of {log.camera.width}×{log.camera.height} pixels, found {found}", field="--camera"
         )
-    stems = _stems([Path(frame.name) for frame in frames])
+    stems = stems_of([Path(frame.name) for frame in frames])
     return camera or log.camera, [
         Taken(frame.name, stem, frame.load, frame.t_ns) for frame, stem in zip(frames, stems, strict=True)
     ]
@@ -62,11 +62,11 @@ def _of_files(paths: Sequence[Path], camera: Camera) -> list[Taken]:
         raise InputError("expected each image once, found it twice", path=twice[0])
     return [
         Taken(str(path), stem, lambda path=path: read_image(path, size))  # type: ignore[misc]
-        for path, stem in zip(paths, _stems(paths), strict=True)
+        for path, stem in zip(paths, stems_of(paths), strict=True)
     ]
 
 
-def _stems(paths: Sequence[Path]) -> list[str]:
+def stems_of(paths: Sequence[Path]) -> list[str]:
     """Return names for the outputs of images: as short as keeps them apart, also where case does not count."""
     longest = max(len(path.parts) for path in paths)
     candidates = [[path.stem for path in paths]]

@@ -40,7 +40,7 @@ def bounded_decompression() -> None:
     def lz4(data: bytes, _: int = 0) -> bytes:
         return _decompressed(LZ4FrameDecompressor(), data)
 
-    mcap.DECOMPRESSORS |= {"lz4": lz4, "zstd": lambda data, _: _zstd(data)}
+    mcap.DECOMPRESSORS |= {"lz4": lz4, "zstd": lambda data, _: unpacked_zstd(data)}
     ros1.decompressors |= {"lz4": lz4, "bz2": lambda data: _decompressed(BZ2Decompressor(), data)}
 
 
@@ -50,10 +50,11 @@ def message_unpacker(reader: Any) -> Callable[[bytes], bytes]:
     if storage is None or storage.metadata.compression_mode != "message":
         return lambda data: data
     storage.metadata = storage.metadata._replace(compression_mode=None)
-    return _zstd
+    return unpacked_zstd
 
 
-def _zstd(data: bytes) -> bytes:
+def unpacked_zstd(data: bytes) -> bytes:
+    """Return what a zstd frame holds. Raises ValueError when that is more than a chunk may be, or cut off."""
     from rosbags.rosbag2 import storage_mcap
 
     zstd: Any = vars(storage_mcap)["zstd"]  # of Python's library or its backport
