@@ -3,7 +3,7 @@
 from localiser.mapping.aliasing import Aliasing, find_aliasing
 from localiser.mapping.alignment import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
-from localiser.mapping.build import BuildParameters, MapBuilt, build_map
+from localiser.mapping.build import BuildParameters, BuildWatch, MapBuilt, build_map
 from localiser.mapping.check import (
     ENOUGH,
     Coverage,
@@ -42,6 +42,7 @@ __all__ = [
     "Alignment",
     "Ambiguity",
     "BuildParameters",
+    "BuildWatch",
     "Built",
     "Coverage",
     "FloorPlan",

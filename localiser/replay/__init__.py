@@ -2,11 +2,12 @@
 
 from localiser.replay.evaluation import evaluate_run
 from localiser.replay.run import FolderRun, Replay, prepare, replay_log
-from localiser.replay.sinks import Outputs, Sink, close_all
+from localiser.replay.sinks import SINKS, Outputs, Sink, close_all
 from localiser.replay.start import given_pose, stated_start
 from localiser.replay.stop import asked_to_stop
 
 __all__ = [
+    "SINKS",
     "FolderRun",
     "Outputs",
     "Replay",

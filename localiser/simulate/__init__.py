@@ -2,7 +2,7 @@
 
 from localiser.simulate.drive import Drive, drive_of, odometry_of, truth_of
 from localiser.simulate.edges import EdgeNoise, simulated_edges
-from localiser.simulate.log import SimulatedLog, simulate_log
+from localiser.simulate.log import SimulatedLog, simulated_log
 from localiser.simulate.render import Scene, expose, render, scene_of
 from localiser.simulate.solids import Solids, clearance_m, solids_of
 from localiser.simulate.structure import Structure, structure_of, vertical_edges
@@ -24,8 +24,8 @@ __all__ = [
     "odometry_of",
     "render",
     "scene_of",
-    "simulate_log",
     "simulated_edges",
+    "simulated_log",
     "solids_of",
     "structure_of",
     "truth_of",

@@ -25,6 +25,7 @@ from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_
 from localiser.storage.tracks import TrackWriter, read_track
 from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum
 from localiser.storage.video import read_video
+from localiser.storage.worlds import read_world, simulate_log
 
 __all__ = [
     "FORMATS",
@@ -67,9 +68,11 @@ __all__ = [
     "read_track",
     "read_tum",
     "read_video",
+    "read_world",
     "require_new",
     "require_new_file",
     "safe_name",
+    "simulate_log",
     "update_mount",
     "write_bag",
     "write_bytes",
