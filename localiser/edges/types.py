@@ -98,7 +98,8 @@ class Edges:
         """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad."""
         bearing = np.array(bearing, dtype=np.float64)
         unknown = np.full(len(bearing), np.nan)
-        return cls.from_columns(bearing, np.zeros(len(bearing)) + sigma, unknown, unknown)
+        each = np.broadcast_to(np.asarray(sigma, dtype=np.float64), bearing.shape)
+        return cls.from_columns(bearing, each.copy(), unknown, unknown)
 
     @classmethod
     def none(cls) -> Edges:
