@@ -8,29 +8,3 @@ from localiser.simulate.solids import Solids, clearance_m, solids_of
 from localiser.simulate.structure import Structure, structure_of, vertical_edges
 from localiser.simulate.visible import Visible, visible_landmarks, visible_mask
 from localiser.simulate.world import World, world_of
-
-__all__ = [
-    "Drive",
-    "EdgeNoise",
-    "Scene",
-    "SimulatedLog",
-    "Solids",
-    "Structure",
-    "Visible",
-    "World",
-    "clearance_m",
-    "drive_of",
-    "expose",
-    "odometry_of",
-    "render",
-    "scene_of",
-    "simulated_edges",
-    "simulated_log",
-    "solids_of",
-    "structure_of",
-    "truth_of",
-    "vertical_edges",
-    "visible_landmarks",
-    "visible_mask",
-    "world_of",
-]
