@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from folders import ROOT
 
 from localiser import geometry
 from localiser.errors import InputError
@@ -166,7 +167,7 @@ def test_odometry_increments_lead_along_the_truth() -> None:
 
 
 def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
-    path = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
+    path = ROOT / "configs" / "worlds" / "corridor.yaml"
     log = simulate_log(world_of(yaml.safe_load(path.read_text(encoding="utf-8"))), 0)
     assert 190 <= len(log) <= 220
     on_map = set(log.landmark_map.ids)
@@ -186,7 +187,7 @@ def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows ends a process without asking it")
 def test_simulation_that_is_terminated_leaves_nothing_behind(tmp_path: Path) -> None:
-    world = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
+    world = ROOT / "configs" / "worlds" / "corridor.yaml"
     process = subprocess.Popen([sys.executable, "-m", "localiser", "simulate", world, "-q", "-o", tmp_path / "log"])
     try:
         while process.poll() is None and not any(tmp_path.glob(".log.part/images/*")):

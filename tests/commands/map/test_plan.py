@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from folders import ROOT
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
@@ -15,7 +16,7 @@ from localiser.commands.map.plan import map_of_plan
 from localiser.storage import find_run, read_json, read_map, read_plan
 from localiser.storage.plans import PlanFile, classify
 
-WORLD = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
+WORLD = ROOT / "configs" / "worlds" / "corridor.yaml"
 HEAD = {"image": "hall.pgm", "resolution": 0.1, "origin": "[1.0, 2.0, 0.0]", "negate": 0}
 
 
