@@ -15,7 +15,7 @@ from edge_scenes import COUNTED_LENGTH_PX, NEIGHBOUR_PX, Scene
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Array, edge_a_at, robot_from_map
-from localiser.simulate import simulate_log, world_of
+from localiser.simulate import simulated_log, world_of
 
 COUNTED_STEP = 8.0
 
@@ -25,7 +25,7 @@ def rendered(world_file: Path, every: int = 1) -> Iterator[Scene]:
 
     A landmark may stand for several edges up to 2 cm apart; bearings are judged where it stands for one.
     """
-    log = simulate_log(world_of(yaml.safe_load(world_file.read_text())), seed=0)
+    log = simulated_log(world_of(yaml.safe_load(world_file.read_text())), seed=0)
     structure = log.scene.structure
     edges_of_landmark = np.bincount(structure.landmark[structure.landmark >= 0])
     poses = log.drive.truth.sampled(log.drive.image_t_ns).poses

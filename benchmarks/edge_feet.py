@@ -22,7 +22,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges, find_edges
 from localiser.edges.foot import FOOT_SIGMA_PX
 from localiser.geometry import Array, robot_from_map
-from localiser.simulate import simulate_log, world_of
+from localiser.simulate import simulated_log, world_of
 from localiser.simulate.raycast import cast
 from localiser.simulate.solids import Solids
 
@@ -48,7 +48,7 @@ class Feet:
 
 def simulated_feet(world_file: Path, seed: int, every: int) -> Iterator[Feet]:
     """Yield the lower ends in images of a drive, against the surface that is hit just above each."""
-    log = simulate_log(world_of(yaml.safe_load(world_file.read_text())), seed=seed)
+    log = simulated_log(world_of(yaml.safe_load(world_file.read_text())), seed=seed)
     poses = log.drive.truth.sampled(log.drive.image_t_ns).poses
     for index in range(0, len(log), every):
         edges = _seen(find_edges(log.image(index), log.camera, with_probabilities=True))

@@ -49,7 +49,7 @@ class Config(BaseModel):
 
 
 def read_config(
-    path: Path | None = None,
+    path: Path | str | None = None,
     overrides: Iterable[str] = (),
     log_overrides: Mapping[str, Any] | None = None,
 ) -> Config:
@@ -63,7 +63,7 @@ def read_config(
     for name, value in (log_overrides or {}).items():
         document = document.overlaid(_option("the log's own settings", name, Document(value, {(): Place("")})))
     if path is not None:
-        document = document.overlaid(_file(path))
+        document = document.overlaid(_file(Path(path)))
     for override in overrides:
         document = document.overlaid(_override(override))
     return documents.validate(document, Config)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera, Mount
 from localiser.config import Config
-from localiser.edges import Edges, find_edges
+from localiser.edges import Detector, Edges, find_edges
 from localiser.edges import warm_up as warm_up_edges
 from localiser.errors import InputError
 from localiser.filter import (
@@ -40,7 +40,8 @@ from localiser.filter import (
 from localiser.filter import warm_up as warm_up_filter
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import observation_of
+from localiser.motion import MotionModel
+from localiser.observation import EdgeObservation, LocalisesGlobally, Observation, observation_of
 from localiser.relocalisation import GlobalLocalisation
 from localiser.storage import check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
 from localiser.visual_odometry import Odometer
@@ -61,39 +62,59 @@ class MeasuredImage:
 class Localiser:
     """Monte Carlo localisation of one robot in a known map, by the vertical edges of its images and by its wheels.
 
-    `odometry`, `image` and `edges` take measurements in the order of time, and `start` says where the robot is; without
-    it the robot is looked for on the whole map. Each returns a list of the images that could be located now: an image
-    is weighed once a pose of the wheels at its time or later is known, `finish` weighs the rest. Times are integer
-    nanoseconds; poses are (x, z, heading) in metres and radians.
+    `odometry`, `image`, `edges` and `measurement` take what was measured in the order of time, and `start` says where
+    the robot is; without it the robot is looked for on the whole map. Each returns a list of the images that could be
+    located now: an image is weighed once a pose of the wheels at its time or later is known, `finish` weighs the rest.
+    Times are integer nanoseconds; poses are (x, z, heading) in metres and radians.
 
-    config.seed, or `seed` in its place, seeds the one random generator: same seed, same measurements, same results.
-    rng: that generator. state: what changes during a run. Raises InputError for settings that do not fit the camera.
+    camera: may be None with an observation of one's own that needs none. config.seed, or `seed` in its place, seeds the
+    one random generator: same seed, same measurements, same results. observation, motion, detector: of one's own, in
+    place of those that the configuration asks for; see docs/extending.md. An observation without global localisation
+    needs a start.
+
+    rng: the generator. state: what changes during a run. Raises InputError for settings that do not fit the camera.
     """
 
     def __init__(
-        self, landmark_map: LandmarkMap, camera: Camera, config: Config | None = None, seed: int | None = None
+        self,
+        landmark_map: LandmarkMap,
+        camera: Camera | None = None,
+        config: Config | None = None,
+        seed: int | None = None,
+        *,
+        observation: Observation | None = None,
+        motion: MotionModel | None = None,
+        detector: Detector | None = None,
     ) -> None:
         config = config or Config()
-        self.landmark_map, self.camera = landmark_map, camera
+        self.landmark_map = landmark_map
         self.config = config if seed is None else config.model_copy(update={"seed": seed})
         check_settings(config, camera)
         self.rng = np.random.default_rng(self.config.seed)
         self.state = FilterState()
-        self.observation = observation_of(camera, config.observation)
-        known = config.observation.association == "known"
-        self._mcl = Mcl(
-            landmark_map,
-            self.observation,
-            config.mcl,
-            config.motion,
-            config.observation,
-            odometer=Odometer(camera, config.increments),
-            search=None if known else GlobalLocalisation.of(self.observation, landmark_map, config.search),
-            level=Level(camera, math.radians(config.edges.plumb_sigma_deg)),
-        )
-        by_edges = Odometer(camera, replace(config.increments, source="vision"))
-        self._mcl_without_wheels = replace(self._mcl, odometer=by_edges)
+        self._camera, self._detector = camera, detector
+        self._own = {"observation": observation, "motion": motion, "detector": detector}
+        self.observation = observation or observation_of(self.camera, config.observation)
+        motion = motion or config.motion
+        self._mcl = Mcl(landmark_map, self.observation, config.mcl, motion, config.observation, search=self._search())
+        if camera is not None:
+            level = Level(camera, math.radians(config.edges.plumb_sigma_deg))
+            self._mcl = replace(self._mcl, odometer=Odometer(camera, config.increments), level=level)
         self._measured: dict[int, MeasuredImage] = {}
+
+    def _search(self) -> GlobalLocalisation | None:
+        """Return global localisation, None where the observation has no such ability."""
+        known = self.config.observation.association == "known" and self._own["observation"] is None
+        if known or not isinstance(self.observation, LocalisesGlobally):
+            return None
+        return GlobalLocalisation.of(self.observation, self.landmark_map, self.config.search)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera. Raises InputError where there is none."""
+        if self._camera is None:
+            raise InputError("expected a camera, found none: images need one", field="camera")
+        return self._camera
 
     @property
     def needs_wheels(self) -> bool:
@@ -102,11 +123,12 @@ class Localiser:
 
     def warm_up(self, *, images: bool = True) -> None:
         """Compile all loops, or load them from the disk, so that no image has to wait; images: those for images too."""
-        self.observation.warm_up()
+        if isinstance(self.observation, EdgeObservation):
+            self.observation.warm_up()
         warm_up_filter()
         if self._mcl.search is not None:
             self._mcl.search.warm_up()
-        if images:
+        if images and self._camera is not None:
             warm_up_edges(self.camera, self.config.edges)
 
     # -- measurements -------------------------------------------------------------------------------------------------
@@ -145,7 +167,7 @@ class Localiser:
         begin = perf_counter()
         pixels = decoded_file(image, self.camera) if isinstance(image, bytes) else image
         loaded = perf_counter()
-        edges = find_edges(pixels, self.camera, self.config.edges)
+        edges = find_edges(pixels, self.camera, self.config.edges, detector=self._detector)
         found = perf_counter()
         return MeasuredImage(edges, image, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
 
@@ -162,10 +184,24 @@ class Localiser:
         started = self.state.particles is not None
         check_settings(self.config, images=measured.image is not None, has_ends=has_ends, has_start=started)
         self._require_own(mount)
-        self._begin(t_ns)
-        self._require_in_order(t_ns)
+        self._require_ready(t_ns)
         self._measured[t_ns] = measured
-        return self._step(self._mcl if by_wheels else self._mcl_without_wheels, Sighting(t_ns, measured.edges))
+        mcl = self._mcl
+        if not by_wheels:
+            mcl = replace(mcl, odometer=Odometer(self.camera, replace(self.config.increments, source="vision")))
+        return self._step(mcl, Sighting(t_ns, measured.edges))
+
+    def measurement(self, t_ns: int, measurement: ArrayLike) -> list[LocatedFrame]:
+        """Take what an observation of one's own understands; it gets it as `Sighting.measurement`. Raises InputError.
+
+        measurement: an array of numbers of any shape. Errors of consecutive measurements are taken to repeat over a
+        distance of `observation.decorrelation_m`, as those of edges do; 0 where they are independent.
+        """
+        if self._own["observation"] is None:
+            raise InputError("expected Localiser(…, observation=…), which understands it", field="measurement")
+        check_settings(self.config, images=False)
+        self._require_ready(t_ns)
+        return self._step(self._mcl, Sighting(t_ns, measurement=np.array(measurement)))
 
     def finish(self) -> list[LocatedFrame]:
         """Locate the images after the last pose of the wheels; the robot is taken to have stood still since then."""
@@ -180,17 +216,21 @@ class Localiser:
 
     @property
     def identity(self) -> dict[str, str]:
-        """What a saved state belongs to: every setting by its name, and fingerprints of map and camera."""
+        """What a saved state belongs to: every setting by its name, and fingerprints of map and camera.
+
+        Observation, motion model and detector of one's own are told apart by the names of their classes.
+        """
         return identity_of(
             self.config.model_dump(exclude={"versions"}),
             map=replace(self.landmark_map, frame={}, extra=(), header={}),  # what nobody reads but people
-            camera=replace(self.camera, name=""),
-        )
+            camera=self._camera and replace(self._camera, name=""),
+        ) | {f"own {part}": _name_of(own) for part, own in self._own.items() if own is not None}
 
     def save(self, shift_ns: int = 0) -> bytes:
         """Return the state and the generator, to go on with later. shift_ns: what is added to all times.
 
-        Images and their timings are not part of it: of those that wait for the wheels the edges are.
+        Images and their timings are not part of it: of those that wait for the wheels the edges are. Neither is what an
+        observation, a motion model or a detector of one's own keeps in itself.
         """
         state, identity = self.state, self.identity
         moved = replace(
@@ -226,6 +266,13 @@ class Localiser:
             frames.append(LocatedFrame(located, matches, measured.image, None, stage_ms))
             begin = perf_counter()
         return frames
+
+    def _require_ready(self, t_ns: int) -> None:
+        """Raise InputError unless an image of this time can be taken."""
+        if self.state.particles is None and self._mcl.search is None:
+            raise InputError("expected a start before the first measurement: it cannot be found on the whole map")
+        self._begin(t_ns)
+        self._require_in_order(t_ns)
 
     def _begin(self, t_ns: int) -> None:
         if self.state.at_ns == _AT_NEXT:
@@ -289,6 +336,11 @@ def decoded_file(data: bytes, camera: Camera) -> NDArray[np.uint8]:
     size, name = (camera.width, camera.height), Path("image")
     check_whole(data, size, path=name)
     return decoded(data, size, path=name)
+
+
+def _name_of(own: object) -> str:
+    kind = own if hasattr(own, "__qualname__") else type(own)
+    return f"{kind.__module__}.{kind.__qualname__}"
 
 
 def _numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,7 +63,8 @@ def foreign_private_names(text: str) -> Iterator[str]:
 
 
 def is_offered(package: str, name: str) -> bool:
-    return package.startswith("localiser") and name in getattr(importlib.import_module(package), "__all__", ())
+    found = getattr(importlib.import_module(package), name, None) if package.startswith("localiser") else None
+    return found is not None and not inspect.ismodule(found)
 
 
 def inner_modules(text: str, package: str) -> Iterator[str]:

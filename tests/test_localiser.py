@@ -14,16 +14,20 @@ from short_log import CORRIDOR, FRAMES, cut_log
 from short_log import Localiser as CommandLine
 from small_log import write_edge_log
 
-from localiser.camera import Mount
+from localiser.camera import Camera, Mount
 from localiser.config import Config, read_config
 from localiser.edges import Edges
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
+from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.live import LiveOptions, opened
 from localiser.localiser import Localiser
+from localiser.motion import MotionModel
+from localiser.observation import Observation, matches_of
+from localiser.particles import Particles
 from localiser.replay import replay_log
-from localiser.storage import Event, ImageEvent, open_log, read_track, write_camera
+from localiser.storage import Event, ImageEvent, Log, open_log, read_track, write_camera
 
 SECOND = 1_000_000_000
 KNOWN = "observation.association=known"
@@ -115,9 +119,7 @@ def test_bearings_of_ones_own_are_enough() -> None:
         true = np.array([0.1, -0.3 - 0.1 * k, 0.05])
         one.odometry(k * SECOND, [0.0, -0.1 * k, 0.0])
         bearing = bearings_from(one, true, landmark_map)
-        unknown = np.full(len(bearing), np.nan)
-        sigma = np.full(len(bearing), math.radians(0.5))
-        (found,) = one.edges(k * SECOND, Edges.from_columns(bearing, sigma, unknown, unknown))
+        (found,) = one.edges(k * SECOND, Edges.from_bearings(bearing, math.radians(0.5)))
     assert np.hypot(*(found.located.estimate.pose - true)[:2]) < 0.1
     matched = np.flatnonzero(found.matches.landmark >= 0)
     assert len(matched) and (found.matches.landmark[matched] == matched).all()
@@ -150,7 +152,7 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     assert last.located.sighting is not None
     as_weighed, as_measured = last.located.sighting.edges, last.located.edges
     assert np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
-    expected = one.observation.associate(last.located.estimate.pose_as_seen, last.located.sighting, LOG.landmark_map)
+    expected = matches_of(one.observation, last.located.estimate.pose_as_seen, last.located.sighting, LOG.landmark_map)
     np.testing.assert_array_equal(last.matches.landmark, expected.landmark)
     np.testing.assert_array_equal(last.matches.residual, expected.residual)
 
@@ -215,6 +217,101 @@ def test_a_state_can_be_moved_to_another_clock() -> None:
     moved.restore(one.save(shift_ns=7 * SECOND))
     assert moved.state.at_ns - one.state.at_ns == 7 * SECOND
     assert [pose.t_ns for pose in moved.state.odometry] == [pose.t_ns + 7 * SECOND for pose in one.state.odometry]
+
+
+# -- one's own observation, motion model and detector -----------------------------------------------------------------
+
+
+class Beacon:
+    """An observation of how far the robot is from the origin of the map: a measurement (1,) in metres."""
+
+    def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> np.ndarray:
+        assert sighting.measurement is not None
+        return -0.5 * ((np.hypot(*particles.columns[:2]) - sighting.measurement[0]) / 0.05) ** 2
+
+
+class Shifted:
+    """A motion model without noise that moves every particle 1 m to the right."""
+
+    def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
+        return replace(particles, columns=particles.columns + np.array([[1.0], [0.0], [0.0]]))
+
+
+def by_beacon(observation: Observation | None = None, motion: MotionModel | None = None) -> Localiser:
+    return Localiser(LandmarkMap.from_points(np.zeros((1, 2))), observation=observation or Beacon(), motion=motion)
+
+
+def started(one: Localiser, sigma: float = 0.5) -> Localiser:
+    one.start([3.0, 0.0, 0.0], np.diag([sigma, 1e-3, 1e-3]) ** 2)
+    one.odometry(0, [0.0, 0.0, 0.0])
+    return one
+
+
+def test_ones_own_observation_is_weighed_without_a_camera() -> None:
+    one = started(by_beacon())
+    one.warm_up()
+    (found,) = one.measurement(0, [3.5])
+    assert abs(found.located.estimate.pose[0] - 3.5) < 0.05
+    assert found.matches.landmark.size == 0 and found.image is None
+
+
+def test_ones_own_motion_model_moves_the_particles() -> None:
+    one = started(by_beacon(motion=Shifted()), sigma=1e-3)
+    one.odometry(SECOND, [0.0, -0.1, 0.0])
+    (found,) = one.measurement(SECOND, [4.0])
+    assert abs(found.located.estimate.pose[0] - 4.0) < 0.05
+
+
+def test_ones_own_detector_is_asked_for_lines() -> None:
+    asked = []
+
+    def nothing(image: np.ndarray, camera: Camera) -> np.ndarray:
+        asked.append(image.shape)
+        return np.zeros((0, 4))
+
+    assert LOG.landmark_map is not None
+    one = Localiser(LOG.landmark_map, LOG.camera, detector=nothing)
+    image = LOG.frames[0]
+    assert isinstance(image, ImageEvent)
+    assert len(one.measure(image.load()).edges) == 0 and asked == [image.load().shape]
+
+
+def test_a_state_with_ones_own_observation_goes_on_to_the_last_bit() -> None:
+    """Also with a measurement that waits for the wheels. A state belongs to the class of the observation."""
+    first, again = started(by_beacon()), by_beacon()
+    first.measurement(0, [3.5])
+    first.measurement(SECOND, [3.4])
+    again.restore(first.save())
+    expected = first.odometry(SECOND, [0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(poses(again.odometry(SECOND, [0.0, 0.0, 0.0])), poses(expected))
+    assert len(expected) == 1
+
+    class Other(Beacon):
+        """Another observation."""
+
+    with pytest.raises(InputError, match=r"own observation: expected .*Beacon, .* found .*Other"):
+        by_beacon(Other()).restore(first.save())
+
+
+def test_a_log_of_measurements_is_replayed() -> None:
+    frames = [Sighting(t_ns, measurement=np.array([3.5])) for t_ns in (0, SECOND)]
+    standing = Trajectory(np.array([0, SECOND]), np.zeros((2, 3)))
+    start = Start(0, np.array([3.0, 0.0, 0.0]), np.diag([0.5, 1e-3, 1e-3]) ** 2)
+    landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
+    log = Log("beacon", Path("beacon"), LOG.camera, standing, frames, landmark_map, start)
+    run = replay_log(log, observation=Beacon())
+    np.testing.assert_allclose(run.track.poses[:, 0], 3.5, atol=0.05)
+
+
+def test_what_does_not_go_with_ones_own_observation_is_refused() -> None:
+    with pytest.raises(InputError, match="camera: expected a camera"):
+        Localiser(LandmarkMap.from_points(np.zeros((1, 2))))
+    with pytest.raises(InputError, match="camera: expected a camera"):
+        by_beacon().image(0, np.zeros((480, 640), dtype=np.uint8))
+    with pytest.raises(InputError, match="expected a start before the first measurement"):
+        by_beacon().measurement(0, [3.5])
+    with pytest.raises(InputError, match=r"measurement: expected Localiser\(…, observation=…\)"):
+        of_corridor().measurement(0, [3.5])
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ def kernel(kind: str) -> Values:
 
     observation = weighing.EdgeObservation(weighing.CAMERA, weighing.ObservationParameters(kind=kind))
     frame = weighing.frame_of(2000, 100, 30)
-    fast, plain = partial(observation.by_share, *frame), partial(observation.by_share_plain, *frame)
+    fast, plain = partial(observation.by_rate, *frame), partial(observation.by_rate_plain, *frame)
     weighing.fastest_ms([fast, plain], 1)
     fast_ms, plain_ms = weighing.fastest_ms([fast, plain], 4 * ROUNDS)
     return {"kernel / oracle": fast_ms / plain_ms}
@@ -56,31 +56,28 @@ def one_pass() -> list[tuple[float, float, float]]:
     What is prepared once for a camera and a map belongs to the first image.
     """
     import cv2
-    from localiser.app.filter import filter_of
-    from localiser.identified import observation_of
 
-    from localiser import mcl
     from localiser.config import read_config
-    from localiser.edges import find_edges
+    from localiser.filter import Odometry
+    from localiser.localiser import Localiser
     from localiser.storage import ImageEvent, open_log
 
     log = open_log(CORRIDOR)
-    config = read_config(None, [], log.settings)
-    located_by = filter_of(log.camera, log.landmark_map, observation_of(log.camera, config.observation), config)
-    state, rng, detector = mcl.FilterState(), np.random.default_rng(0), cv2.createLineSegmentDetector()
-    taken = []
-    for event in log.events(log.start):
+    localiser = Localiser(log.landmark_map, log.camera, read_config(None, [], log.settings))
+    localiser.start(log.start.mean, log.start.cov, log.start.t_ns)
+    detector, taken = cv2.createLineSegmentDetector(), []
+    for event in log.events(anywhere=True):
         if event.t_ns > log.frames[IMAGES].t_ns:
             break
         lsd_s = edges_s = 0.0
-        measured = event
         if isinstance(event, ImageEvent):
             image = event.load()
-            grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-            lsd_s, _ = timed(partial(detector.detect, grey))
-            edges_s, found = timed(partial(find_edges, image, log.camera, config.edges))
-            measured = mcl.Sighting(event.t_ns, found)
-        step_s, _ = timed(lambda given=measured: list(mcl.step(located_by, state, given, rng)))
+            lsd_s, _ = timed(partial(detector.detect, image))
+            edges_s, measured = timed(partial(localiser.measure, image))
+            step = partial(localiser.edges, event.t_ns, measured)
+        elif isinstance(event, Odometry):
+            step = partial(localiser.odometry, event.t_ns, event.pose)
+        step_s, _ = timed(step)
         if event.t_ns >= log.frames[1].t_ns:
             taken.append((lsd_s, edges_s, step_s))
     return taken

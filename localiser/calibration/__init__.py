@@ -6,26 +6,3 @@ from localiser.calibration.intrinsics import FEWEST_VIEWS, LENSES, FloorMount, I
 from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
 from localiser.calibration.log_mount import LogMount, mount_of_images, mount_of_lines, spread, views_of
 from localiser.calibration.mount_plot import save_mount_plot
-
-__all__ = [
-    "FEWEST_VIEWS",
-    "LENSES",
-    "Board",
-    "BoardView",
-    "FloorMount",
-    "Intrinsics",
-    "Lines",
-    "LogMount",
-    "MountCheck",
-    "calibrated",
-    "check_mount",
-    "down_in_camera",
-    "lines_of",
-    "mount_from_down",
-    "mount_of_images",
-    "mount_of_lines",
-    "mount_over_board",
-    "save_mount_plot",
-    "spread",
-    "views_of",
-]

@@ -1,5 +1,3 @@
 """The command line: arguments, progress and messages only."""
 
 from localiser.commands.main import app, main
-
-__all__ = ["app", "main"]

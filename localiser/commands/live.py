@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role
+from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role, with_options
 
 if TYPE_CHECKING:
     from localiser.filter import Start
@@ -113,10 +113,9 @@ def live(
         raise InputError("expected a map", field="--map")
     if resume and checkpoint is None:
         raise InputError("expected --checkpoint FILE to go on from", field="--resume")
-    settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
     options = LiveOptions(
         map_file,
-        read_config(config, settings),
+        read_config(config, with_options(overrides, seed=seed)),
         topics_by_role(topics),
         connect or ([] if listen else [ENDPOINT]),
         listen or [],
@@ -157,14 +156,13 @@ def demo(
     driven = driven_log(log, 0)
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")
-    settings = [*(overrides or []), *([f"seed={seed}"] if seed is not None else [])]
     endpoint = _free_endpoint()
     with TemporaryDirectory() as folder:
         map_file = Path(folder) / "map.yaml"
         write_map(driven.landmark_map, map_file)
         options = LiveOptions(
             map_file,
-            read_config(config, settings, driven.settings),
+            read_config(config, with_options(overrides, seed=seed), driven.settings),
             connect=[endpoint],
             start=_start_of(driven),
             record=record,

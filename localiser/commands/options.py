@@ -52,6 +52,12 @@ def opened(log: Path, config: Path | None, settings: list[str], **how: Any) -> t
     return recorded, read_config(config, settings, recorded.settings)
 
 
+def with_options(overrides: list[str] | None, **options: object) -> list[str]:
+    """Return the settings of `--set`, then those of options by the settings' names, `__` for a dot, where given."""
+    given = {name.replace("__", "."): value for name, value in options.items() if value is not None}
+    return [*(overrides or []), *(f"{name}={value}" for name, value in given.items())]
+
+
 def show(renderable: object) -> None:
     """Print a table or a text on standard output."""
     from rich.console import Console

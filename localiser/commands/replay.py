@@ -19,6 +19,7 @@ from localiser.commands.options import (
     progress,
     show,
     topics_by_role,
+    with_options,
     working,
 )
 
@@ -84,8 +85,7 @@ def replay(
     """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
     from localiser.replay import FolderRun, Outputs, prepare
 
-    options = {"seed": seed, "observation.kind": observation, "increments.source": odometry}
-    settings = [*(overrides or []), *(f"{name}={value}" for name, value in options.items() if value is not None)]
+    settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
     recorded, effective = opened(log, config, settings, format=log_format, topics=topics_by_role(topics), camera=camera)
     with working("Getting ready; the first run compiles …", quiet):
         ready = prepare(recorded, effective, start, map_file=map_file)

@@ -12,8 +12,7 @@ from localiser.commands.options import Quiet, progress
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
-    from localiser.simulate import SimulatedLog
-    from localiser.storage import Image, ImageEvent, Log
+    from localiser.storage import Log
 
 EPILOG = """Examples:
 
@@ -49,49 +48,32 @@ def simulate(
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
-    log = simulated(world, seed)
-    with progress("Rendering", len(log), quiet) as advance:
-        write(log, out, advance)
-    if not quiet:
-        typer.echo(f"{len(log)} images and {len(log.landmark_map)} landmarks in {out}")
+    from localiser.storage import simulate_log, write_log
 
-
-def simulated(world: Path, seed: int) -> SimulatedLog:
-    """Return the simulated log of a world file; its images are rendered when they are asked for. Raises InputError."""
-    from localiser.documents import read_model
-    from localiser.simulate import World, simulate_log, world_of
-
-    log = simulate_log(read_model(world, World, world_of), seed)
-    if not len(log.landmark_map):
-        raise InputError(
-            "expected a drive on which landmarks are seen long enough for the map, found none",
-            path=world,
-            field="drive.path",
+    log = simulate_log(world, seed)
+    with progress("Rendering", len(log.frames), quiet) as advance:
+        write_log(
+            out,
+            name=log.name,
+            camera=log.camera,
+            odometry=log.odometry,
+            images=_rendered(log, advance),
+            landmark_map=log.landmark_map,
+            groundtruth=log.groundtruth,
+            start=log.start,
         )
-    return log
+    if not quiet:
+        typer.echo(f"{len(log.frames)} images and {len(log.landmark_map or ())} landmarks in {out}")
 
 
-def write(log: SimulatedLog, folder: Path, progress: Callable[[], None]) -> None:
-    """Render and write the log, calling `progress` after every image. Raises OutputError."""
-    from localiser.filter import Start
-    from localiser.storage import write_log
+def _rendered(log: Log, progress: Callable[[], None]) -> Iterator[tuple[int, bytes]]:
+    """Yield time and file of every image, and call `progress` after each."""
+    from localiser.storage import ImageEvent
 
-    def images() -> Iterator[tuple[int, Image]]:
-        for t_ns, image in zip(log.drive.image_t_ns, log.images(), strict=True):
-            yield int(t_ns), image
-            progress()
-
-    write_log(
-        folder,
-        name=log.name,
-        camera=log.camera,
-        odometry=log.drive.odometry,
-        images=images(),
-        landmark_map=log.landmark_map,
-        groundtruth=log.drive.truth,
-        start=Start(int(log.drive.image_t_ns[0]), log.start, log.start_cov),
-        jpeg_quality=log.jpeg_quality,
-    )
+    for frame in log.frames:
+        assert isinstance(frame, ImageEvent)
+        yield frame.t_ns, frame.encoded()
+        progress()
 
 
 def driven(world_or_log: Path, seed: int) -> Log:
@@ -99,25 +81,14 @@ def driven(world_or_log: Path, seed: int) -> Log:
 
     The rendered images stay in memory. Raises InputError.
     """
-    from localiser.filter import Start
-    from localiser.storage import Log, open_log
+    from localiser.storage import open_log, simulate_log
 
     if world_or_log.suffix not in (".yaml", ".yml") or world_or_log.name == "log.yaml":
         return open_log(world_or_log)
-    log = simulated(world_or_log, seed)
-    frames = [_rendered(log, index) for index in range(len(log))]
-    start = Start(frames[0].t_ns, log.start, log.start_cov)
-    drive = log.drive
-    return Log(log.name, world_or_log, log.camera, drive.odometry, frames, log.landmark_map, start, drive.truth)
-
-
-def _rendered(log: SimulatedLog, index: int) -> ImageEvent:
-    from localiser.storage import ImageEvent, decoded, encode_image
-
-    name, size = f"image {index}", (log.camera.width, log.camera.height)
-    data = encode_image(log.image(index), ".jpg", log.jpeg_quality)
-    t_ns = int(log.drive.image_t_ns[index])
-    return ImageEvent(t_ns, name, lambda: decoded(data, size, path=Path(name)), lambda: data)
+    log = simulate_log(world_or_log, seed)
+    for _ in _rendered(log, lambda: None):
+        pass
+    return log
 
 
 def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:

@@ -4,21 +4,3 @@ from localiser.documents.document import Document, Key, Place, dump, field_name,
 from localiser.documents.files import MAX_DOCUMENT_BYTES, read_bytes, read_text
 from localiser.documents.models import Schema, nearest, read_model, validate
 from localiser.documents.parse import load, parse
-
-__all__ = [
-    "MAX_DOCUMENT_BYTES",
-    "Document",
-    "Key",
-    "Place",
-    "Schema",
-    "dump",
-    "field_name",
-    "load",
-    "nearest",
-    "parse",
-    "read_bytes",
-    "read_model",
-    "read_text",
-    "shown",
-    "validate",
-]

@@ -11,24 +11,3 @@ from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.edges.segments import Segments
 from localiser.edges.types import CommonError, Edges
 from localiser.edges.undistort import Image
-
-__all__ = [
-    "DETECTORS",
-    "FOOT_SIGMA_PX",
-    "PROFILE_OFFSETS_PX",
-    "BearingSensor",
-    "CommonError",
-    "Detector",
-    "EdgeParameters",
-    "Edges",
-    "Image",
-    "Segments",
-    "complete",
-    "find_edges",
-    "foot_of_edges",
-    "mount_error_of_edges",
-    "on_ideal_image",
-    "register",
-    "registered",
-    "warm_up",
-]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from localiser.geometry import Array
 
@@ -92,6 +92,14 @@ class Edges:
         }
         columns |= {name: value for name, value in known.items() if value is not None}
         return cls(bearing, bearing_sigma, lean, lean_sigma, **columns)  # type: ignore[arg-type]
+
+    @classmethod
+    def from_bearings(cls, bearing: ArrayLike, sigma: ArrayLike) -> Edges:
+        """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad."""
+        bearing = np.array(bearing, dtype=np.float64)
+        unknown = np.full(len(bearing), np.nan)
+        each = np.broadcast_to(np.asarray(sigma, dtype=np.float64), bearing.shape)
+        return cls.from_columns(bearing, each.copy(), unknown, unknown)
 
     @classmethod
     def none(cls) -> Edges:

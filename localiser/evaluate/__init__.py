@@ -8,23 +8,3 @@ from localiser.evaluate.metrics import metrics, timing_metrics
 from localiser.evaluate.report import write_report
 from localiser.evaluate.table import errors_table
 from localiser.evaluate.wheels import bias_figures, fit_wheels
-
-__all__ = [
-    "Efficiency",
-    "Errors",
-    "Track",
-    "bearing_information",
-    "bias_figures",
-    "efficiency",
-    "errors_against",
-    "errors_table",
-    "fit_wheels",
-    "fraction_inside",
-    "metrics",
-    "nees",
-    "nees_band",
-    "posterior_bound",
-    "rms_position",
-    "timing_metrics",
-    "write_report",
-]

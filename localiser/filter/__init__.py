@@ -7,26 +7,3 @@ from localiser.filter.frames import Image, LocatedFrame, matched
 from localiser.filter.mcl import FilterState, Mcl, MclParameters, finish, step
 from localiser.filter.optimal_proposal import warm_up
 from localiser.observation import Sighting
-
-__all__ = [
-    "CORRECT_M",
-    "CORRECT_RAD",
-    "MOUNT",
-    "SURE",
-    "Attitude",
-    "Event",
-    "FilterState",
-    "Image",
-    "Level",
-    "Located",
-    "LocatedFrame",
-    "Mcl",
-    "MclParameters",
-    "Odometry",
-    "Sighting",
-    "Start",
-    "finish",
-    "matched",
-    "step",
-    "warm_up",
-]

@@ -13,22 +13,3 @@ from localiser.landmarks.visibility import (
     visible_length_px,
     widest_tangent,
 )
-
-__all__ = [
-    "CELL_M",
-    "FRAME",
-    "HEADINGS",
-    "LandmarkIndex",
-    "LandmarkMap",
-    "Quality",
-    "Sight",
-    "SightParameters",
-    "field_of_view_rad",
-    "half_view_rad",
-    "image_heights",
-    "in_camera",
-    "in_view_of_cells",
-    "sight",
-    "visible_length_px",
-    "widest_tangent",
-]

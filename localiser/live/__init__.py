@@ -4,15 +4,3 @@ from localiser.live.inbound import TOPICS, CameraFinder, message_of, type_of
 from localiser.live.prepare import LiveOptions, opened
 from localiser.live.send_pose import send_pose
 from localiser.live.stand_in import Passage, StandIn
-
-__all__ = [
-    "TOPICS",
-    "CameraFinder",
-    "LiveOptions",
-    "Passage",
-    "StandIn",
-    "message_of",
-    "opened",
-    "send_pose",
-    "type_of",
-]

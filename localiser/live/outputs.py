@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
-from threading import Condition, Thread
+from queue import Empty, Queue
+from threading import Thread
 
 import numpy as np
 
@@ -90,16 +91,16 @@ class JsonLines:
     def __init__(self, descriptor: int) -> None:
         """Begin."""
         self._descriptor = descriptor
-        self._queue: deque[str | None] = deque(maxlen=MOST_LINES)
-        self._changed = Condition()
+        self._queue: Queue[str | None] = Queue(MOST_LINES)
         self._thread = Thread(target=self._work, name="json", daemon=True)
         self._thread.start()
 
     def put(self, line: str | None) -> None:
         """Write a line; None ends the thread."""
-        with self._changed:
-            self._queue.append(line)
-            self._changed.notify()
+        with suppress(Empty):
+            if self._queue.full():
+                self._queue.get_nowait()
+        self._queue.put(line)
 
     def close(self) -> None:
         """End; waits a moment for a slow reader."""
@@ -107,15 +108,8 @@ class JsonLines:
         self._thread.join(1.0)
 
     def _work(self) -> None:
-        try:
-            while (line := self._next()) is not None:
+        with suppress(OSError):  # nobody reads any more
+            while (line := self._queue.get()) is not None:
                 rest = f"{line}\n".encode()
                 while rest:
                     rest = rest[os.write(self._descriptor, rest) :]
-        except OSError:
-            return  # nobody reads any more
-
-    def _next(self) -> str | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._queue)
-            return self._queue.popleft()

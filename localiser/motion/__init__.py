@@ -22,26 +22,3 @@ from localiser.motion.protocols import (
     MotionModel,
     covariance_of,
 )
-
-__all__ = [
-    "CONSTANT_ERRORS",
-    "EXACT",
-    "MOTION_MODELS",
-    "SLIP",
-    "ConstantErrorParameters",
-    "EstimatesConstantErrors",
-    "LinearisedMotion",
-    "MotionCovariance",
-    "MotionModel",
-    "MotionParameters",
-    "Step",
-    "covariance_of",
-    "direction_of_travel",
-    "expected_step",
-    "linearised",
-    "noise_variances",
-    "predict",
-    "step_noise",
-    "stepped",
-    "wheel_cov",
-]

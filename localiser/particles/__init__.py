@@ -19,27 +19,3 @@ from localiser.particles.cloud import (
 )
 from localiser.particles.clusters import Clusters, find_clusters, poses_per_cell
 from localiser.particles.resampling import enough_particles, multinomial_resample, systematic_resample
-
-__all__ = [
-    "CAMERA_YAW",
-    "MOST_STAGES",
-    "POSE",
-    "Clusters",
-    "Estimate",
-    "Particles",
-    "centred",
-    "effective_sample_size",
-    "enough_particles",
-    "estimate",
-    "find_clusters",
-    "from_gaussian",
-    "largest_step",
-    "log_sum",
-    "multinomial_resample",
-    "normalised",
-    "only",
-    "poses_per_cell",
-    "spread",
-    "systematic_resample",
-    "take",
-]

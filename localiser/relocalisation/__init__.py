@@ -14,22 +14,3 @@ from localiser.relocalisation.places import Places
 from localiser.relocalisation.proposals import ProposalParameters, propose
 from localiser.relocalisation.resection import from_three_bearings, from_two_bearings
 from localiser.relocalisation.views import View, view_of
-
-__all__ = [
-    "SEEN_FIRST",
-    "Clues",
-    "GlobalLocalisation",
-    "LostProbability",
-    "Places",
-    "ProposalParameters",
-    "Proposals",
-    "Region",
-    "SearchParameters",
-    "View",
-    "from_three_bearings",
-    "from_two_bearings",
-    "propose",
-    "resampled",
-    "view_of",
-    "warm_up",
-]

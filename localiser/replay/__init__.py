@@ -2,20 +2,6 @@
 
 from localiser.replay.evaluation import evaluate_run
 from localiser.replay.run import FolderRun, Replay, prepare, replay_log
-from localiser.replay.sinks import Outputs, Sink, close_all
+from localiser.replay.sinks import SINKS, Outputs, Sink, close_all
 from localiser.replay.start import given_pose, stated_start
 from localiser.replay.stop import asked_to_stop
-
-__all__ = [
-    "FolderRun",
-    "Outputs",
-    "Replay",
-    "Sink",
-    "asked_to_stop",
-    "close_all",
-    "evaluate_run",
-    "given_pose",
-    "prepare",
-    "replay_log",
-    "stated_start",
-]

@@ -1,4 +1,4 @@
-"""Judge runs: what replay wrote, or any trajectory with the truth beside it."""
+"""Compare runs with the truth: what a replay wrote or returned, or any trajectory."""
 
 from __future__ import annotations
 
@@ -12,30 +12,39 @@ from localiser.evaluate import Track
 from localiser.geometry import Trajectory
 
 
-def evaluate_run(path: Path | str, truth: Path | str | None = None) -> dict[str, Any]:
-    """Return the metrics of a run's folder, or of a trajectory file (TUM, or a run's CSV) against the truth in a file.
+def evaluate_run(run: Path | str | Track, truth: Path | str | Trajectory | None = None) -> dict[str, Any]:
+    """Return the metrics of a run against the truth.
 
-    truth: true poses (TUM, or CSV `t_ns,x,z,heading`); a run's folder is judged by it in place of what it recorded.
-    Raises InputError.
+    run: its folder, a trajectory file (TUM, or a run's CSV), or the track of a replay. truth: true poses, or their file
+    (TUM, or CSV `t_ns,x,z,heading`); a run's folder is judged by it in place of what it recorded. Raises InputError.
     """
-    path = Path(path)
+    if isinstance(run, Track):
+        if truth is None:
+            raise InputError("expected the true poses, found none", field="truth")
+        return _judged(run, truth, "")
+    path = Path(run)
     if path.is_file() and path.name != storage.LATEST:
         if truth is None:
             raise InputError("a trajectory file needs --truth FILE, found none", path=path)
-        return _judged(_track(path), Path(truth), path.stem)
-    run = storage.find_run(path)
-    recorded = storage.read_json(run / "metrics.json")
+        return _judged(_track(path), truth, path.stem)
+    folder = storage.find_run(path)
+    recorded = storage.read_json(folder / "metrics.json")
     if truth is None:
         return recorded
-    return _judged(storage.read_track(run / "trajectory.csv"), Path(truth), str(recorded.get("log")), recorded)
+    return _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), recorded)
 
 
-def _judged(track: Track, truth: Path, log: str, about: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    poses = _poses(truth)
+def _judged(
+    track: Track, truth: Path | str | Trajectory, log: str, about: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    if isinstance(truth, Trajectory):
+        return evaluate.metrics(track, truth, log=log, about=about)
+    path = Path(truth)
+    poses = _poses(path)
     try:
         return evaluate.metrics(track, poses, log=log, about=about)
     except InputError as error:  # of what is in memory: no image in common
-        raise InputError(error.problem, path=truth) from None
+        raise InputError(error.problem, path=path) from None
 
 
 def _poses(path: Path) -> Trajectory:

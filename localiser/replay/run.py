@@ -14,12 +14,15 @@ import numpy as np
 
 from localiser import evaluate
 from localiser.config import Config, in_force, read_config, to_yaml
+from localiser.edges import Detector
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.evaluate import Track, write_report
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser, check_settings
+from localiser.motion import MotionModel
+from localiser.observation import Observation
 from localiser.replay.about import described, identity_of
 from localiser.replay.figures import bound_of, run_metrics, track_of, truth_of
 from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
@@ -79,6 +82,8 @@ class Replay:
                     yield localiser.start(event.mean, event.cov, event.t_ns)
                 case Odometry():
                     yield localiser.odometry(event.t_ns, event.pose)
+                case Sighting() if event.measurement is not None:
+                    yield localiser.measurement(event.t_ns, event.measurement)
                 case Sighting():
                     yield localiser.edges(event.t_ns, event.edges)
                 case ImageEvent():
@@ -132,11 +137,12 @@ def prepare(
     *,
     landmark_map: LandmarkMap | None = None,
     map_file: Path | None = None,
+    **own: Any,
 ) -> Replay:
     """Return a replay of `log` that is ready to run.
 
-    start: see `start_of`. landmark_map, or that in map_file, takes the place of the log's own. Raises InputError when
-    the map is missing, or settings, camera and log do not fit.
+    start: see `start_of`. landmark_map, or that in map_file, takes the place of the log's own. own: observation, motion
+    and detector, see `Localiser`. Raises InputError when the map is missing, or settings, camera and log do not fit.
     """
     if landmark_map is None:
         landmark_map = read_map(map_file) if map_file else log.landmark_map
@@ -146,7 +152,7 @@ def prepare(
         check_settings(config, log.camera, images=log.has_images, has_start=has_start(log, start))
     except InputError as error:
         raise _placed(error, log) from None
-    localiser = Localiser(landmark_map, log.camera, config)
+    localiser = Localiser(landmark_map, log.camera, config, **own)
     return Replay(log, localiser, start_of(log, start, localiser.rng), map_file)
 
 
@@ -163,19 +169,25 @@ def replay_log(
     *,
     landmark_map: LandmarkMap | None = None,
     start: str | Start | None = None,
+    seed: int | None = None,
     sinks: Sequence[Sink] = (),
+    observation: Observation | None = None,
+    motion: MotionModel | None = None,
+    detector: Detector | None = None,
 ) -> Replay:
     """Replay a log and return what was located: `frames`, `track` and `metrics`. Writes nothing itself.
 
     log: as `open_log` gives it, or its path. config: settings in place of the defaults and of what the log asks for.
     landmark_map: in place of the log's own. start: where the robot starts, or `x,z,heading_deg`, `truth` or `global` as
-    on the command line; by default what the log states, else anywhere. sinks: get every located image, and are closed.
-    Raises InputError.
+    on the command line; by default what the log states, else anywhere. seed: in place of the configuration's. sinks:
+    get every located image, and are closed. observation, motion, detector: see `Localiser`. Raises InputError.
     """
-    log = log if isinstance(log, Log) else open_log(Path(log))
-    run = prepare(
-        log, read_config(None, (), log.settings) if config is None else config, start, landmark_map=landmark_map
-    )
+    log = log if isinstance(log, Log) else open_log(log)
+    config = read_config(None, (), log.settings) if config is None else config
+    if seed is not None:
+        config = config.model_copy(update={"seed": seed})
+    own: dict[str, Any] = {"observation": observation, "motion": motion, "detector": detector}
+    run = prepare(log, config, start, landmark_map=landmark_map, **own)
     complete = False
     try:
         run.run(sinks)

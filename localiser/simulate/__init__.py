@@ -2,35 +2,9 @@
 
 from localiser.simulate.drive import Drive, drive_of, odometry_of, truth_of
 from localiser.simulate.edges import EdgeNoise, simulated_edges
-from localiser.simulate.log import SimulatedLog, simulate_log
+from localiser.simulate.log import SimulatedLog, simulated_log
 from localiser.simulate.render import Scene, expose, render, scene_of
 from localiser.simulate.solids import Solids, clearance_m, solids_of
 from localiser.simulate.structure import Structure, structure_of, vertical_edges
 from localiser.simulate.visible import Visible, visible_landmarks, visible_mask
 from localiser.simulate.world import World, world_of
-
-__all__ = [
-    "Drive",
-    "EdgeNoise",
-    "Scene",
-    "SimulatedLog",
-    "Solids",
-    "Structure",
-    "Visible",
-    "World",
-    "clearance_m",
-    "drive_of",
-    "expose",
-    "odometry_of",
-    "render",
-    "scene_of",
-    "simulate_log",
-    "simulated_edges",
-    "solids_of",
-    "structure_of",
-    "truth_of",
-    "vertical_edges",
-    "visible_landmarks",
-    "visible_mask",
-    "world_of",
-]

@@ -56,7 +56,7 @@ class SimulatedLog:
         return (self.image(index) for index in range(len(self)))
 
 
-def simulate_log(world: World, seed: int) -> SimulatedLog:
+def simulated_log(world: World, seed: int) -> SimulatedLog:
     """Return the log of the world's drive; images are rendered when they are asked for.
 
     Raises InputError when the drive runs into something, or when the camera looks straight down.

@@ -63,9 +63,9 @@ class CameraFile(BaseModel):
     projection_matrix: MatrixFile | None = None
 
 
-def read_camera(path: Path) -> Camera:
+def read_camera(path: Path | str) -> Camera:
     """Return the camera that a file describes. Raises InputError."""
-    return camera_from_document(load(path))
+    return camera_from_document(load(Path(path)))
 
 
 def camera_from_document(document: Document) -> Camera:
@@ -115,7 +115,7 @@ def _distortion(document: Document, file: CameraFile) -> tuple[float, ...]:
     return tuple(found)
 
 
-def write_camera(camera: Camera, path: Path, *, with_mount: bool = True, comment: str = "") -> None:
+def write_camera(camera: Camera, path: Path | str, *, with_mount: bool = True, comment: str = "") -> None:
     """Write a camera file. Raises OutputError.
 
     with_mount: whether the mount is known; without, the file lacks it and the program asks for it. comment: lines to
@@ -124,7 +124,7 @@ def write_camera(camera: Camera, path: Path, *, with_mount: bool = True, comment
     data = camera_data(camera)
     if not with_mount:
         del data["mount"]
-    write_text(path, "".join(f"# {line}\n" for line in comment.splitlines()) + dump(data))
+    write_text(Path(path), "".join(f"# {line}\n" for line in comment.splitlines()) + dump(data))
 
 
 def camera_file(log: Path) -> Path:

@@ -67,9 +67,9 @@ class MapFile(BaseModel):
     frame: dict[str, Any] = Field(default_factory=lambda: dict(FRAME))
 
 
-def read_map(path: Path) -> LandmarkMap:
+def read_map(path: Path | str) -> LandmarkMap:
     """Return the map that a file describes. Raises InputError."""
-    return map_from_document(load(path))
+    return map_from_document(load(Path(path)))
 
 
 def map_from_document(document: Document) -> LandmarkMap:
@@ -137,9 +137,9 @@ def _cov(cov: CovFile | None) -> list[list[float]]:
     return [[math.nan] * 2] * 2 if cov is None else [[cov.xx, cov.xz], [cov.xz, cov.zz]]
 
 
-def write_map(landmark_map: LandmarkMap, path: Path) -> None:
+def write_map(landmark_map: LandmarkMap, path: Path | str) -> None:
     """Write a map file with everything that the map knows. Raises OutputError."""
-    write_text(path, map_text(landmark_map))
+    write_text(Path(path), map_text(landmark_map))
 
 
 def map_text(landmark_map: LandmarkMap) -> str:

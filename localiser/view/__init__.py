@@ -11,20 +11,6 @@ from localiser.view.mapping import Finished, Growing, MapFile, MapView, building
 if TYPE_CHECKING:
     from localiser.view.landmark_view import record_map
 
-__all__ = [
-    "Context",
-    "Finished",
-    "Growing",
-    "LiveView",
-    "MapFile",
-    "MapView",
-    "RrdFile",
-    "building_context",
-    "check_kind",
-    "record_aliasing",
-    "record_map",
-]
-
 
 def __getattr__(name: str) -> Any:
     """Import what draws a map when it is asked for: Rerun takes most of a second."""

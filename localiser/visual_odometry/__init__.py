@@ -4,5 +4,3 @@ from localiser.visual_odometry.estimate import Belief, Followed, Frames, follow
 from localiser.visual_odometry.odometer import Odometer
 from localiser.visual_odometry.parameters import VisualOdometryParameters
 from localiser.visual_odometry.twist import Gaussian
-
-__all__ = ["Belief", "Followed", "Frames", "Gaussian", "Odometer", "VisualOdometryParameters", "follow"]

@@ -11,18 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from localiser.commands.map.world_plan import draw_plan, drawn_corners, load_world
+from localiser.commands.map.world_plan import draw_plan, drawn_corners
 from localiser.geometry import Array
 from localiser.mapping import FloorPlan, cells_from_map, map_from_cells, plan_landmarks
 from localiser.mapping.plan_corners import outlines
 from localiser.simulate import World
+from localiser.storage import read_world
 
 WORLDS = ROOT / "configs" / "worlds"
 
 
 @lru_cache
 def world(name: str) -> World:
-    return load_world(WORLDS / f"{name}.yaml")
+    return read_world(WORLDS / f"{name}.yaml")
 
 
 def corners_and_jambs(name: str) -> Array:

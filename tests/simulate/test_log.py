@@ -17,7 +17,7 @@ from folders import ROOT
 
 from localiser import geometry
 from localiser.errors import InputError
-from localiser.simulate import World, simulate_log, structure_of, visible_landmarks, visible_mask, world_of
+from localiser.simulate import World, simulated_log, structure_of, visible_landmarks, visible_mask, world_of
 
 PLAIN = {"texture": "plain", "colour": [200, 200, 200]}
 BOX = {"width_m": 0.3, "depth_m": 0.3, "material": "wall"}
@@ -120,7 +120,7 @@ ROOM = {
 
 
 def test_a_log_is_the_same_for_the_same_seed_and_another_for_another() -> None:
-    one, two, other = (simulate_log(world(**ROOM), seed) for seed in (3, 3, 4))
+    one, two, other = (simulated_log(world(**ROOM), seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.drive.odometry.poses, two.drive.odometry.poses)
     np.testing.assert_array_equal(one.start, two.start)
     np.testing.assert_array_equal(list(one.images())[2], two.image(2))
@@ -130,7 +130,7 @@ def test_a_log_is_the_same_for_the_same_seed_and_another_for_another() -> None:
 
 
 def test_images_are_taken_at_their_rate_while_the_truth_is_known() -> None:
-    log = simulate_log(world(**ROOM, image={"exposure_s": 0.03}), 0)
+    log = simulated_log(world(**ROOM, image={"exposure_s": 0.03}), 0)
     times = log.drive.image_t_ns
     assert times[0] == 15_000_000, "the first exposure begins with the truth"
     assert (np.diff(times) == 200_000_000).all()
@@ -139,7 +139,7 @@ def test_images_are_taken_at_their_rate_while_the_truth_is_known() -> None:
 
 
 def test_the_map_holds_what_at_least_five_images_show() -> None:
-    log = simulate_log(world(**ROOM), 0)
+    log = simulated_log(world(**ROOM), 0)
     count = np.bincount(np.concatenate([shown.landmark for shown in log.visible]))
     assert log.landmark_map.ids == tuple(np.flatnonzero(count >= 5).tolist())
     everything = structure_of(world(**ROOM)).landmark_map
@@ -148,7 +148,7 @@ def test_the_map_holds_what_at_least_five_images_show() -> None:
 
 def test_the_stated_start_errs_by_its_stated_sigmas() -> None:
     scenery = world(camera={"width": 16, "height": 16}, drive={"path": [{"to": [0, 0]}, {"to": [0, -0.1]}]})
-    logs = [simulate_log(scenery, seed) for seed in range(30)]
+    logs = [simulated_log(scenery, seed) for seed in range(30)]
     first = logs[0].drive.truth.at(int(logs[0].drive.image_t_ns[0]))
     scores = np.array([(log.start - first) / np.sqrt(np.diag(log.start_cov)) for log in logs])
     np.testing.assert_allclose(scores.std(axis=0), 1.0, atol=0.4)
@@ -157,18 +157,18 @@ def test_the_stated_start_errs_by_its_stated_sigmas() -> None:
 
 def test_a_drive_through_a_wall_is_refused_with_its_place() -> None:
     with pytest.raises(InputError, match=r"robot at least 0\.15 m .* x = 0\.00, z = -0\.70"):
-        simulate_log(world(walls=[{"from": [-1, -0.7], "to": [1, -0.7]}]), 0)
+        simulated_log(world(walls=[{"from": [-1, -0.7], "to": [1, -0.7]}]), 0)
 
 
 def test_odometry_increments_lead_along_the_truth() -> None:
-    log = simulate_log(world(**ROOM, odometry={}), 0)
+    log = simulated_log(world(**ROOM, odometry={}), 0)
     in_map = geometry.compose(log.drive.truth.poses[0], log.drive.odometry.poses)
     np.testing.assert_allclose(in_map[:, :2], log.drive.truth.poses[:, :2], atol=1e-9)
 
 
 def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
     path = ROOT / "configs" / "worlds" / "corridor.yaml"
-    log = simulate_log(world_of(yaml.safe_load(path.read_text(encoding="utf-8"))), 0)
+    log = simulated_log(world_of(yaml.safe_load(path.read_text(encoding="utf-8"))), 0)
     assert 190 <= len(log) <= 220
     on_map = set(log.landmark_map.ids)
     few = np.array([len(on_map & set(shown.landmark.tolist())) < 3 for shown in log.visible])

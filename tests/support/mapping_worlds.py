@@ -56,7 +56,7 @@ class World:
 def world(name: str) -> World:
     """Return the drive of a world that ships with the project."""
     model = documents.read_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
-    log = simulate.simulate_log(model, 0)
+    log = simulate.simulated_log(model, 0)
     landmark_map = log.scene.structure.landmark_map
     visible = np.zeros((len(log), len(landmark_map)), dtype=bool)
     for row, shown in zip(visible, log.visible, strict=True):
@@ -78,7 +78,7 @@ def laps(name: str, seed: int, distance_scale: float = 0.04, times: int | None =
     ways = tuple(type(model.drive.path[0])(to=point) for point in path)
     drive = model.drive.model_copy(update={"path": ways})
     wheels = model.odometry.model_copy(update={"distance_scale": distance_scale})
-    log = simulate.simulate_log(model.model_copy(update={"drive": drive, "odometry": wheels}), seed)
+    log = simulate.simulated_log(model.model_copy(update={"drive": drive, "odometry": wheels}), seed)
     landmark_map = log.scene.structure.landmark_map
     visible = np.zeros((len(log), len(landmark_map)), dtype=bool)
     for row, shown in zip(visible, log.visible, strict=True):

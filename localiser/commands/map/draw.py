@@ -22,11 +22,11 @@ def draw(
     quiet: Quiet = False,
 ) -> None:
     """Draw the floor plan of a simulated WORLD for ROS map_server: walls, open doorways and pillars."""
-    from localiser.commands.map.world_plan import draw_plan, load_world
-    from localiser.storage import plan_picture, write_plan
+    from localiser.commands.map.world_plan import draw_plan
+    from localiser.storage import plan_picture, read_world, write_plan
 
     require_writable(out, plan_picture(out), overwrite=force)
-    plan = draw_plan(load_world(world), resolution, math.radians(yaw_deg), furniture=furniture)
+    plan = draw_plan(read_world(world), resolution, math.radians(yaw_deg), furniture=furniture)
     picture = write_plan(plan, out)
     if not quiet:
         typer.echo(f"{plan.shape[1]}×{plan.shape[0]} cells of {resolution:g} m in {out} and {picture}")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 
-from localiser import documents, simulate
 from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
@@ -17,11 +15,6 @@ from localiser.simulate import Solids, World, solids_of, vertical_edges
 CUT_M = 1.2
 """Height above the floor at which a plan shows a building."""
 _MARGIN_M = 0.5
-
-
-def load_world(path: Path) -> World:
-    """Return the world that a file describes. Raises InputError."""
-    return documents.read_model(path, World, simulate.world_of)
 
 
 def drawn_corners(world: World, *, furniture: bool = False) -> LandmarkMap:

@@ -4,5 +4,3 @@ from localiser.live.sources.camera import CameraSource
 from localiser.live.sources.inbox import Arrival, Inbox
 from localiser.live.sources.keys import topic_of
 from localiser.live.sources.network import ENDPOINT, Network
-
-__all__ = ["ENDPOINT", "Arrival", "CameraSource", "Inbox", "Network", "topic_of"]
