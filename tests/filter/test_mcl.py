@@ -315,6 +315,7 @@ def test_means_and_spreads_agree_with_the_grid_filter() -> None:
 # -- against the limit of accuracy ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_slope_comes_close_to_the_posterior_bound() -> None:
     """20 seeds, 40 frames, 2000 particles, edges without images; the whole drive is left to the benchmark."""
     benchmark = runpy.run_path(str(ROOT / "benchmarks" / "efficiency.py"))

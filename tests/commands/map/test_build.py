@@ -25,6 +25,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_build_and_show(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
     out = tmp_path / "map.yaml"

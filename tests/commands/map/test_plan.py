@@ -109,6 +109,7 @@ def test_map_servers_rules_pixel_by_pixel() -> None:
     assert classes("scale", picture=clear) == [1, 1, -1, -1, -1, 0, 0, -1, 1, 1]
 
 
+@pytest.mark.slow
 def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     plan, out = tmp_path / "plan.yaml", tmp_path / "map.yaml"
     drawn = run("map", "draw", WORLD, "-o", plan, "--resolution", 0.05, "--yaw-deg", 20)
