@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from folders import ROOT
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+BENCHMARKS = ROOT / "benchmarks"
 KEY = ("logs", "corridor line", "position_rmse_m")
 
 

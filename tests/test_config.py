@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from folders import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from localiser import __version__
 from localiser.config import Config, in_force, read_config, schema, to_yaml
 from localiser.errors import InputError
 
-CONFIGS = Path(__file__).resolve().parent.parent / "configs"
+CONFIGS = ROOT / "configs"
 
 
 def write(folder: Path, text: str) -> Path:

@@ -5,10 +5,10 @@ import re
 from pathlib import Path
 
 import pytest
+from folders import ROOT
 
 from localiser.config import Config
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PACKAGES = {path.stem for path in (ROOT / "localiser").iterdir() if not path.stem.startswith("_")}
 IDS = [str(page.relative_to(ROOT)) for page in PAGES]

@@ -3,13 +3,12 @@
 import copy
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from folders import ROOT
 
 from localiser import edges, storage
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 EXAMPLES = dict(re.findall(r"^## Your own ([\w ]+)$.*?```python\n(.*?)```", PAGE, re.MULTILINE | re.DOTALL))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,18 @@ from localiser.errors import InputError
 
 Key = tuple[str | int, ...]
 
-_Dumper: type[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+FLOAT_TAG = "tag:yaml.org,2002:float"
+_EXPONENT = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
+
+
+def with_exponents(base: type[Any]) -> type[Any]:
+    """Return a loader or dumper to which 1e-3 is a number; YAML 1.1 takes it for a text for want of a point."""
+    made = type(base.__name__, (base,), {})
+    made.add_implicit_resolver(FLOAT_TAG, _EXPONENT, list("-+.0123456789"))  # type: ignore[attr-defined]
+    return made
+
+
+_Dumper = with_exponents(getattr(yaml, "CSafeDumper", yaml.SafeDumper))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from localiser.documents.document import Document, Key, Place, shown
+from localiser.documents.document import FLOAT_TAG, Document, Key, Place, shown, with_exponents
 from localiser.documents.files import read_text
 from localiser.errors import InputError
 
 _MAX_DEPTH = 40
 _MAX_DIGITS = 100
-_FLOAT_TAG = "tag:yaml.org,2002:float"
-_NUMBERS = {_FLOAT_TAG, "tag:yaml.org,2002:int"}
-_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+", re.ASCII)
-_Loader: type[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_NUMBERS = {FLOAT_TAG, "tag:yaml.org,2002:int"}
+_Loader = with_exponents(getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 def load(path: Path) -> Document:
@@ -95,8 +92,6 @@ class _Parser:
 
     def _scalar(self, key: Key, event: Any) -> Any:
         tag = self._loader.resolve(yaml.ScalarNode, event.value, event.implicit)
-        if event.implicit[0] and _EXPONENT.fullmatch(event.value):
-            tag = _FLOAT_TAG  # 1e-3, which YAML 1.1 takes for a text for want of a point
         if tag in _NUMBERS and len(event.value) > _MAX_DIGITS:
             raise self._place(event).error(key, f"expected a number of at most {_MAX_DIGITS} characters")
         try:

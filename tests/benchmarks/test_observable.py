@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from folders import ROOT
 from grid_filter import GridFilter, headings
 
 from localiser.camera import Camera, Mount
@@ -24,7 +24,7 @@ CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20), 0.9)
 
 @pytest.fixture(scope="module")
 def observable() -> Iterator[ModuleType]:
-    path = str(Path(__file__).resolve().parents[2] / "benchmarks")
+    path = str(ROOT / "benchmarks")
     sys.path.insert(0, path)
     import observable as module
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from folders import ROOT
 
 from localiser import geometry
 from localiser.geometry import Trajectory
 from localiser.landmarks import in_camera
 from localiser.simulate.robot import OdometrySpec
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+BENCHMARKS = ROOT / "benchmarks"
 
 
 @pytest.fixture(scope="module")

@@ -80,6 +80,7 @@ def test_sigmas_are_those_of_opencv():
     assert found.rms_px == pytest.approx(result[0], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_normalised_errors_have_unit_spread():
     truth = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
     normalised, over = [], []

@@ -109,6 +109,7 @@ def test_there_is_no_such_bag(localiser: Localiser, tmp_path: Path) -> None:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_the_bag_of_house_has_the_figures_of_its_first_20_s(
     localiser: Localiser, tmp_path: Path, data_dir: Path
 ) -> None:

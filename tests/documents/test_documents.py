@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -103,6 +103,8 @@ plain_data = st.recursive(
 
 
 @given(plain_data)
+@example({"0E0": None})
+@example(["1e-3", "1.e5", "-.5E+3"])
 def test_what_is_dumped_is_parsed_back(value: object) -> None:
     assert documents.parse(documents.dump(value), "f").value == value
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import runpy
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import ROOT
 from grid_filter import GridFilter, headings
 from numpy.typing import NDArray
 
@@ -315,9 +315,10 @@ def test_means_and_spreads_agree_with_the_grid_filter() -> None:
 # -- against the limit of accuracy ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_slope_comes_close_to_the_posterior_bound() -> None:
     """20 seeds, 40 frames, 2000 particles, edges without images; the whole drive is left to the benchmark."""
-    benchmark = runpy.run_path(str(Path(__file__).resolve().parents[2] / "benchmarks" / "efficiency.py"))
+    benchmark = runpy.run_path(str(ROOT / "benchmarks" / "efficiency.py"))
     setting = benchmark["setting_of"]("corridor", 40)
     verdict = benchmark["verdict_of"]([benchmark["run"](setting, "slope", 2000, seed) for seed in range(20)])
     assert verdict.efficiency.value <= 1.3

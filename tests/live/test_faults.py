@@ -9,18 +9,18 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from folders import ROOT
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them")
 
-ROBOT = Path(__file__).with_name("live_faulty_robot.py")
+ROBOT = ROOT / "tests" / "support" / "live_faulty_robot.py"
 IMAGES = 24
 STOPPED_S = 10.0
 WORST_M = 0.15

@@ -40,6 +40,7 @@ def robot(endpoint: str) -> Iterator[Program]:
         yield running
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
     robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path
 ) -> None:
@@ -71,6 +72,7 @@ def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
         assert live.end() == 0
 
 
+@pytest.mark.slow
 def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program, endpoint: str) -> None:
     """Its page is opened by nobody either."""
     with program(*LIVE, "--connect", endpoint, "--start", START, "--view", "web") as live:
@@ -140,6 +142,7 @@ def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Locali
     assert "stated" in result.out and "landmarks in view" in result.out and "/odom" in result.out
 
 
+@pytest.mark.slow
 def test_who_does_not_listen_is_told(localiser: Localiser) -> None:
     result = localiser("pose", "set", "1,2,3", "--connect", free_endpoint())
     assert result.exit_code == 2 and "can be reached" in result.err

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -18,7 +18,7 @@ from localiser.mapping.plan_corners import outlines
 from localiser.simulate import World
 from localiser.storage import read_world
 
-WORLDS = Path(__file__).resolve().parents[2] / "configs" / "worlds"
+WORLDS = ROOT / "configs" / "worlds"
 
 
 @lru_cache

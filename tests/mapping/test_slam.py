@@ -190,6 +190,7 @@ def drive_alone(drive: World, edges: list[Edges]) -> mapping.Slam:
     return mapping.build_from_log(sightings, wheels, prior, np.zeros(3), drive.camera, MappingParameters())
 
 
+@pytest.mark.slow
 def test_a_drive_with_wrong_wheels_is_put_right() -> None:
     drive = world("corridor")
     found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))

@@ -34,6 +34,7 @@ def turns(track: Trajectory, times: NDArray[np.int64]) -> Array:
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(data_dir: Path) -> None:
     log = open_log(data_dir / "mrclam:1", format="mrclam")
     config = read_config(None, KNOWN, log.settings)

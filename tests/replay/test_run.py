@@ -296,7 +296,9 @@ def test_run_says_what_it_was_made_from(localiser: Localiser, log: Path, tmp_pat
 # -- how good it is ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("observation", "rmse_m"), [("line", 0.04), ("slope", 0.12)])
+@pytest.mark.parametrize(
+    ("observation", "rmse_m"), [("line", 0.04), pytest.param("slope", 0.12, marks=pytest.mark.slow)]
+)
 def test_corridor_is_located(localiser: Localiser, tmp_path: Path, observation: str, rmse_m: float) -> None:
     figures = metrics_of(localiser.replay(CORRIDOR, tmp_path, "--observation", observation))
     assert figures["position_rmse_m"] <= rmse_m
@@ -361,7 +363,7 @@ def test_run_without_a_display_says_so_and_goes_on(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "localiser", "replay", CORRIDOR, "--out", tmp_path]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from folders import ROOT
 
 from localiser import geometry
 from localiser.errors import InputError
@@ -145,6 +146,7 @@ def test_the_map_holds_what_at_least_five_images_show() -> None:
     np.testing.assert_array_equal(log.landmark_map.points, everything.points[list(log.landmark_map.ids)])
 
 
+@pytest.mark.slow
 def test_the_stated_start_errs_by_its_stated_sigmas() -> None:
     scenery = world(camera={"width": 16, "height": 16}, drive={"path": [{"to": [0, 0]}, {"to": [0, -0.1]}]})
     logs = [simulated_log(scenery, seed) for seed in range(30)]
@@ -165,8 +167,9 @@ def test_odometry_increments_lead_along_the_truth() -> None:
     np.testing.assert_allclose(in_map[:, :2], log.drive.truth.poses[:, :2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
-    path = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
+    path = ROOT / "configs" / "worlds" / "corridor.yaml"
     log = simulated_log(world_of(yaml.safe_load(path.read_text(encoding="utf-8"))), 0)
     assert 190 <= len(log) <= 220
     on_map = set(log.landmark_map.ids)
@@ -185,8 +188,9 @@ def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows ends a process without asking it")
+@pytest.mark.slow
 def test_simulation_that_is_terminated_leaves_nothing_behind(tmp_path: Path) -> None:
-    world = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
+    world = ROOT / "configs" / "worlds" / "corridor.yaml"
     process = subprocess.Popen([sys.executable, "-m", "localiser", "simulate", world, "-q", "-o", tmp_path / "log"])
     try:
         while process.poll() is None and not any(tmp_path.glob(".log.part/images/*")):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from folders import ROOT
 from pydantic import ValidationError
 
 from localiser.simulate.drive import truth_of
@@ -15,7 +16,7 @@ from localiser.simulate.solids import clearance_m, solids_of
 from localiser.simulate.structure import structure_of, vertical_edges
 from localiser.simulate.world import World, world_of
 
-WORLDS = sorted((Path(__file__).resolve().parents[2] / "configs" / "worlds").glob("*.yaml"))
+WORLDS = sorted((ROOT / "configs" / "worlds").glob("*.yaml"))
 
 
 def data(**changes: Any) -> dict[str, Any]:

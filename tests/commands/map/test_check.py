@@ -69,6 +69,7 @@ def test_a_log_tells_landmarks_that_moved_or_are_gone() -> None:
     assert moved.rms_rad[most] > 2 * good.rms_rad[most]
 
 
+@pytest.mark.slow
 def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     drive = world("corridor")
     log = edge_log(tmp_path / "log", drive.edges(seed=0)[:40])

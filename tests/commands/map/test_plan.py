@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from folders import ROOT
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
@@ -15,7 +16,7 @@ from localiser.commands.map.plan import map_of_plan
 from localiser.storage import find_run, read_json, read_map, read_plan
 from localiser.storage.plans import PlanFile, classify
 
-WORLD = Path(__file__).resolve().parents[2] / "configs" / "worlds" / "corridor.yaml"
+WORLD = ROOT / "configs" / "worlds" / "corridor.yaml"
 HEAD = {"image": "hall.pgm", "resolution": 0.1, "origin": "[1.0, 2.0, 0.0]", "negate": 0}
 
 
@@ -108,6 +109,7 @@ def test_map_servers_rules_pixel_by_pixel() -> None:
     assert classes("scale", picture=clear) == [1, 1, -1, -1, -1, 0, 0, -1, 1, 1]
 
 
+@pytest.mark.slow
 def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     plan, out = tmp_path / "plan.yaml", tmp_path / "map.yaml"
     drawn = run("map", "draw", WORLD, "-o", plan, "--resolution", 0.05, "--yaw-deg", 20)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import ROOT
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
@@ -13,7 +14,7 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.mapping import edges_of_log, log_edges
 from localiser.storage import open_log, read_map, read_tum, write_tum
 
-LOG = Path(__file__).resolve().parents[2] / "logs" / "corridor"
+LOG = ROOT / "logs" / "corridor"
 
 
 @pytest.fixture(autouse=True)
@@ -24,6 +25,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_build_and_show(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
     out = tmp_path / "map.yaml"
