@@ -98,7 +98,7 @@ class Edges:
         """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad."""
         bearing = np.array(bearing, dtype=np.float64)
         unknown = np.full(len(bearing), np.nan)
-        return cls.from_columns(bearing, np.zeros(len(bearing)) + sigma, unknown, unknown)
+        return cls.from_columns(bearing, np.full(len(bearing), sigma), unknown, unknown)
 
     @classmethod
     def none(cls) -> Edges:
