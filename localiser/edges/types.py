@@ -98,8 +98,7 @@ class Edges:
         """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad."""
         bearing = np.array(bearing, dtype=np.float64)
         unknown = np.full(len(bearing), np.nan)
-        each = np.broadcast_to(np.asarray(sigma, dtype=np.float64), bearing.shape)
-        return cls.from_columns(bearing, each.copy(), unknown, unknown)
+        return cls.from_columns(bearing, np.full(len(bearing), sigma), unknown, unknown)
 
     @classmethod
     def none(cls) -> Edges:
