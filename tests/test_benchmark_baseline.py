@@ -161,12 +161,17 @@ def _broken() -> dict[str, float]:
 
 
 def test_an_interrupted_measurement_keeps_what_it_has(benchmark: Any, tmp_path: Path) -> None:
-    from figures.tasks import Task, measured
+    from figures.tasks import Task, keep, measured
 
     kept = tmp_path / "kept.jsonl"
     kept.write_text('["logs/corridor line/0", {"position_rmse_m": 0.5}]\n["logs/corridor line/1", {"posit')
-    task = Task("logs", "corridor line", 0, partial(_broken))
+    task, cut_off = (Task("logs", "corridor line", seed, partial(_broken)) for seed in (0, 1))
     assert list(measured([task], 1, kept)) == [(task, {"position_rmse_m": 0.5})]
+    keep(kept, cut_off, {"position_rmse_m": 0.25})
+    assert list(measured([task, cut_off], 1, kept)) == [
+        (task, {"position_rmse_m": 0.5}),
+        (cut_off, {"position_rmse_m": 0.25}),
+    ]
 
 
 def test_a_check_ends_with_1_when_something_is_worse(
