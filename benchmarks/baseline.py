@@ -29,7 +29,7 @@ from pathlib import Path
 
 from figures import store
 from figures.compare import LOSSES, Compared, Key, Value, compared, elsewhere
-from figures.groups import GROUPS, Group, samples_of
+from figures.groups import GROUPS, SEEDS, Group, samples_of
 from figures.program import KEPT, ROOT, fingerprint
 from figures.show import summary_of, table_of
 from figures.tasks import Task, measured
@@ -62,9 +62,10 @@ def measure(
     return samples_of(results), failed
 
 
-def write(groups: Mapping[str, Group], data: Path, jobs: int) -> None:
-    """Measure these groups with all seeds and write them into the file; others stay as they are."""
-    tasks = [task for group in groups.values() for task in group.tasks(data, group.seeds)]
+def write(groups: Mapping[str, Group], data: Path, jobs: int, most_seeds: int) -> None:
+    """Measure these groups with all seeds, or fewer, and write them into the file; other groups stay as they are."""
+    seeds = {name: min(group.seeds, most_seeds) for name, group in groups.items()}
+    tasks = [task for name, group in groups.items() for task in group.tasks(data, seeds[name])]
     tasks.sort(key=lambda task: task.seed)
     if missing := {task.missing for task in tasks if task.missing}:
         raise SystemExit(f"--write needs everything: {', '.join(sorted(missing))}")
@@ -75,7 +76,7 @@ def write(groups: Mapping[str, Group], data: Path, jobs: int) -> None:
     figures = {key: figure for key, figure in figures.items() if key[0] not in groups}
     figures |= {key: groups[key[0]].figure(key[2], values) for key, values in samples.items()}
     for name, group in groups.items():
-        about[name] = {"seeds": group.seeds, "check_seeds": group.check_seeds, "machine": store.machine()}
+        about[name] = {"seeds": seeds[name], "check_seeds": group.check_seeds, "machine": store.machine()}
     store.write(FILE, figures, {name: about[name] for name in GROUPS if name in about})
     print(f"{len(samples)} figures written to {FILE.relative_to(ROOT)}")
 
@@ -107,7 +108,7 @@ def main() -> int:
                 print(f"{name}: {case}: {', '.join(group.measures)}")
         return 0
     if options.write:
-        write(groups, options.data, options.jobs)
+        write(groups, options.data, options.jobs, options.seeds)
         return 0
     verdicts = check(groups, options.data, options.jobs)
     if any(one.verdict != "same" for one in verdicts):
@@ -123,6 +124,7 @@ def arguments() -> argparse.Namespace:
     what.add_argument("--write", action="store_true", help="make the baseline")
     what.add_argument("--list", action="store_true", help="say what is measured")
     parser.add_argument("--only", metavar="GROUP[,GROUP]", default=",".join(GROUPS), help="by default all groups")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="fewer than %(default)s, for a first --write")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     default_data = ROOT.parent / "shared" / "data"
     parser.add_argument("--data", type=Path, default=Path(os.environ.get("LOCALISER_DATA", default_data)))

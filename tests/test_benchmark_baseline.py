@@ -51,7 +51,7 @@ def test_what_is_the_same_with_every_seed_has_no_tolerance(measures: Any, over: 
 
 def test_tolerance_of_a_mean_is_z_standard_errors_of_a_difference(measures: Any) -> None:
     samples = np.random.default_rng(1).normal(3.0, 0.2, 20)
-    expected = 3.09 * np.sqrt(2) * samples.std() / np.sqrt(5)
+    expected = 3.09 * np.sqrt(2) * samples.std(ddof=1) / np.sqrt(5)
     assert measures.tolerance(measures.Measure("up", "mean"), samples, 5) == pytest.approx(expected, rel=0.05)
     smaller = measures.tolerance(measures.Measure("up", "mean"), samples, 20)
     assert smaller == pytest.approx(expected / 2, rel=0.05), "four times the seeds, half the tolerance"
@@ -139,6 +139,24 @@ def test_nothing_that_was_not_measured_passes_silently(compare: Any) -> None:
 # -- the file and the tasks -------------------------------------------------------------------------------------------
 
 
+def test_the_committed_figures_follow_from_their_samples(benchmark: Any) -> None:
+    figures, about = benchmark.store.read(benchmark.FILE)
+    assert set(about) == set(benchmark.GROUPS)
+    for key, figure in figures.items():
+        group = benchmark.GROUPS[key[0]]
+        said = about[key[0]]
+        assert said["check_seeds"] == group.check_seeds
+        if not isinstance(figure.value, str):
+            assert len(figure.samples) == said["seeds"]
+            assert group.figure(key[2], figure.samples) == figure, key
+
+
+def test_every_task_is_in_the_committed_file(benchmark: Any, tmp_path: Path) -> None:
+    figures, _ = benchmark.store.read(benchmark.FILE)
+    tasks = {(task.group, task.case) for group in benchmark.GROUPS.values() for task in group.tasks(tmp_path, 1)}
+    assert tasks == {key[:2] for key in figures}
+
+
 def test_a_file_that_is_written_is_read_the_same(benchmark: Any, compare: Any, tmp_path: Path) -> None:
     figures = {
         KEY: compare.Figure(0.5, "up", 0.1, "mean", [0.4, 0.6]),
@@ -162,12 +180,17 @@ def _broken() -> dict[str, float]:
 
 
 def test_an_interrupted_measurement_keeps_what_it_has(benchmark: Any, tmp_path: Path) -> None:
-    from figures.tasks import Task, measured
+    from figures.tasks import Task, keep, measured
 
     kept = tmp_path / "kept.jsonl"
     kept.write_text('["logs/corridor line/0", {"position_rmse_m": 0.5}]\n["logs/corridor line/1", {"posit')
-    task = Task("logs", "corridor line", 0, partial(_broken))
+    task, cut_off = (Task("logs", "corridor line", seed, partial(_broken)) for seed in (0, 1))
     assert list(measured([task], 1, kept)) == [(task, {"position_rmse_m": 0.5})]
+    keep(kept, cut_off, {"position_rmse_m": 0.25})
+    assert list(measured([task, cut_off], 1, kept)) == [
+        (task, {"position_rmse_m": 0.5}),
+        (cut_off, {"position_rmse_m": 0.25}),
+    ]
 
 
 def test_a_check_ends_with_1_when_something_is_worse(

@@ -20,7 +20,11 @@ Key = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of the baseline. samples: its values with all seeds that it was measured with."""
+    """A figure of the baseline.
+
+    tolerance: how much worse it may be, in its own unit, or in its logarithm where it should be one. over: what sums up
+    its seeds. samples: its values with all seeds that it was measured with.
+    """
 
     value: Value
     loss: Loss
@@ -31,13 +35,12 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """A figure before and now. reason: why it was not compared."""
+    """A figure before and now, None where there is none. reason: why it could not be compared."""
 
     key: Key
     verdict: Verdict
-    before: Value | None = None
+    before: Figure | None = None
     now: Value | None = None
-    tolerance: float = 0.0
     reason: str = ""
 
 
@@ -50,15 +53,14 @@ def compared(
     """
     result = []
     for key, figure in baseline.items():
-        before, allowed = figure.value, figure.tolerance
         if key in failed:
-            result.append(Compared(key, "LOSS", before, None, allowed, failed[key]))
+            result.append(Compared(key, "LOSS", figure, reason=failed[key]))
         elif key in unmeasured:
-            result.append(Compared(key, "skipped", before, None, allowed, unmeasured[key]))
+            result.append(Compared(key, "skipped", figure, reason=unmeasured[key]))
         elif key not in now:
-            result.append(Compared(key, "gone", before, None, allowed, "no longer measured"))
+            result.append(Compared(key, "gone", figure, reason="no longer measured"))
         else:
-            result.append(Compared(key, verdict_of(figure, now[key]), before, now[key], allowed))
+            result.append(Compared(key, verdict_of(figure, now[key]), figure, now[key]))
     return result + [Compared(key, "new", None, value) for key, value in now.items() if key not in baseline]
 
 

@@ -11,6 +11,7 @@ from figures.compare import Figure, Key, Value
 from figures.measures import Measure, tolerance
 from figures.tasks import Task, Values
 
+SEEDS = 20  # of the baseline
 DIGITS = 6  # of a value: as many as metrics.json has
 
 
@@ -42,17 +43,22 @@ class Group:
     def value(self, measure: str, samples: Sequence[Value]) -> Value:
         """Return the figure over the seeds of a check."""
         first = samples[0]
-        return first if isinstance(first, str) else self.measures[measure].of(samples[: self.check_seeds])
+        return first if isinstance(first, str) else rounded(self.measures[measure].of(samples[: self.check_seeds]))
 
 
 GROUPS = {
     "hashes": Group(lambda data, _: hashes.tasks(data), hashes.MEASURES),
-    "logs": Group(logs.tasks, logs.MEASURES, 5, 20, portable=True),
-    "scenarios": Group(lambda _, seeds: robust.tasks(seeds), robust.MEASURES, 5, 20, portable=True),
-    "efficiency": Group(lambda _, seeds: limit.tasks(seeds), limit.MEASURES, 10, 20, portable=True),
+    "logs": Group(logs.tasks, logs.MEASURES, 5, SEEDS, portable=True),
+    "scenarios": Group(lambda _, seeds: robust.tasks(seeds), robust.MEASURES, 5, SEEDS, portable=True),
+    "efficiency": Group(lambda _, seeds: limit.tasks(seeds), limit.MEASURES, SEEDS, SEEDS, portable=True),
     "edges": Group(lambda data, _: detection.tasks(data), detection.MEASURES),
-    "speed": Group(lambda _, seeds: speed.tasks(seeds), speed.MEASURES, 3, 20, alone=True),
+    "speed": Group(lambda _, seeds: speed.tasks(seeds), speed.MEASURES, 3, SEEDS, alone=True),
 }
+
+
+def rounded(value: float) -> float:
+    """Return the value with as many digits as the file has, so that the order of a sum makes no difference."""
+    return float(f"{value:.{DIGITS}g}")
 
 
 def samples_of(results: Sequence[tuple[Task, Values]]) -> dict[Key, list[Value]]:
@@ -60,6 +66,6 @@ def samples_of(results: Sequence[tuple[Task, Values]]) -> dict[Key, list[Value]]
     samples: dict[Key, list[Value]] = {}
     for task, values in sorted(results, key=lambda result: (result[0].case, result[0].seed)):
         for measure, value in values.items():
-            rounded = value if isinstance(value, str) else float(f"{value:.{DIGITS}g}")
-            samples.setdefault((task.group, task.case, measure), []).append(rounded)
+            kept = value if isinstance(value, str) else rounded(value)
+            samples.setdefault((task.group, task.case, measure), []).append(kept)
     return samples

@@ -2,13 +2,15 @@
 
 Tolerance. A figure is the median (of errors) or the mean (of shares and ratios) over k seeds. Its values v₁ … v₂₀ with
 20 seeds say how much chance moves one of them. The standard error s of the figure over k seeds is the standard
-deviation of that median or mean over draws of k of the 20, with replacement [Efron 1979]. Code that is as good but
+deviation of that median or mean over draws of k of the 20, with replacement [Efron 1979], times √(20/19), because the
+20 spread less about their own mean than about the true one. Code that is as good but
 draws other random numbers gives a figure that differs from the baseline's by N(0, 2s²), since both are of k seeds. It
 is a loss when it is worse by more than z·√2·s with z = 3.09, which chance exceeds once in a thousand figures. Where
-all 20 values are equal the tolerance is 0: what is never sure and wrong may not become so once. Figures without seeds
-have no spread, and whatever makes them worse is a loss.
+all 20 values are equal the tolerance is 0: what was never sure and wrong may not become so once. That is strict, since
+20 seeds without a failure still allow a true rate of 14 % [rule of three]; such a loss is a seed to look at. Figures
+without seeds have no spread, and whatever makes them worse is a loss.
 
-Ratios that should be 1 (NEES, efficiency) are compared by the size of their logarithm: twice and half are as far off.
+NEES over its degrees of freedom should be 1. It is compared by the size of its logarithm: twice and half are as bad.
 """
 
 from __future__ import annotations
@@ -53,4 +55,5 @@ def tolerance(measure: Measure, samples: Sequence[float], count: int) -> float:
         return 0.0
     drawn = values[np.random.default_rng(0).integers(len(values), size=(DRAWS, count))]
     figures = np.median(drawn, axis=1) if measure.over == "median" else drawn.mean(axis=1)
-    return float(Z * np.sqrt(2) * measure.scaled(figures).std())
+    deviation = measure.scaled(figures).std() * np.sqrt(len(values) / (len(values) - 1))
+    return float(Z * np.sqrt(2) * deviation)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
 from rich.table import Table
 
-from figures.compare import LOSSES, ORDER, Compared, Value
+from figures.compare import LOSSES, ORDER, Compared, Figure, Value
 
 
 def table_of(verdicts: Sequence[Compared]) -> Table:
@@ -18,10 +19,18 @@ def table_of(verdicts: Sequence[Compared]) -> Table:
     table.add_column("verdict")
     for one in sorted(verdicts, key=lambda one: ORDER.index(one.verdict)):
         if one.verdict != "same":
-            allowed = "" if one.before is None or one.now is None else f"{one.tolerance:.3g}"
+            before = one.before.value if one.before else None
+            allowed = _allowed(one.before) if one.before and one.now is not None else ""
             verdict = f"{one.verdict}: {one.reason}" if one.reason else one.verdict
-            table.add_row(" · ".join(one.key), _shown(one.before), _shown(one.now), allowed, verdict)
+            table.add_row(" · ".join(one.key), _shown(before), _shown(one.now), allowed, verdict)
     return table
+
+
+def _allowed(figure: Figure) -> str:
+    """Return the tolerance with its direction; of what should be one it is a factor away from there."""
+    if figure.loss == "from one":
+        return f"×÷ {math.exp(figure.tolerance):.3g}"
+    return {"up": "+", "down": "−", "change": ""}[figure.loss] + f"{figure.tolerance:.3g}"
 
 
 def _shown(value: Value | None) -> str:

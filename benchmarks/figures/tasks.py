@@ -63,7 +63,7 @@ def measured(
                 if isinstance(error, BrokenProcessPool) or (error and not isinstance(error, Exception)):
                     raise error
                 if partial and not error:
-                    _append(partial, task.name, done.result())
+                    keep(partial, task, done.result())
                 yield task, error or done.result()
         except BaseException:
             pool.shutdown(cancel_futures=True)
@@ -77,7 +77,11 @@ def _read(path: Path) -> dict[str, Values]:
     return dict(json.loads(line) for line in lines)
 
 
-def _append(path: Path, name: str, values: Values) -> None:
+def keep(path: Path, task: Task, values: Values) -> None:
+    """Append the values of a task to the file of partial results."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    begun = path.read_bytes() if path.exists() else b""
     with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps([name, values]) + "\n")
+        if begun and not begun.endswith(b"\n"):
+            file.write("\n")  # the line before was cut off
+        file.write(json.dumps([task.name, values]) + "\n")
