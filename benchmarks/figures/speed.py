@@ -12,19 +12,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from time import thread_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 
 from figures.inputs import CORRIDOR
 from figures.measures import Measure
 from figures.tasks import Task, Values
-
-if TYPE_CHECKING:
-    from localiser.mcl import Mcl
-
-    from localiser.config import Config
-    from localiser.storage import Log
+from localiser.config import read_config
+from localiser.filter import Odometry
+from localiser.localiser import Localiser
+from localiser.storage import ImageEvent, Log, open_log
 
 ROUNDS = 5
 IMAGES = 40
@@ -52,33 +51,17 @@ def kernel(kind: str) -> Values:
 
 def drive() -> Values:
     """Return the times of edges and of a whole frame over LSD's, summed over the beginning of a log."""
-    from localiser.app.filter import filter_of
-    from localiser.identified import observation_of
-
-    from localiser.config import load_config
-    from localiser.storage import open_log
-
     log = open_log(CORRIDOR)
-    config = load_config(None, [], log.settings)
-    located_by = filter_of(log.camera, log.landmark_map, observation_of(log.camera, config.observation), config)
-    passes = [one_pass(log, config, located_by) for _ in range(ROUNDS)]
+    passes = [one_pass(log) for _ in range(ROUNDS)]
     lsd, edges, step = np.array(passes).min(axis=0).sum(axis=0)
     return {"edges / lsd": float(edges / lsd), "frame / lsd": float((edges + step) / lsd)}
 
 
-def one_pass(log: Log, config: Config, located_by: Mcl) -> list[tuple[float, float, float]]:
+def one_pass(log: Log) -> list[tuple[float, float, float]]:
     """Return the seconds that LSD, edges and the filter took for every event from the second image to the last.
 
     What is prepared once for a camera and a map belongs to the first image.
     """
-    import cv2
-
-    from localiser.config import read_config
-    from localiser.filter import Odometry
-    from localiser.localiser import Localiser
-    from localiser.storage import ImageEvent, open_log
-
-    log = open_log(CORRIDOR)
     localiser = Localiser(log.landmark_map, log.camera, read_config(None, [], log.settings))
     localiser.start(log.start.mean, log.start.cov, log.start.t_ns)
     detector, taken = cv2.createLineSegmentDetector(), []
