@@ -17,7 +17,7 @@ from localiser.geometry import compiled
 
 compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
 
-WORKER_END_S = 2
+WORKER_END_S = 1
 """What workers are given to end after Ctrl-C; the default is 10 s."""
 
 settings.register_profile("usual", deadline=None)  # how long an example takes depends on what else the machine does

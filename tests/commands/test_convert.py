@@ -118,7 +118,7 @@ def test_the_bag_of_house_has_the_figures_of_its_first_20_s(
     figures = []
     for index, path in enumerate((house, data_dir / "house_bag")):
         run = localiser.replay(
-            path, tmp_path / str(index), "--map", data_dir / "house" / "map.yaml", "--start", "truth"
+            path, tmp_path / str(index), "--map", data_dir / "house" / "map.yaml", "--start", "truth", few=False
         )
         figures.append(json.loads((run / "metrics.json").read_text()))
     assert figures[0]["frames"] == figures[1]["frames"] == 101

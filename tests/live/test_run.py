@@ -146,7 +146,7 @@ def test_odometry_that_begins_anew_does_not_move_the_robot(localiser: Localiser,
     ]
     feed([*camera(), *anew]).close()
     assert len(feed.times) == 12 and feed.worst_error_m() < 0.3
-    track = read_track(localiser.replay(tmp_path / "drive.db3", tmp_path / "results") / "trajectory.csv")
+    track = read_track(localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False) / "trajectory.csv")
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
 
 
@@ -219,7 +219,7 @@ def test_a_robot_without_a_start_is_looked_for(localiser: Localiser, tmp_path: P
     stated = MAKE.pose_in_map(BEGIN_NS, LOG.groundtruth.at(feed.now_ns), np.diag([0.01, 0.01, 0.003]))
     feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated)), *drive(3, first=106)])
     feed.close()
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
     track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
@@ -239,7 +239,7 @@ def test_a_recording_replays_to_the_same_poses(localiser: Localiser, tmp_path: P
     feed([*camera(), *messages])
     feed.close()
     assert sum(text.startswith("started") for text in feed.said) == 2
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
     track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
@@ -255,7 +255,7 @@ def test_a_recording_of_a_jump_of_the_clock_replays_to_the_same_poses(localiser:
         jumped.append(type(new)(new.role, new.topic, new.content, message.at_ns, message.wall_ns))
     feed([*camera(), *drive(N), *jumped])
     feed.close()
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
     track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times and len(feed.times) > N
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
@@ -312,11 +312,11 @@ def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
     ]
     again([*camera(), *wheels]).close()
     assert any("anew" in text for text in again.said) == anew
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results")
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
     track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == again.times and len(again.times) == 6
     np.testing.assert_allclose(track.poses, again.poses, rtol=0, atol=1e-9)
-    other = localiser.replay(tmp_path / "drive.db3", tmp_path / "other", "--set", "mcl.particles=400")
+    other = localiser.replay(tmp_path / "drive.db3", tmp_path / "other", "--set", "mcl.particles=400", few=False)
     np.testing.assert_allclose(read_track(other / "trajectory.csv").poses, again.poses, rtol=0, atol=0.2)
 
 

@@ -63,7 +63,7 @@ def logged_frames(run: Path) -> int:
 
 
 def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    run = localiser.replay(log, tmp_path / "out", rrd=True)
+    run = localiser.replay(log, tmp_path / "out", rrd=True, few=False)
     assert {file.name for file in run.iterdir()} == {
         "config.yaml", "groundtruth.tum", "metrics.json", "report.png", "run.rrd", "run.yaml", "timing.json",
         "trajectory.csv", "trajectory.tum",
@@ -172,7 +172,7 @@ def test_start_can_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> 
 
 
 def test_log_without_a_start_is_looked_for_on_the_whole_map(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    asked = localiser.replay(log, tmp_path / "asked", "--start", "global")
+    asked = localiser.replay(log, tmp_path / "asked", "--start", "global", few=False)
     drop_from(log / "log.yaml", "start")
     result = localiser("replay", log, "--out", tmp_path / "back", "--no-rrd")
     assert "looked for on the whole map" in result.err
@@ -300,7 +300,7 @@ def test_run_says_what_it_was_made_from(localiser: Localiser, log: Path, tmp_pat
     ("observation", "rmse_m"), [("line", 0.04), pytest.param("slope", 0.12, marks=pytest.mark.slow)]
 )
 def test_corridor_is_located(localiser: Localiser, tmp_path: Path, observation: str, rmse_m: float) -> None:
-    figures = metrics_of(localiser.replay(CORRIDOR, tmp_path, "--observation", observation))
+    figures = metrics_of(localiser.replay(CORRIDOR, tmp_path, "--observation", observation, few=False))
     assert figures["position_rmse_m"] <= rmse_m
     assert figures["odometry_position_rmse_m"] > 4 * figures["position_rmse_m"]
 

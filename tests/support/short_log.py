@@ -15,6 +15,7 @@ from localiser.commands import main
 
 CORRIDOR = Path(__file__).resolve().parents[2] / "logs" / "corridor"
 FRAMES = 12
+FEW_PARTICLES = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
 
 
 def cut_log(source: Path, folder: Path, frames: int) -> Path:
@@ -58,9 +59,13 @@ class Localiser:
         out, err = self.capsys.readouterr()
         return Result(code if isinstance(code, int) else int(code is not None), out, err)
 
-    def replay(self, log: Path, out: Path, *arguments: object, rrd: bool = False) -> Path:
-        """Replay, which must succeed, and return the folder of the run."""
-        result = self("replay", log, "--out", out, "--quiet", "--rrd" if rrd else "--no-rrd", *arguments)
+    def replay(self, log: Path, out: Path, *arguments: object, rrd: bool = False, few: bool = True) -> Path:
+        """Replay, which must succeed, and return the folder of the run.
+
+        few: with a few particles, which is enough for all but the figures, unless a configuration is given.
+        """
+        settings = FEW_PARTICLES if few and "--config" not in arguments else ()
+        result = self("replay", log, "--out", out, "--quiet", "--rrd" if rrd else "--no-rrd", *settings, *arguments)
         assert result.exit_code == 0 and not result.err, result.err
         (name,) = {folder.name for folder in out.iterdir()}
         return (out / name / "latest").resolve()
