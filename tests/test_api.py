@@ -17,7 +17,9 @@ import localiser
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "localiser"
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+README_CODE = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 SIGNATURES = dict(re.findall(r"^### `(\w+)\((.*?)\)[^)]*`$", PAGE, re.MULTILINE))
 HEAVY = ("numpy", "cv2", "scipy", "numba", "pydantic", "rerun", "matplotlib", "filterpy")
 
@@ -49,6 +51,15 @@ def test_every_public_name_can_be_used_after_every_module_was_imported(
     for number, code in enumerate(CODE):
         exec(compile(code, f"docs/api.md: {number}", "exec"), space)
         assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
+
+
+def test_the_code_of_the_readme_prints_what_it_says(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    (code,) = README_CODE
+    exec(compile(code, "README.md", "exec"), {"__name__": "page"})
+    assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
 
 
 def test_a_star_import_and_dir_give_the_public_names() -> None:
