@@ -77,7 +77,8 @@ def _from_pairs(view: View, places: Places, edges: Indices, ranges: Array, sigma
 def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
     """Return range and its sigma (E, B), m, of every edge if its foot is at each of the heights; nan where unknown.
 
-    The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera; the height of the camera is known.
+    The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, which has a known
+    height.
     """
     tilt, height_m = view.camera.mount.tilt_rad, view.camera.mount.height_m
     s, c = np.sin(tilt), np.cos(tilt)
