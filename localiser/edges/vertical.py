@@ -54,9 +54,9 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
     """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
     Segments are of one edge when they have the same polarity and their bearings agree within noise. The gap between
-    them may be long, because something in front can hide a part of the edge. Segments side by side are two edges unless
-    they are too close to be distinguished. The most certain segment collects what agrees with it first, so that uncertain
-    ones cannot join two edges in a chain.
+    them may be long, because something in front can hide a part of the edge. Segments side by side are two edges
+    unless they are too close to be distinguished. The most certain segment collects what agrees with it first, so that
+    uncertain ones cannot join two edges in a chain.
     """
     ideal = ideal_camera(camera)
     per_px = ideal.bearing_sigma_of_segments(segments.support_px, 1.0)
