@@ -1,9 +1,9 @@
 """The camera: pixels to rays, lines to lean and bearing with their sigmas, floor contact.
 
-Three frames beside pixels. *Image*: (a, e), normalised and undistorted, a right and e up. *Upright image*: the same
-with the roll undone, so that the equations of `geometry` hold. *Level*: at the camera, axes (x right, y up,
-z backward) with tilt and roll undone; it differs from the robot frame by the mount's yaw and offset. Bearings are in
-the level frame: from the camera's own forward axis, as the camera's position sees them.
+There are three frames in addition to pixels. *Image*: (a, e), normalised and undistorted, a right and e up. *Upright
+image*: the same with the roll undone, so that the equations of `geometry` hold. *Level*: at the camera, axes (x right,
+y up, z backward) with tilt and roll undone; it differs from the robot frame by the mount's yaw and offset. Bearings are
+in the level frame: measured from the camera's forward axis, at the camera's position.
 """
 
 from __future__ import annotations

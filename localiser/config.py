@@ -1,7 +1,7 @@
 """Typed configuration: every parameter of the program, read from YAML and from the command line.
 
-The parameters themselves stand beside the models they belong to; this module puts them together. What is in force is,
-from weak to strong: the defaults, what a log asks for, the file given with --config, each --set.
+The parameters are defined next to the models that they belong to; this module combines them. Later values replace
+earlier ones: the defaults, what a log asks for, the file given with --config, each --set.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ _AT_NEXT = -(2**62)  # the time of a start that holds from the next measurement 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredImage:
-    """An image whose edges were found. image: pixels or file, as it was given. stage_ms: what each step took."""
+    """An image and its edges. image: pixels or file, as it was given. stage_ms: time of each step."""
 
     edges: Edges
     image: Image | None = None

@@ -1,4 +1,4 @@
-"""Where the camera looks and what its lens does: tilt and roll from edges, everything from a board."""
+"""Calibration of the camera: tilt and roll from edges, all parameters from a board."""
 
 from localiser.calibration.board import Board, BoardView
 from localiser.calibration.check import MountCheck, check_mount

@@ -1,4 +1,4 @@
-"""Image lines as planes through the camera's centre: what they say about the direction of down."""
+"""Image lines as planes through the camera's centre, and the vertical direction that they determine."""
 
 from __future__ import annotations
 

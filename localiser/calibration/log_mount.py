@@ -1,4 +1,4 @@
-"""Tilt and roll over a log: all lines of all images together, with a sigma that knows which of them are the same."""
+"""Tilt and roll over a log: all lines of all images together, with a sigma that counts an edge seen often only once."""
 
 from __future__ import annotations
 

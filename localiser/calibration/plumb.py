@@ -1,4 +1,4 @@
-"""Tilt and roll from lines, many of which are vertical edges: the direction of down that most of them agree on."""
+"""Tilt and roll from lines: the vertical direction that most of them agree on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `paper`: the founding paper's figures beside our own, in a clone of the project."""
+"""The command `paper`: the founding paper's figures next to ours, in a clone of the project."""
 
 from __future__ import annotations
 

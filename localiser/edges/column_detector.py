@@ -1,4 +1,4 @@
-"""The detector along columns: which lines are no accident, where they begin and end, and what a blurred image needs."""
+"""The detector along columns: it finds lines that are not due to chance, their ends, and handles blurred images."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""A detector of vertical edges that knows where they all meet: the search is along columns, not over all angles.
+"""Detect vertical edges by a search along the columns of a rectified image.
 
-Lens distortion, tilt and roll are undone in one remap, after which a vertical edge is a column of the picture.
-Averaging along columns then costs nothing and takes away most of the noise: the picture is cut into blocks of a few
-rows, each averaged to one, and the horizontal gradient of those is searched for peaks that go on from block to block.
+All vertical edges meet in the nadir point, so one remap that removes lens distortion, tilt and roll makes columns of
+them. Averaging along columns is then cheap and removes most of the noise: the image is cut into blocks of a few rows,
+and each block is averaged to one row. The horizontal gradient of these rows is searched for peaks that continue from
+block to block.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
 SCALE_PX = 1.0
-"""Width of the Gaussian whose derivative the image is filtered with: edges 3 px apart stay apart."""
+"""The image is filtered by the derivative of a Gaussian of this width: edges 3 px apart stay apart."""
 ALONG = np.array([1.0, 2.0, 2.0, 2.0, 1.0]) / 8
 """Weights of the average over neighbouring blocks in which peaks are looked for."""
 PEAK_SIGMA = 3.0
@@ -123,7 +124,7 @@ def clutter(change: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
-    """Return (B, W) blocks whose gradient touches what the taken image does not show: its border is no edge."""
+    """Return (B, W) blocks with a gradient that touches the outside of the image: its border is not an edge."""
     unseen = column_view(camera).unseen
     blocks = np.any(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1).astype(np.uint8)
     reach = int(np.ceil(2 * SCALE_PX))

@@ -1,4 +1,4 @@
-"""Vertical edges of an image: find segments, keep those that meet the nadir point, join what is one edge, measure."""
+"""Find the vertical edges of an image: detect segments, keep those that meet the nadir point, join and measure them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
 
 END_SIGMA_PX = 0.5
-"""Error of an end across the line, of lines of which their detector states none."""
+"""Error of an end across the line, for detectors that do not state it."""
 
 register("columns", Columns(EdgeParameters().min_step))
 register("lsd", lsd)

@@ -1,14 +1,14 @@
-"""Where an edge meets the floor, and how likely it is the floor that its lower end meets.
+"""The foot of an edge: where it meets the floor, and how likely its lower end stands on the floor.
 
-A lower end tells a range only if it stands on the floor. One that hangs (a window, a pane over its rail) or that is
-hidden by something in front looks as if it stood farther away. One image cannot tell for sure, but:
+A lower end determines a range only if it stands on the floor. If it is above the floor (a window, a pane over its rail)
+or hidden by something in front, it appears to be farther away. One image cannot decide this, but it has two hints:
 
-- at a foot the border of wall and floor meets the edge, and before it there is nothing but floor, right down to the
-  image's border. Below what hangs there is the foot of the wall, and below what is hidden the foot of what hides it: a
-  stronger change of grey than at the end itself;
-- rooms are some metres wide, and what hangs near the camera's own height looks as if it stood far away.
+- At a foot, the border between wall and floor meets the edge, and below it there is only floor, down to the border of
+  the image. If the end is above the floor, the foot of the wall is below it. If it is hidden, the foot of the thing in
+  front is below it. Either is a stronger change of grey than that at the end itself.
+- Rooms are some metres wide. An end near the height of the camera appears to be far away.
 
-These say how likely it is that the end stands on the floor; docs/notes/edges.md says how often it then does.
+From these the probability that the end stands on the floor is computed. docs/notes/edges.md says how often it is right.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BORDER_PX = 4.0 * FOOT_SIGMA_PX
 _PLACES_PX = np.arange(8.0, -42.0, -2.0)
 """Places around the end, upwards along the edge, between which grey values change."""
 _END, _NEAR = (0, 9), (6, len(_PLACES_PX))
-"""First and last of the places of which changes are at the end (within 5 px), and below it."""
+"""First and last place of the changes at the end (within 5 px), and of those below it."""
 _STEPS_DOWN = 120
 """In how many steps the height of the image is searched for what lies before the foot."""
 _SIDES_PX = np.array([-8.0, -5.5, -3.0, 3.0, 5.5, 8.0])

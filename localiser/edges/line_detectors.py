@@ -20,7 +20,7 @@ LSD_SHIFT_PX = 0.125
 HOUGH_SIGMA_PX = 0.7
 """Error of an end of a Hough segment across the line: its points are whole pixels."""
 _BORDER_SHARE = 0.5
-"""A segment of which more than this share runs along the border of the field of view is that border."""
+"""A segment is the border of the field of view if more than this fraction of it runs along that border."""
 
 
 def lsd(image: Image, camera: Camera, /) -> Segments:

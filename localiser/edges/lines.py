@@ -28,7 +28,7 @@ than a pixel has none of its own scale to be interpolated."""
 _WHITE_GREY = 250.0
 _BESIDE_PX = 3.0
 _CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
-"""Where the lighter side is clipped, nobody can tell which share of the pixel on the edge it covers."""
+"""Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown."""
 _MARGIN_BLOCKS = 2
 
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
@@ -158,7 +158,7 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
 
 
 def _clipped(fit: LineFit, cells: Cells, field: GradientField) -> Array:
-    """Return the share (G,) of each line's blocks whose lighter side is as white as the camera can show."""
+    """Return the fraction (G,) of each line's blocks in which the lighter side is at the camera's maximum."""
     beside = np.rint(fit.at(cells.groups.of, cells.row) + _BESIDE_PX * cells.polarity).astype(np.int64)
     white = field.grey[cells.row, beside.clip(0, field.grey.shape[1] - 1)] > _WHITE_GREY
     return cells.mean(white.astype(np.float64))
@@ -195,13 +195,13 @@ def _excess(squares: Array, inlier: Array, groups: Groups) -> Array:
 
 
 def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array]:
-    """Return the best lines that both scales tell of, and by how much (G,) something beside them may have moved them.
+    """Return the best lines of both scales, and by how much (G,) something next to them may have moved them.
 
-    A clean step is seen at one place at every scale, and at the coarser one more certainly. A shadow, a soft corner or
-    a close neighbour on one side pulls it, by an amount that grows with the square of the scale: by 4 instead of 1. So
-    far as noise explains the difference the coarser scale is believed, as far as it does not the finer one, less a
-    third of the difference. The coarser scale being the better of two estimates of the same, their difference varies
-    by the difference of their variances.
+    A clean step is at the same place at every scale, and more certain at the coarser one. A shadow, a soft corner or a
+    close neighbour on one side shifts it, in proportion to the square of the scale: by 4 instead of 1. The coarser
+    scale is used as far as noise explains the difference. Otherwise the finer one is used, less a third of the
+    difference. The coarser scale is the better of two estimates of the same value, so the variance of their difference
+    is the difference of their variances.
     """
     sampling = _SAMPLING_SIGMA_PX[1] ** 2 - _SAMPLING_SIGMA_PX[2] ** 2
     difference = coarse.y + coarse.slope * (fine.x - coarse.x) - fine.y

@@ -1,4 +1,4 @@
-"""What can be set about finding edges: few numbers, each with a unit and a physical meaning."""
+"""Parameters of finding edges. Each has a unit and a physical meaning."""
 
 from __future__ import annotations
 

@@ -20,11 +20,11 @@ ROWS_AT_ONCE = 2
 ROWS_PER_BLOCK = 4
 """The height of the rectified image is a multiple of this: rows that are averaged to one."""
 _AROUND_COLUMNS = 8
-"""Columns beside what is seen that are looked up too: filters reach so far."""
+"""Columns outside the visible part that are looked up too, because filters reach that far."""
 _WIDEST = 2.5
 """Limit of the rectified width over the image's; only a view of the nadir point itself would want more."""
 _STEEPEST_TANGENT = 3.0
-"""Largest |tan b| that is kept: vertical edges beside the camera (72°) cross the image's corner at most."""
+"""Largest |tan b| that is kept (72°): vertical edges farther to the side cross the image's corner at most."""
 _LEAST_DEPTH = 0.05
 """Least c + e s: nearer to the nadir point all bearings meet."""
 

@@ -1,4 +1,4 @@
-"""What the front end says about one image: its vertical edges and how certain they are."""
+"""The edges of one image, with their errors, as columns."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Edges:
 
     @classmethod
     def from_bearings(cls, bearing: ArrayLike, sigma: ArrayLike) -> Edges:
-        """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad."""
+        """Return edges with known bearings (E,) only; sigma: (E,) or one for all. Both in rad."""
         bearing = np.array(bearing, dtype=np.float64)
         unknown = np.full(len(bearing), np.nan)
         return cls.from_columns(bearing, np.full(len(bearing), sigma), unknown, unknown)

@@ -18,9 +18,9 @@ _ABOVE_NADIR = 0.05
 _VAGUE_RAD = 0.5
 """A segment so short that it would pass in nearly any direction proves nothing."""
 _BESIDE_SHARE = 0.5
-"""Segments that have more than this share of the shorter one's height in common lie beside each other."""
+"""Segments that have more than this fraction of the shorter one's height in common are side by side."""
 _RESOLVED_PX = 1.5
-"""Segments beside each other that are closer than this are one edge that was found twice."""
+"""Segments side by side that are closer than this are one edge that was found twice."""
 
 
 def vertical_segments(
@@ -53,10 +53,10 @@ def _is_met(miss: NadirMiss, mount: MountError, gate_sigma: float) -> NDArray[np
 def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:
     """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
-    Segments are of one edge when they look the same way (polarity) and their bearings agree within noise, however long
-    the gap between them: what stands in front of an edge hides it. Segments beside each other are two edges unless they
-    are too close to be told apart, whatever else may have moved them. The most certain segment gathers what agrees with
-    it first, so that uncertain ones cannot chain two edges together.
+    Segments are of one edge when they have the same polarity and their bearings agree within noise. The gap between
+    them may be long, because something in front can hide a part of the edge. Segments side by side are two edges
+    unless they are too close to be distinguished. The most certain segment collects what agrees with it first, so that
+    uncertain ones cannot join two edges in a chain.
     """
     ideal = ideal_camera(camera)
     per_px = ideal.bearing_sigma_of_segments(segments.support_px, 1.0)

@@ -1,4 +1,4 @@
-"""How surely an edge is a vertical one: its free slope against the slope that its position predicts."""
+"""The probability that an edge is vertical: its free slope compared with the slope that its position predicts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def vertical_probability(
     the one that the position predicts ([Taylor06] eq. 7), under the mount that the image's edges tell; sigma is of the
     slope, of edges that are crooked, and of that mount. v, the share of lines that are vertical, and how crooked these
     are, are learnt from the image's edges and from the segments (R) that were `rejected`, by expectation maximisation.
-    Edges whose slope is so vague that it tells nothing have v.
+    Edges with a slope too uncertain to say anything have v.
     """
     if len(edges) == 0:
         return np.zeros(0)

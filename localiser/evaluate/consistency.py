@@ -37,7 +37,7 @@ def nees_band(runs: int = 1, dimensions: int = 3, probability: float = 0.95) -> 
 
 
 def fraction_inside(nees_of_runs: Array, dimensions: int = 3, probability: float = 0.95) -> float:
-    """Return the fraction of frames whose NEES, averaged over S runs (S, T), lies inside its χ² band.
+    """Return the fraction of frames in which the NEES, averaged over S runs (S, T), is inside its χ² band.
 
     Frames that any run has no NEES for are left out; nan when none is left.
     """

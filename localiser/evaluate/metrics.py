@@ -1,8 +1,8 @@
-"""The figures of one run as a plain dictionary: what `metrics.json` holds.
+"""The figures of one run as a plain dictionary: the content of `metrics.json`.
 
-Beside the error figures of all images, three groups are kept apart: `seen_2s`, images with an edge at most 2 s ago;
+In addition to the errors of all images there are three groups: `seen_2s`, images with an edge at most 2 s ago;
 `after_pause_10s`, images within 10 s after a pause of more than 3 s without edges; `steady`, those of the first group
-that are not in the second. `pauses` lists each pause. Figures that are not known are null.
+that are not in the second. `pauses` lists each pause. Unknown figures are null.
 """
 
 from __future__ import annotations

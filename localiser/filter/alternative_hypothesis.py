@@ -1,13 +1,13 @@
-"""An alternative hypothesis: another place where the robot may be, followed besides the place believed in.
+"""An alternative hypothesis: a second cloud of particles at another place where the robot may be.
 
-While the robot may be lost, a second cloud of particles follows the images from poses that these proposed. It carries
-the odds that it is right and the first cloud is wrong:
+While the robot may be lost, a second cloud follows the images. It begins at poses that these images proposed. It
+carries the odds that it is right and the first cloud is wrong:
 
     odds = odds of being lost · mean of prior/q · p(edges | pose) / p(edges | particles),  at the image that began it,
     then times p(edges | alternative) / max(p(edges | particles), p(edges | clutter)) at every further image.
 
-The first cloud is not touched by this, so a robot that is well localised comes to no harm. An alternative that explains
-the edges less well dies out. One that explains them better wins, however many images it takes.
+The first cloud does not change, so a robot that is well localised is not affected. An alternative that explains the
+edges less well is given up. One that explains them better replaces the first cloud, after any number of images.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
-"""The attitude: tilt and roll of the camera, estimated beside the pose.
+"""The attitude: tilt and roll of the camera, estimated together with the pose by a Kalman filter of two states.
 
-An error of the mount moves all edges of an image together, and those of the next image in the same way. Taken as an
-error of each edge by itself it would be averaged away, although nothing ever averages it; and an edge whose error is
-taken to be far larger than it is fits several landmarks at once, wherever they stand closest together. But a vertical
-edge points at the nadir point, whatever pose it is seen from and whatever landmark it is: by how much the edges of an
-image miss it tells the mount [Taylor06]. So tilt and roll are known apart from the pose (a Kalman filter of two states
-beside the particles), edges are corrected by them, and what is left common to them is as small as what is not known.
+An error of the mount moves all edges of an image together, and those of the next image in the same way. It must not be
+treated as an independent error of each edge: then it would be averaged away, although averaging does not reduce it. And
+an edge with a far too large error would fit several landmarks at once. But a vertical edge points at the nadir point,
+whatever the pose and the landmark. So the distances by which the edges of an image miss this point determine the mount
+[Taylor06], without knowing the pose. Edges are corrected by the estimated tilt and roll. The common error that remains
+has the uncertainty of this estimate.
 
-Both change: floors are uneven, and a load shifts. As an Ornstein-Uhlenbeck process that forgets over 100 m, half a
-degree of stated uncertainty allows 0.14° between places 4 m apart: 10 mm, which is what DIN 18202 allows a floor.
+Tilt and roll change slowly, because floors are uneven and a load shifts. They are modelled as an Ornstein-Uhlenbeck
+process that forgets over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm,
+which is what DIN 18202 allows a floor.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What the filter believes besides its particles: whether the robot is lost, and where else it may be.
+"""The belief of the filter in addition to its particles: whether the robot is lost, and where else it may be.
 
-Three parts stand behind this interface: the probability of being lost (`LostProbability`), a second cloud of particles
-elsewhere (`AlternativeHypothesis`), and how sure an estimate is (`confidence`). None of them changes the particles of a
-robot that is where it is believed to be.
+It combines three parts: the probability of being lost (`LostProbability`), a second cloud of particles elsewhere
+(`AlternativeHypothesis`), and the probability that an estimate is right (`confidence`). None of them changes the
+particles of a robot that is where it is believed to be.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The probability that an estimate is right, and why it is not sure.
+"""The probability that an estimate is right, and the reason why it is low.
 
-An estimate is correct within 0.5 m and 10°. It is correct when the truth is among the particles and those near the
-estimate are the right ones: p_correct = (1 - P(lost)) · weight of the particles near the estimate.
+An estimate is right within 0.5 m and 10°. This is the case when the truth is among the particles, and when the
+particles near the estimate are the right ones: p_correct = (1 - P(lost)) · weight of the particles near the estimate.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What goes into the filter, in the order of time, and what comes out after each image."""
+"""Events: the measurements that the filter takes, in the order of time, and its result for each image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One image with everything that a run knows of it: what every sink takes."""
+"""A located image with all results, which every sink takes."""
 
 from __future__ import annotations
 

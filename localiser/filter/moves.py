@@ -1,4 +1,4 @@
-"""The motion between two images, from poses of the odometry at times of their own."""
+"""The motion between two images, interpolated from odometry."""
 
 from __future__ import annotations
 

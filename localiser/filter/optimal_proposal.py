@@ -1,19 +1,18 @@
 """The optimal proposal: draw the steps of particles from odometry and edges together.
 
-Odometry knows a step far less well than edges do. Of particles that are moved by odometry alone, one in a hundred or
-fewer explains the next image, and each resampling that follows forgets a little of what all images before had told. So
-a step is drawn from what odometry *and* edges say of it, and the particle's weight is corrected by the ratio of both:
+Odometry is far less accurate than edges. Of the particles that are moved by odometry alone, one in a hundred or fewer
+explains the next image. Each resampling that follows loses information from earlier images. So a step is drawn from
+what odometry *and* edges say, and the weight of the particle is corrected by the ratio of both densities:
 
     step ~ q(step | particle, edges),    weight · p(step | particle) / q(step | particle, edges)
 
-[Doucet, Godsill, Andrieu 2000]. q is the normal density that follows from p and from the edges, linearised about where
-odometry alone would bring the particle. The same gives ψ, how well the edges fit wherever the particle may go.
+[Doucet, Godsill, Andrieu 2000]. q is the normal density that follows from p and from the edges, linearised at the pose
+that odometry alone predicts. The same computation gives ψ, how well the edges fit wherever the particle may go.
 Particles that differ much in ψ are resampled by it before they move: the auxiliary particle filter [Pitt, Shephard
 1999].
 
-Only edges whose landmark is in no doubt take part (`EdgeObservation.targets`). Where one of them or the linearisation
-is wrong, the weights put it right: they come from the observation as always, and some of the steps are drawn from
-odometry alone.
+Only edges with a certain landmark take part (`EdgeObservation.targets`). Where one of them or the linearisation is
+wrong, the weights correct it: they come from the full observation, and some of the steps are drawn from odometry alone.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Tempering: weigh particles by the edges of one image in stages, where the edges are much sharper than the cloud.
+"""Tempering: weigh particles by the edges of one image in stages, when the edges are much more accurate than the cloud.
 
-Edges much sharper than the cloud would leave all weight on the few particles that happen to lie nearest. So only as
-much of the evidence is taken at once as leaves enough particles effective. These are resampled and spread by a small
-kernel, and the rest of the evidence is weighed on the new, denser cloud [Musso, Oudjane, Le Gland 2001].
+Otherwise all weight would be on the few particles that happen to be nearest. So each stage uses only as much of the
+evidence as leaves enough effective particles. These are resampled and spread by a small kernel. The next stage weighs
+the new, denser cloud by the remaining evidence [Musso, Oudjane, Le Gland 2001].
 """
 
 from __future__ import annotations

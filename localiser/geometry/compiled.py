@@ -1,10 +1,10 @@
-"""How loops are compiled by numba, and where their machine code is kept, so that only the first run waits for it.
+"""Compile loops by numba, and keep their machine code, so that only the first run has to wait for it.
 
-numba's own cache knows the file of a loop and no other: a function that is inlined from elsewhere may change, and the
-old machine code stays in use. Here the name of a kept file is a digest of everything that is compiled: the loop, the
-compiled functions and the constants it reaches, wherever they are defined, how they are compiled, the types of the
-arguments, the processor and the versions of numba, LLVM, numpy and Python. So kept code is never out of date, and
-several checkouts, users of one account and processes share it.
+The key of numba's own cache is the file of a loop alone. If a function that is inlined from another file changes, the
+old machine code stays in use. Here the key is a digest of everything that is compiled: the loop, the compiled functions
+and the constants it uses, wherever they are defined, how they are compiled, the types of the arguments, the processor
+and the versions of numba, LLVM, numpy and Python. So kept code is never out of date. Several checkouts, users of one
+account and processes can share it.
 
 numba takes long to import, so it is imported when the first loop is compiled.
 """
@@ -86,8 +86,8 @@ def folder() -> Path | None:
     """Return the folder of kept machine code; None where nothing can be kept, so that every run compiles anew.
 
     That is `$LOCALISER_CACHE/compiled`, else `localiser/compiled` in the user's cache folder, else a folder in the one
-    for temporary files: the first that can be written and belongs to this user alone, since whoever writes into it
-    decides what this process runs.
+    for temporary files. It is the first that can be written and belongs to this user alone, because code in it is
+    executed by this process.
     """
     return next((place for place in _places() if _is_private(place)), None)
 
@@ -200,7 +200,7 @@ def _forget_oldest(where: Path) -> None:
 
 
 class _UnknownError(TypeError):
-    """A loop uses something of which it is not known how it changes the code."""
+    """A loop uses something with an unknown effect on the compiled code."""
 
 
 @cache

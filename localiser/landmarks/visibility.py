@@ -1,7 +1,7 @@
 """How a landmark is seen from a pose: its bearing, its range, and where its ends are in the image.
 
-These plain functions are the one model of it. Compiled loops that repeat a part of it for speed are held against them
-by tests.
+These plain functions are the only model of it. Tests compare compiled loops, which repeat a part of it for speed, with
+them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether a stamp can be true, and time that goes on when the robot's clock jumps."""
+"""Check whether a time stamp can be true, and continue the time when the clock of the robot jumps."""
 
 from __future__ import annotations
 

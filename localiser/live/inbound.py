@@ -1,4 +1,4 @@
-"""Messages that arrived, read and checked: what is wrong with one is said, and costs no more than that one."""
+"""Read and check messages that arrived. An error in a message is reported, and only this message is lost."""
 
 from __future__ import annotations
 

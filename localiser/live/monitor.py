@@ -1,4 +1,4 @@
-"""What a person is told of a live run: messages, none of them often, and the figures at its end."""
+"""Messages for the user of a live run, limited in number, and the figures at its end."""
 
 from __future__ import annotations
 

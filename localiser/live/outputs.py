@@ -1,4 +1,4 @@
-"""What leaves a live run: poses over the network, and lines of JSON. Neither ever waits for whoever reads them."""
+"""Outputs of a live run: poses over the network, and lines of JSON. Neither waits for its reader."""
 
 from __future__ import annotations
 

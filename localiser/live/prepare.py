@@ -1,4 +1,4 @@
-"""From what a user asked for to a live run: files are read, the network is joined, outputs are opened."""
+"""Prepare a live run: read files, join the network, open outputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records a live run on a thread of its own: a disk that is slow or full ends the recording, never the run."""
+"""Record a live run on its own thread. A slow or full disk ends the recording and never the run."""
 
 from __future__ import annotations
 

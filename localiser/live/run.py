@@ -1,4 +1,4 @@
-"""The live loop: what arrives is read and put in order, the newest image is weighed, the pose goes out."""
+"""The live loop: read messages, put them in order, weigh the newest image, publish the pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""States where a robot is to whoever listens."""
+"""Send the pose of a robot to all listeners."""
 
 from __future__ import annotations
 

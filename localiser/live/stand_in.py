@@ -1,4 +1,4 @@
-"""A stand-in for a robot: a log sent over the network in real time, to and fro without end, as if it happened now."""
+"""A simulated robot: sends a log over the network in real time, forwards and backwards, without end."""
 
 from __future__ import annotations
 

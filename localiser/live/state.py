@@ -1,4 +1,4 @@
-"""What a live run knows, saved every few seconds, so that a program that starts again is not lost."""
+"""Save the state of a live run every few seconds, so that a restarted program is not lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images and poses of the wheels put in the order of their own times, and which image is weighed next."""
+"""Put images and poses of the wheels in the order of their times, and choose the image to weigh next."""
 
 from __future__ import annotations
 

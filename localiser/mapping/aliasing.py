@@ -1,4 +1,4 @@
-"""Where a building looks like another part of itself, and where one more landmark would help most."""
+"""Perceptual aliasing: parts of a building that look alike, and where one more landmark would help most."""
 
 from __future__ import annotations
 

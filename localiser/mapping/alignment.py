@@ -1,4 +1,4 @@
-"""Lay one map over another when nobody says which landmark is which."""
+"""Align two landmark maps with unknown correspondences."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Alignment:
     """How a second map lies in a first: point = map_from_robot(pose, scale * second point).
 
     pose: (3,) x, z, heading. pairs: (K, 2) landmarks of the first and the second that are one. residual_m: (K,).
-    alternative: matches of the next best alignment that is another one, as a share of K; near 1 nobody can tell which
+    alternative: matches of the next best alignment that is another one, as a fraction of K; near 1 it is unknown which
     is right.
     """
 

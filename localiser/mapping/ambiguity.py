@@ -1,10 +1,10 @@
-"""Where a building looks like another part of itself, and where one more landmark would tell the two apart.
+"""Ambiguity of places: which poses look like others, and where one more landmark would distinguish them.
 
-What a camera sees from a pose is a Poisson process of bearings: landmarks in view, each found with some chance, over
-clutter of constant density. How well the view from a tells a from b is the divergence of the two processes,
-D(a, b) = ∫ I_a ln(I_a / I_b) - I_a + I_b: the expected log-likelihood ratio of one image. Every pose of a grid is held
-against all others with bearings blurred to the grid's step, which never exaggerates D; the likeliest are then moved to
-where they look most alike.
+What a camera sees from a pose is a Poisson process of bearings: landmarks in view, each found with some probability,
+and clutter of constant density. How well the view from pose a is distinguished from that of pose b is the divergence
+of the two processes, D(a, b) = ∫ I_a ln(I_a / I_b) - I_a + I_b. This is the expected log-likelihood ratio of one image.
+Every pose of a grid is compared with all others, with bearings blurred to the step of the grid, which never makes D
+larger. The likeliest poses are then moved to where they look most alike.
 """
 
 from __future__ import annotations

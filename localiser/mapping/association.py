@@ -1,11 +1,11 @@
 """Data association: how likely each edge is each landmark, and the best one-to-one assignment of edges to landmarks.
 
-The score of a pair is a log-likelihood ratio: the edge being of the landmark, against the landmark being missed and the
-edge being of something unknown, anywhere in view. It has two parts, the bearing and how the edge looks.
+The score of a pair is a log-likelihood ratio. It compares two cases: the edge is of the landmark, or the landmark is
+missed and the edge is of something unknown, anywhere in view. The score has two parts, the bearing and the appearance.
 
-Looks are polarity and the grey values left and right of the edge. The grey value beside an edge is that of a surface
-and stays; but at an outer corner one side is whatever lies behind, which changes with the viewpoint. So each side is
-alike with some probability, else it is anything.
+Appearance is polarity and the grey values left and right of the edge. The grey value of a surface does not change. But
+at an outer corner one side shows what lies behind, and that depends on the viewpoint. So each side is similar with
+some probability, and otherwise it can have any value.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Build a landmark map from a recorded log: edges, poses, landmarks, and what is known of each.
+"""Build a landmark map from a recorded log: edges, poses, landmarks, and the quality of each landmark.
 
-Robot poses are known (a truth, a trajectory, odometry as it is), or they are found along with the map (SLAM). Errors
-say why no map comes out: the robot stands still, too little parallax, clutter alone, wheels too bad for the bearings.
+Robot poses are known (a truth, a trajectory, unchanged odometry), or they are found together with the map (SLAM).
+Errors say why no map can be built: the robot does not move, there is too little parallax, there is only clutter, or the
+wheels are too inaccurate for the bearings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How good a map is: landmarks that are there twice or doubtful, that a log contradicts, too few in view."""
+"""Check a map: duplicate or doubtful landmarks, landmarks that a log contradicts, places with too few in view."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Landmarks from coarse bearings at known poses: a mixture model, found by expectation-maximisation.
 
-Where a bearing is coarser than landmarks stand apart, what is followed from image to image mixes neighbours. All
-bearings together still tell them apart, so nothing is followed. A Hough transform finds the cells of the floor that
-most rays cross: the candidates. Expectation-maximisation then finds which of them explain the bearings, where they
-stand, and how good bearings are. Candidates start with equal shares; those that explain less than their own two
-coordinates cost lose theirs [Figueiredo, Jain 2002].
+Where the error of a bearing is larger than the distance between landmarks, tracks mix neighbours. All bearings together
+still distinguish them, so nothing is tracked. A Hough transform finds the cells of the floor that most rays cross:
+these are the candidates. Expectation-maximisation then finds which candidates explain the bearings, where they are, and
+how accurate the bearings are. All candidates begin with the same weight. A candidate that explains less than its two
+coordinates cost loses its weight [Figueiredo, Jain 2002].
 """
 
 from __future__ import annotations

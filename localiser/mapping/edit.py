@@ -1,4 +1,4 @@
-"""Landmark maps edited by hand: landmarks added, removed, moved."""
+"""Edit landmark maps by hand: add, remove and move landmarks."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""The scale of a map, by where edges touch the floor: bearings alone never tell how far everything is, in metres.
+"""The scale of a map from where edges touch the floor. Bearings alone do not determine the scale.
 
-A camera of known height sees the foot of an edge on the floor under an angle that tells its distance. An edge that ends
-above the floor (on a skirting board, on a table), or has its foot hidden, looks as if its foot stood farther off than
-it does, by any amount; none looks nearer. So the ratios of apparent to present distance have a sharp lower limit, and
-that is the scale.
+A camera of known height sees the foot of an edge on the floor at an angle that gives its distance. If an edge ends
+above the floor (on a skirting board, on a table), or its foot is hidden, the foot appears to be farther away than it
+is. It never appears nearer. So the ratios of apparent to current distance have a sharp lower limit, which is the scale.
 """
 
 from __future__ import annotations

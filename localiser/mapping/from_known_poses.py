@@ -1,4 +1,4 @@
-"""Landmarks from known poses: follow, triangulate, join, and associate again until nothing changes."""
+"""Landmarks from known poses: track, triangulate, join, and associate again until nothing changes."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The inverse-depth model of an edge: a direction from where it was first seen, and an inverse distance along it.
 
-It is nearly linear in what a camera measures whether the edge is near, far, or of unknown distance [Civera, Davison,
-Montiel 2008], so that an extended Kalman filter may follow it from its first sighting on. Here are the start, the
-prediction with its derivative, and the update of many filters at once; the map that grows while driving gives start and
-prediction to filterpy.
+It is nearly linear in what a camera measures, for near and far edges and for edges of unknown distance [Civera,
+Davison, Montiel 2008]. So an extended Kalman filter can follow an edge from its first sighting. This module has the
+start, the prediction with its derivative, and the update of many filters at once. The map that grows while driving
+passes start and prediction to filterpy.
 """
 
 from __future__ import annotations

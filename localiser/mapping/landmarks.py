@@ -1,6 +1,6 @@
-"""Tracks become landmarks: triangulate, join what is one edge, until nothing changes.
+"""Turn tracks into landmarks: triangulate them, join those of one edge, until nothing changes.
 
-The unit of association is the track: a single edge matches some landmark by chance rather often. A run of edges with
+Whole tracks are associated, because a single edge often matches some landmark by chance. A sequence of edges with
 directions that change as those of one point does not.
 """
 

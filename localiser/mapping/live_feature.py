@@ -1,6 +1,6 @@
-"""One vertical edge of the building as it becomes known while driving: an extended Kalman filter of its own.
+"""One vertical edge of the building, estimated while driving by its own extended Kalman filter.
 
-It begins with the inverse-depth model, see `inverse_depth`. With parallax enough it becomes a point.
+It begins with the inverse-depth model (`inverse_depth`). When there is enough parallax it becomes a point.
 """
 
 from __future__ import annotations

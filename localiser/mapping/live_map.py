@@ -1,9 +1,10 @@
 """A map that grows while the robot drives: an extended Kalman filter for each landmark, edges associated by gates.
 
-In every image, edges go to the features that are being followed; what is left begins new ones. A feature becomes a
-landmark when directions from far enough apart tell its place, and it is likelier an edge than clutter. What was lost
-from sight is not matched with single edges, which fit some landmark by chance rather often: a new feature that stands
-where an old landmark does, and looks alike, is that landmark seen again.
+In every image, edges are associated with the features that are being tracked. The remaining edges begin new features. A
+feature becomes a landmark when bearings from positions far enough apart determine its place, and when it is likelier an
+edge than clutter. Landmarks that are out of sight are not matched with single edges, because a single edge often
+matches some landmark by chance. Instead, a new feature at the place of an old landmark, with a similar appearance, is
+that landmark seen again.
 """
 
 from __future__ import annotations

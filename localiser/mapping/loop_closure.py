@@ -1,8 +1,9 @@
-"""Loop closure: which landmarks, built from tracks at different times, are one.
+"""Loop closure: find landmarks, built from tracks at different times, that are the same.
 
-Where two landmarks are believed to be is uncertain by the drift of the robot between, but most of that is common to all
-landmarks seen at the same time. The joint covariance of the smoother knows it: the distance of a pair is measured in
-sigmas of their difference. Pairs with the best known difference go first; each closure makes the others more certain.
+Drift of the robot makes the positions of landmarks uncertain, but most of this error is common to all landmarks that
+were seen at the same time. The joint covariance of the smoother contains this: the distance of a pair is measured in
+sigmas of their difference. Pairs with the most certain difference are closed first. Each closure makes the others more
+certain.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether a log can be mapped: what is missing is said in an error, and how it might be had."""
+"""Whether a log can be mapped. Errors say what is missing and how to get it."""
 
 from __future__ import annotations
 

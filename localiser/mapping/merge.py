@@ -1,4 +1,4 @@
-"""Put maps together: landmarks that are one are fused, the others are kept."""
+"""Merge maps: landmarks that are the same are fused, the others are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be set about building maps: few numbers, each with a unit and a physical meaning."""
+"""Parameters of map building. Each has a unit and a physical meaning."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""Place recognition: after large drift, which group of landmarks, as a whole, has been seen before.
+"""Place recognition: after large drift, find which group of landmarks has been seen before, as a whole.
 
-Single landmarks are told apart by looks alone once drift exceeds their spacing. But drift moves all that is seen at one
-time together: a few landmarks keep their distances from each other. So a group is moved rigidly to where most of it
-falls on older landmarks that look alike, and that must explain clearly more of it than any other move.
+When drift exceeds the distance between landmarks, a single landmark can be identified by its appearance only. But drift
+moves everything that is seen at one time together, so the distances within a group of landmarks are kept. A group is
+moved rigidly to where most of it falls on older landmarks that look alike. This move must explain clearly more of the
+group than any other move.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""A floor plan's corners are its landmarks: where the outline of the walls turns.
+"""Landmarks of a floor plan: the corners in the outline of the walls.
 
-The outline is traced along the sides of cells, cut into straight pieces [Douglas, Peucker 1973], each piece is fitted
-by a robust line, and neighbouring lines meet in the corner: between two long walls that is more exact than a cell.
+The outline is traced along the sides of cells and cut into straight pieces [Douglas, Peucker 1973]. Each piece is
+fitted by a robust line, and neighbouring lines meet in the corner. Between two long walls this is more accurate than a
+cell.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def without_dirt(occupied: Mask, resolution_m: float) -> Mask:
 
 
 def _bumps(mask: Mask) -> Mask:
-    """Return the single cells (H, W) that stick out of a straight side: five in a row behind them, none beside them.
+    """Return the single cells (H, W) that stick out of a straight side: five in a row behind them, none at their sides.
 
     The tip of a wall that crosses the grid has no five cells in a row behind it.
     """
@@ -130,7 +131,7 @@ def _without_bumps(outline: Array, turns: NDArray[np.int64], bump: float) -> NDA
 
 
 def _deviation(outline: Array, turns: NDArray[np.int64], k: int) -> float:
-    """Return how far (cells) the outline leaves the one line that would stand for the pieces beside the k-th turn."""
+    """Return how far (cells) the outline is from one line in place of the two pieces at the k-th turn."""
     begin, end = turns[k - 1], turns[(k + 1) % len(turns)]
     piece = outline[(begin + np.arange((end - begin) % len(outline) + 1)) % len(outline)]
     middle, along = fitted_line(piece)

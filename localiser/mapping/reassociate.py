@@ -1,4 +1,4 @@
-"""Give every edge anew to the landmark that explains it best, now that landmarks are known better than tracks were."""
+"""Associate every edge again, with the landmark that explains it best now that landmarks are better known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What building a map needs of a recorded log: poses, the wheels' motion, and edges image by image."""
+"""The parts of a recorded log that building a map needs: poses, motion of the wheels, edges of each image."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Score test of loop closures: which visits to a landmark would rather show a landmark of their own.
+"""Score test of loop closures: find visits to a landmark that fit better with a landmark of their own.
 
-A wrong join bends the poses until its bearings fit, so that their residuals stay small; but it pulls with a large
-force. Let the visit have a landmark of its own. How far from the other it would stand, and by how much the cost would
-fall, follows from the linear problem at the solution, without solving anew [Rao 1948].
+A wrong loop closure bends the poses until its bearings fit, so their residuals stay small. But the gradient of the cost
+at this visit is large. Suppose that the visit had its own landmark. Where this landmark would be, and by how much the
+cost would fall, follows from the linear problem at the solution, without solving it again [Rao 1948].
 """
 
 from __future__ import annotations

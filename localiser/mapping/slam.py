@@ -1,12 +1,12 @@
 """SLAM: a map from a log alone, with robot poses and landmarks both unknown.
 
-1. Follow edges, with poses from the wheels; smooth; follow again with the better poses and narrower gates, until gates
-   are as narrow as true poses allow. What wheels misjudge from frame to frame is gone then, what adds up is not.
-2. Close loops: join landmarks that are one by the joint covariance, smooth, open what turns out not to fit, until no
-   more are.
-3. Associate every edge anew, as with known poses, and smooth, until nothing changes.
+1. Track edges with poses from the wheels, and smooth. Track again with the better poses and narrower gates, until gates
+   are as narrow as true poses allow. This removes errors of the wheels from frame to frame, but not drift.
+2. Close loops: join landmarks that are the same by the joint covariance, smooth, and open closures that turn out not to
+   fit, until no more are found.
+3. Associate every edge again, as with known poses, and smooth, until nothing changes.
 
-Feet on the floor tell the scale after each solve.
+After each solve the feet of edges on the floor determine the scale.
 """
 
 from __future__ import annotations

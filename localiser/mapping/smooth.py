@@ -1,8 +1,8 @@
-"""Batch smoothing: poses, landmarks, and what is wrong with wheels and mount, as one sparse least-squares problem.
+"""Batch smoothing: poses, landmarks, and constant errors of wheels and mount, as one sparse least-squares problem.
 
 Factors: odometry between consecutive frames, with a constant scale of distance and of rotation and a veer; bearings of
-landmarks; priors on the constants, that of the distance scale from feet on the floor. The first pose is the gauge.
-Levenberg-Marquardt over a sparse factorisation [Dellaert, Kaess 2006], robust by Cauchy's weights.
+landmarks; priors on the constants, that of the distance scale from feet on the floor. The first pose is fixed and
+defines the frame. Levenberg-Marquardt over a sparse factorisation [Dellaert, Kaess 2006], robust by Cauchy's weights.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Follow edges from frame to frame: a Kalman filter of direction and inverse distance for each track, all at once."""
+"""Track edges from image to image: a Kalman filter of direction and inverse distance for each track, in batches."""
 
 from __future__ import annotations
 

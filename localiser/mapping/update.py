@@ -1,4 +1,4 @@
-"""Keep a map true: landmarks that a log should have shown and did not lose existence."""
+"""Update a map with a new log: landmarks that it should have shown, but did not, lose existence."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, wit
 def existence_after(
     landmark_map: LandmarkMap, sightings: Sightings, built: Built, camera: Camera, cameras: Array, found: float
 ) -> Array:
-    """Return the probability (L,) that landmarks exist, after a log from cameras at (T, 3); nan stays where unaware.
+    """Return the probability (L,) that landmarks exist, after a log from cameras at (T, 3); nan where unknown before.
 
-    For landmarks that the log's own build does not have. Only frames count in which a landmark that stands farther
-    away was seen beside it, else a wall may hide it, and none was seen right at its place, for then its own edge may
+    For landmarks that the log's own build does not have. A frame counts only if a landmark farther away was seen next
+    to it, because otherwise a wall may hide it, and if none was seen right at its place, because then its own edge may
     be part of that one's. In each, log-odds grow by ln(p / q) where an edge is at its place and by
     ln((1 - p) / (1 - q)) where none is; p is the chance `found` that an edge that is there is found, q that some other
     edge is there.

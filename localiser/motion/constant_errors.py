@@ -1,15 +1,15 @@
 """Constant errors of wheels and mount, estimated with the pose: a Kalman filter inside every particle.
 
-Five numbers are wrong on a robot and stay as they are while it drives: the scale of the wheels' distance, that of
-their turn, how far the robot veers while the wheels say straight on, how much later it is than its odometry, and the
-camera's yaw. Given the path of the camera, they are seen through a linear model with Gaussian noise, so they need not
-be sampled: a particle carries their mean, and their covariance is the same for all particles, since it depends on
-nothing but the odometry (Rao-Blackwell) [Doucet, de Freitas, Murphy, Russell 2000; Schön, Gustafsson, Nordlund 2005].
+Five errors of a robot stay constant while it drives: the scale of the wheels' distance, the scale of their turn, the
+veer (a turn while the wheels measure straight motion), the delay behind its odometry, and the camera's yaw. Given the
+path of the camera, they are observed through a linear model with Gaussian noise, so they need not be sampled. A
+particle has their mean. Their covariance depends on the odometry alone, so it is the same for all particles
+(Rao-Blackwell) [Doucet, de Freitas, Murphy, Russell 2000; Schön, Gustafsson, Nordlund 2005].
 
     step = (along, left, turn) = odometry + H β + noise,    β = (distance_scale, turn_scale, veer, delay, camera_yaw)
 
-A particle's pose together with its mean yaw stands for one pose of the *camera*, which is what edges measure. The yaw
-enters as the direction in which the camera is carried, so that driving straight on tells it.
+A particle's pose and its mean yaw together are one pose of the *camera*, which is what edges measure. The yaw is the
+direction in which the camera is moved, so driving straight ahead determines it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The motion model of a wheeled robot: rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.6].
 
-The noise grows with the path, as a random walk does, so that it does not depend on how finely the path is cut:
-variances add up over a chain of increments. The parameters carry AMCL's names; AMCL's own are per step of a filter
-that runs at one fixed rate, these are per metre and per radian.
+The noise grows with the path, as in a random walk, so it does not depend on how the path is divided: variances add up
+over a chain of increments. The parameters have AMCL's names. AMCL's own are per step of a filter with a fixed rate;
+these are per metre and per radian.
 """
 
 from __future__ import annotations

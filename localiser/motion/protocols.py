@@ -1,6 +1,6 @@
-"""What a filter asks of a motion model: to predict particles, and abilities that a model may have besides.
+"""Protocols of motion models: predict particles, and optional abilities.
 
-The filter asks for each further ability with `isinstance` and goes on without it where it is missing.
+The filter asks for each optional ability with `isinstance` and runs without it where it is missing.
 """
 
 from __future__ import annotations

@@ -128,13 +128,13 @@ class EdgeObservation:
     def targets(
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, inlier_rate: float
     ) -> Targets:
-        """Return the edges whose landmark is in no doubt, wherever among these particles the robot may be.
+        """Return the edges with a certain landmark, for all poses among these particles.
 
-        Of the landmarks (K) in view from the mean pose, the k-th has an edge as its own with probability
+        Of the landmarks (K) in view from the mean pose, the k-th is that of an edge with probability
 
             β_ek = w/K c_ek N(q_e; q_k, σ_ek² + s_k²) / ((1 - w)/span + Σ_l w/K c_el N(q_e; q_l, σ_el² + s_l²)),
 
-        where s_k² is the variance of the particles' predictions of it. It must have one of at least `SETTLED`.
+        where s_k² is the variance of the particles' predictions of it. A landmark is certain from `SETTLED` on.
         """
         edges = sighting.edges
         mean = self.camera.pose_in_map(estimate(particles).pose_as_seen)

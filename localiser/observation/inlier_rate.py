@@ -1,8 +1,8 @@
-"""The inlier rate: how many of the edges belong to landmarks of the map, learnt while driving.
+"""The inlier rate: the fraction of edges that belong to landmarks of the map, learnt while driving.
 
-The rate differs from place to place and from frame to frame: an empty corridor shows hardly anything but landmarks,
-full bookshelves hardly anything but clutter. So every frame has a rate w of its own, drawn from a distribution that the
-frames before have shown: p(edges | pose) = Σ_k p(w_k) p(edges | pose, w_k). p(w_k) is learnt as the proportions of a
+The rate differs from place to place and from image to image: in an empty corridor nearly all edges are of landmarks, at
+full bookshelves nearly all are clutter. So every image has its own rate w, drawn from a distribution that was learnt
+from the images before: p(edges | pose) = Σ_k p(w_k) p(edges | pose, w_k). p(w_k) is learnt as the proportions of a
 mixture with a Dirichlet prior.
 """
 

@@ -1,10 +1,10 @@
-"""The observation of edges whose landmark is known: barcodes, simulated edges, benchmarks.
+"""The observation of edges with a known landmark: barcodes, simulated edges, benchmarks.
 
-An edge is of its landmark, or clutter where what told it apart misread:
+An edge belongs to its stated landmark, or it is clutter where the identity was read wrongly:
 
     p(q_e | pose, w) = (1 - w) / span + w N(q_e; q_l(e)(pose), σ_el²)
 
-Edges known to be of no landmark tell nothing.
+Edges that are known to belong to no landmark give no information.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from localiser.particles import POSE, Particles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedObservation(EdgeObservation):
-    """The observation of edges whose `landmark_id` is believed."""
+    """The observation of edges that trusts their `landmark_id`."""
 
     def by_rate(
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0

@@ -1,10 +1,10 @@
 """The loops of `likelihood`, compiled by numba when this module is imported and its functions are first called.
 
-Particles come in cells: those of a cell share the list of landmarks that can be in view. A block of them is looked at
-one landmark at a time, all its particles at once; edges near where the landmark is expected make pairs, and pairs are
-weighed many at once. The inner loops run along rows of one small array of constant shape: only so does the compiler
-know that rows do not overlap, and turns the loop into vector instructions. Rows are always taken up to a whole number
-of `LANES`, so that every particle goes through the same instructions whatever stands beside it.
+The particles of a cell share the list of landmarks that can be in view. A block of particles is processed one landmark
+at a time. Edges near the expected place of the landmark make pairs, and many pairs are weighed at once. The inner loops
+run along rows of one small array of constant shape. Only then does the compiler know that rows do not overlap, and uses
+vector instructions. The length of a row is always a multiple of `LANES`, so every particle goes through the same
+instructions, independent of its neighbours.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can be set of the observation of edges, and how much of an image is new."""
+"""Parameters of the observation of edges, and the novelty of an image."""
 
 from __future__ import annotations
 

@@ -1,18 +1,18 @@
-"""Persistent clutter: what is on no map is seen again in the next image, where the last one showed it.
+"""Persistent clutter: something that is not on the map is expected where the last image showed it.
 
-A mixture whose clutter is spread anew over each image takes every image of the same thing for new evidence. A thing on
-no map that is seen a hundred times near where some landmark should be would become that landmark for certain. But where
-an edge continues one of the last image, its place is known whatever it is. If it is clutter, its bearing is that of the
-last image, turned with the robot and shifted by the parallax of an unknown distance r, with 1/r even between 0 and
-1/near:
+A mixture with uniform clutter treats every image of the same thing as new evidence. Something that is not on the map,
+and is seen a hundred times near the expected place of a landmark, would then be taken for that landmark with certainty.
+But an edge that continues an edge of the last image has a known place, also when it is clutter. Its bearing is then
+that of the last image, turned with the robot and shifted by the parallax of an unknown distance r, with 1/r uniform
+between 0 and 1/near:
 
     b' = b + turn - across / r,   across = m_right cos b + m_back sin b.
 
-A landmark's bearing must be likelier than this density, not than one spread over the whole width of the image. How an
-edge moves as the robot passes by still tells which landmark it is; that it is there once more does not.
+The bearing of a landmark must be likelier than this density, and not than a uniform one over the width of the image.
+How an edge moves while the robot passes still identifies the landmark. Seeing it once more does not.
 
-A known landmark that is followed also tells less by this. Whether an edge is clutter is asked anew of each image: what
-was found in the images before is not carried along.
+The cost: a known landmark that is tracked also gives less information. Whether an edge is clutter is decided again in
+each image; the result of earlier images is not kept.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Polarity: which side of an edge is the lighter one, and how well that agrees with the landmark's.
+"""Polarity: which side of an edge is lighter, and how well that agrees with the landmark.
 
-Clutter has either polarity as often as the other. An edge of a landmark has the landmark's own with probability
-`SAME`: another light, or another wall behind a corner, turns it. So a pair of an edge and a landmark is likelier than
-one of which that is not known by p(polarity | landmark) / ½, which is
+Clutter has both polarities equally often. An edge of a landmark has the landmark's polarity with probability `SAME`;
+different light, or another wall behind a corner, can reverse it. So the likelihood of a pair of edge and landmark is
+multiplied by p(polarity | landmark) / ½, which is
 
     1 + polarity_e · (2 SAME - 1) polarity_l
 

@@ -1,8 +1,8 @@
-"""What a filter asks of an observation: one method, and abilities that an observation may have besides.
+"""Protocols of observations: one required method, and optional abilities.
 
-The one method is `Observation.log_likelihood`. Every further ability is a protocol of its own. The filter asks for it
-with `isinstance` and goes on without it where it is missing: without inlier rates particles are weighed by
-`log_likelihood` alone, without targets they are moved by odometry alone, and so on.
+The required method is `Observation.log_likelihood`. Every optional ability is a protocol of its own. The filter asks
+for it with `isinstance` and runs without it where it is missing: without inlier rates, particles are weighed by
+`log_likelihood` alone; without targets, they are moved by odometry alone; and so on.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """Edges (K) whose landmark is known.
+    """Edges (K) with a certain landmark.
 
     points: (K, 2) of the landmarks. angle: (K,) measured, rad. variance: (K,) rad². is_slope: whether angles are leans,
     not bearings.
@@ -110,7 +110,7 @@ class GuidesSteps(Observation, Protocol):
     def targets(
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, inlier_rate: float
     ) -> Targets:
-        """Return the edges whose landmark is known, `inlier_rate` being the expected rate of edges of landmarks."""
+        """Return the edges with a certain landmark; inlier_rate: expected fraction of edges of landmarks."""
         ...
 
 

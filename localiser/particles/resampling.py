@@ -1,10 +1,10 @@
-"""Resampling: which particles live on, so that each has on average as many offspring as its weight says.
+"""Resampling: draw particles so that each has on average as many offspring as its weight says.
 
 Each scheme takes weights (N,), a number of offspring and a generator, and returns ascending indices (count,) with
-E[offspring of i] = count · w_i / Σ w. The systematic one scatters least about that mean; the multinomial one draws each
-index by itself. `enough_particles` says how many particles are needed.
+E[offspring of i] = count · w_i / Σ w. The systematic scheme has the smallest variance about that mean; the multinomial
+one draws each index independently. `enough_particles` says how many particles are needed.
 
-Weights need not sum to 1, so a cumulative sum that rounding leaves below 1 does no harm; zeros get no offspring.
+Weights need not sum to 1, so a cumulative sum that is below 1 by rounding is no problem. Zero weights get no offspring.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """Global localisation: poses proposed from one image join the particles of a robot that may be lost.
 
 The belief is a mixture: the truth is among the particles, or the robot may be anywhere, by the odds of being lost.
-Poses of the second kind are drawn from `proposals`, or evenly where an image shows too few edges, and weighed by the
-whole image, so
+Poses of the second kind are drawn from `proposals`, or uniformly where an image shows too few edges. They are weighed
+by the whole image, so
 
     their weight : that of the particles = odds of being lost · mean of prior/q · p(edges | pose)
 
-Bayes' rule decides, and next to nothing goes to them while the particles explain the edges. Several places stay until
-one has won; the number of particles follows from the cells that they occupy [Fox 2003].
+By Bayes' rule they get almost no weight while the particles explain the edges. Several places are kept until one of
+them has enough weight. The number of particles follows from the cells that they occupy [Fox 2003].
 
-What tells places apart is the filter's own likelihood, a little blurred.
+Places are compared by the filter's own likelihood, slightly blurred.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Pose hypotheses: at which poses chosen edges would be chosen landmarks, by two feet or by three bearings.
+"""Pose hypotheses: poses at which chosen edges would be chosen landmarks, by two feet or by three bearings.
 
-Each function draws as many hypotheses as it is asked for, at random among all combinations that do not contradict what
-was measured; a random share of a large set is what keeps one frame cheap, and the next frame draws another share.
+Each function draws as many hypotheses as requested, at random among all combinations that do not contradict the
+measurements. A random part of a large set keeps one image cheap; the next image draws another part.
 """
 
 from __future__ import annotations
@@ -75,9 +75,10 @@ def _from_pairs(view: View, places: Places, edges: Indices, ranges: Array, sigma
 
 
 def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
-    """Return range and its sigma (E, B), m, of every edge if its foot is at each of the heights; nan where untold.
+    """Return range and its sigma (E, B), m, of every edge if its foot is at each of the heights; nan where unknown.
 
-    The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, whose height is known.
+    The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, which has a known
+    height.
     """
     tilt, height_m = view.camera.mount.tilt_rad, view.camera.mount.height_m
     s, c = np.sin(tilt), np.cos(tilt)

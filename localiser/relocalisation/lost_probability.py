@@ -1,15 +1,15 @@
-"""The probability that the robot is lost: that it is where none of the particles are, from raw likelihoods.
+"""The probability that the robot is lost, that is, that it is not where any of the particles are.
 
-Normalised weights cannot tell: of particles that are all wrong some are always the best. The likelihood itself can. It
-is relative to all edges being clutter, which is what they are to a robot that is elsewhere, so each image multiplies
-the odds of being lost by 1 / p(edges | particles). A right pose gives far more than 1, however many edges are
-clutter; an image in which no landmark is found gives a little less than 1, as rarely as `inliers` has learnt that such
-images come. An image that is only partly new counts for that part. Before each image there is a small chance that the
-robot was carried away.
+Normalised weights cannot show this: of particles that are all wrong some are always the best. The likelihood itself
+can. It is relative to the case that all edges are clutter, which they are for a robot that is elsewhere. So each image
+divides the odds of being lost by p(edges | particles). At a right pose this is far more than 1, however many edges are
+clutter. In an image in which no landmark is found it is a little less than 1; `inliers` has learnt how often such
+images occur. An image that is only partly new counts for that part. Before each image there is a small probability
+that the robot was carried away.
 
-A wrong place may look like the right one: the other end of a corridor does. That its particles fit says nothing then;
-what counts is whether the right place would have been found had it been another. So the robot stays lost with the
-probability that every image has `overlooked` its place.
+A wrong place may look like the right one, as the other end of a corridor does. Then it means nothing that its particles
+fit. What counts is whether the right place would have been found if it were another one. So the robot stays lost with
+the probability that every image has `overlooked` its place.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class LostProbability:
     """log_odds: logarithm of the odds that the robot is lost, that is, that the truth is not among the particles.
 
     overlooked: probability that the true place was never among those that the particles were chosen from. inliers: the
-    inlier rate hereabouts.
+    distribution of the inlier rate that was learnt here.
     """
 
     log_odds: float
@@ -41,12 +41,12 @@ class LostProbability:
 
     @classmethod
     def of(cls, probability: float) -> LostProbability:
-        """Return that of a robot that is lost with this probability, between 0 and 1, and was never looked for."""
+        """Return that of a robot that is lost with this probability (0 to 1), before any global localisation."""
         return cls(_log_odds(probability))
 
     @classmethod
     def of_anywhere(cls, inliers: InlierRate | None = None) -> LostProbability:
-        """Return that of a robot whose particles are where one image fits."""
+        """Return that of a robot with particles wherever one image fits."""
         return cls(_log_odds(OVERLOOKED), OVERLOOKED, inliers or InlierRate.unknown())
 
     @property
@@ -79,7 +79,7 @@ class LostProbability:
     def joined(self, log_odds: float) -> LostProbability:
         """Return the probability after places that global localisation found have joined the particles.
 
-        log_odds: of all these places, beside the particles. Where they win, it is them that may be wrong.
+        log_odds: of all these places against the particles. If these places win, they are what may be wrong.
         """
         found = _probability(log_odds)
         overlooked = OVERLOOKED * found + self.overlooked * (1.0 - found)

@@ -86,7 +86,7 @@ class Proposals:
     def log_density(self, poses: Array) -> Array:
         """Return log q (N,) at poses (N, 3), per m² rad.
 
-        Headings are compared the short way round: exact as long as no component is wide beside the circle.
+        Headings are compared the short way round, which is exact while all components are narrow compared with 2π.
         """
         even = np.log(max(self.even, 1e-300)) + self.region.log_density
         result = np.where(self.region.contains(poses), even, -np.inf)

@@ -1,4 +1,4 @@
-"""The map as global localisation needs it: landmarks with ends, and their pairs sorted by distance; made once."""
+"""The map prepared for global localisation: landmarks with ends, and their pairs sorted by distance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one image says to global localisation: bearings, and how far down each edge goes."""
+"""The measurements of one image for global localisation: bearings, and the lower end of each edge."""
 
 from __future__ import annotations
 

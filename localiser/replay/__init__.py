@@ -1,4 +1,4 @@
-"""Replays logs: measurements in, results out; and judges what a run wrote."""
+"""Replay logs: measurements in, results out; and evaluate what a run wrote."""
 
 from localiser.replay.evaluation import evaluate_run
 from localiser.replay.run import FolderRun, Replay, prepare, replay_log

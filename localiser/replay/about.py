@@ -1,4 +1,4 @@
-"""What a run was made from: enough to say later where a result came from, and which runs may be compared."""
+"""What a run was made from, so that results can be traced and only comparable runs are compared."""
 
 from __future__ import annotations
 

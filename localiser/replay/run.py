@@ -1,4 +1,4 @@
-"""Replays a log: its measurements go to a localiser in the order of time, and what is located to every sink."""
+"""Replay a log: pass its measurements to a localiser in the order of time, and the results to every sink."""
 
 from __future__ import annotations
 

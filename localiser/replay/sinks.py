@@ -1,4 +1,4 @@
-"""Where results go: everything that takes located frames is a sink, and is registered here."""
+"""Sinks: everything that takes located images. Each kind is registered here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C or SIGTERM stops a run between two frames, so that every output ends with the same one."""
+"""Stop a run by Ctrl-C or SIGTERM between two images, so that all outputs end with the same image."""
 
 from __future__ import annotations
 

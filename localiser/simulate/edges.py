@@ -129,7 +129,7 @@ def upright_ends(camera: Camera, tangent: Array, ahead_m: Array, bottom_m: Array
 
 
 def _clutter(camera: Camera, frames: int, noise: EdgeNoise, rng: np.random.Generator) -> _Segments:
-    """Return false edges: lines through the nadir point, uniform over the image, since others are told apart."""
+    """Return false edges: lines through the nadir point, uniform over the image; others would be rejected."""
     count = rng.poisson(noise.clutter_per_frame, size=frames)
     frame = np.repeat(np.arange(frames), count)
     a_left, a_right, e_low, e_high = camera.upright_bounds

@@ -59,7 +59,7 @@ def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray
 
 
 def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the image whose exposure has its middle at `t_ns`, blurred by the robot's motion meanwhile."""
+    """Return the image with the middle of its exposure at `t_ns`, blurred by the robot's motion."""
     half_ns = round(scene.world.image.exposure_s * 5e8)
     first, last = truth.at(t_ns - half_ns), truth.at(t_ns + half_ns)
     steps = _blur_steps(scene.camera, first, last) if half_ns else 1

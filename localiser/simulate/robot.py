@@ -1,4 +1,4 @@
-"""The robot's part of a world file: camera, drive, and what is wrong with odometry and images."""
+"""The robot's part of a world file: camera, drive, and errors of odometry and images."""
 
 from __future__ import annotations
 

@@ -52,10 +52,11 @@ def structure_of(world: World) -> Structure:
 
 
 def vertical_edges(solids: Solids) -> VerticalEdges:
-    """Return every vertical edge of the solids together, with the heights between which it stands.
+    """Return every vertical edge of the solids, with its lower and upper height.
 
-    Candidates are corners of footprints and crossings of their sides. One is an edge at the heights at which the
-    solids, cut there, neither fill its neighbourhood, nor leave it empty, nor are straight.
+    Candidates are corners of footprints and crossings of their sides. One is an edge at the heights at which
+    a horizontal cut through the solids has a corner there: its neighbourhood is not full, not empty and not a straight
+    side.
     """
     structure = _edges_of(solids, ~solids.is_flat)
     with_pictures = _edges_of(solids, np.ones(len(solids), dtype=bool)) if solids.is_flat.any() else []

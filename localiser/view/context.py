@@ -1,4 +1,4 @@
-"""What a view must know before the first frame."""
+"""What a view needs before the first image."""
 
 from __future__ import annotations
 

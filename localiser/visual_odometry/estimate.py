@@ -1,9 +1,9 @@
-"""The motion between two frames: vote for where to start, then pair edges and solve for the motion in turns.
+"""The motion between two images: find a start by votes, then pair edges and solve for the motion alternately.
 
-Edges of one thing share their fate: all edges of a poster end above the floor, and a moving chair moves them all. A
-covariance that takes them as independent is far too small. So the motion is found again without the edges of each
-group in turn, and the covariance is at least what these results differ by (the delete-a-group jackknife [Efron,
-Tibshirani 1993, chapter 11]): where all hangs on one group, it says so.
+The errors of edges of one thing are not independent: all edges of a poster end above the floor, and a moving chair
+moves all of its edges. A covariance that treats them as independent is far too small. So the motion is estimated again
+without the edges of each group in turn. The covariance is at least the scatter of these results (the delete-a-group
+jackknife [Efron, Tibshirani 1993, chapter 11]). It is large where everything depends on one group.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Several Gaussian motions made into one."""
+"""Fuse several Gaussian motions into one."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
 """Odometry by wheels, by the camera or by both, where wheels may slip unnoticed.
 
-Either the wheels are right to within their sigma, and the edges are followed from there; or they slipped, and the edges
-are followed from nothing but the robot's pace until then. Each explains the edges more or less well, and Bayes' rule
-weighs them by that: wheels that agree with the edges make the first certain; a slip makes pairs under it impossible,
-and the second takes over.
+There are two hypotheses: the wheels are right to within their sigma, or they slipped. Under the first one edges are
+tracked from the motion of the wheels, under the second one from the earlier speed of the robot. Each explains the edges
+more or less well, and Bayes' rule weighs them. If wheels and edges agree, the first one is certain. A slip makes pairs
+under it impossible, and the second one wins.
 
-Where wheels hold, edges tell the turn alone. What is wrong with their ranges (skirting boards, the tilt, what is
-typical of a room) is wrong alike for metres on end: a hundred frames tell the way no better than one, though each would
-count as news. The ranges still say by how much edges move across the image on the way that the wheels drove.
+Where the wheels are right, edges are used for the turn alone. Errors of their ranges (skirting boards, the tilt, what
+is typical of a room) stay the same for metres: a hundred images measure the path no better than one, but each would
+count as new information. The ranges are still used for how far edges move across the image.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Pairs of edges of two frames that may be one edge, and how likely each is under a motion.
+"""Pairs of edges of two images that may be one edge, and how likely each is under a motion.
 
-An edge of the second frame continues one of the n edges of the first with probability w, each as likely as the other,
-else it is new. Polarities must agree; grey values on at least one side do, since what stands behind the other side
-changes. Given a motion the bearing is predicted, for two readings of the edge's lower end:
+An edge of the second image continues one of the n edges of the first with probability w, each equally likely; otherwise
+it is new. Polarities must agree. Grey values agree on at least one side, because the background on the other side
+changes. Given a motion, the bearing is predicted for two cases of the edge's lower end:
 
-- it is the foot, where the edge meets the floor, and tells the range, or
-- it is not (a window, a skirting board, something in front), and the edge is at any range nearer than that.
+- it is the foot, where the edge meets the floor, and determines the range, or
+- it is not (a window, a skirting board, something in front), and the edge is at any shorter range.
 
-And the bearing itself may be one of a neighbour a few pixels beside it, of which each frame shows another: such a pair
-is no new edge, and tells nothing.
+The bearing itself may also be that of a neighbouring edge, a few pixels away, when each image shows only one of the
+two. Such a pair is not a new edge, but it gives no information.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Pairs:
 
 
 def candidates(before: Edges, after: Edges) -> Pairs:
-    """Return all pairs of edges whose polarities do not contradict each other."""
+    """Return all pairs of edges with polarities that do not contradict each other."""
     product = before.polarity[:, None].astype(int) * after.polarity
     first, second = np.nonzero(product >= 0)
     return Pairs(first, second, _look(before.profile, after.profile)[first, second])

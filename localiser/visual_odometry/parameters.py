@@ -1,4 +1,4 @@
-"""What can be set of visual odometry: how a robot may move between two images, and what measures it."""
+"""Parameters of visual odometry: how a robot may move between two images, and what measures it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Votes for where to start: turns that many pairs of edges agree on, for a coarse grid of translations.
+"""Votes for a start: turns that many pairs of edges agree on, for a coarse grid of translations (a Hough transform).
 
-A pair votes for the turn that is left of its change of bearing once the parallax of a supposed translation is taken
-off; the vote is as blurred as its range and the grid leave it uncertain. A Hough transform, in other words.
+A pair votes for its change of bearing minus the parallax of the assumed translation. The vote is blurred by the
+uncertainty of its range and of the grid.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the edges of one frame stand: bearings, inverse ranges, and the errors that all of them share."""
+"""The edges of one image for visual odometry: bearings, inverse ranges, and the errors that all of them share."""
 
 from __future__ import annotations
 

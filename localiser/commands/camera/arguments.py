@@ -1,4 +1,4 @@
-"""The commands about the camera: where it looks, and what its lens does."""
+"""The commands `camera tilt`, `camera calibrate` and `camera board`: their arguments."""
 
 from __future__ import annotations
 

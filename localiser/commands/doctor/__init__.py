@@ -1,1 +1,1 @@
-"""`localiser doctor`: does everything fit together?"""
+"""`localiser doctor`: check whether installation, robot, camera and map fit together."""

@@ -1,4 +1,4 @@
-"""`localiser doctor`: does everything fit together before the robot drives."""
+"""`localiser doctor`: check that all parts fit together before the robot drives."""
 
 from __future__ import annotations
 

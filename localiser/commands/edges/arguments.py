@@ -1,4 +1,4 @@
-"""The command `edges`: what the front end sees in images."""
+"""The command `edges`: find vertical edges in images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`localiser map`: build maps, look at them, check and edit them. A command a file, its arguments beside its steps."""
+"""`localiser map`: build maps, show, check and edit them. Each command is one file with its arguments and steps."""
 
 import typer
 

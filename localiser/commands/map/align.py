@@ -1,4 +1,4 @@
-"""`localiser map align`: how one map lies over another."""
+"""`localiser map align`: find the transformation between two maps."""
 
 from __future__ import annotations
 

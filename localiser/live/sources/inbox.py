@@ -1,4 +1,4 @@
-"""What arrived and was not looked at yet: bounded, so that a program that is busy keeps what is newest."""
+"""A bounded queue of messages. When the program is busy, the newest messages are kept."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A session on a zenoh network: messages of a robot come in, poses go out.
+"""A session on a zenoh network: receives messages of a robot and sends poses.
 
-Nothing is found by shouting into the network: multicast is off, and who is to be reached is named by its endpoint.
+Multicast is off. Every peer is named by its endpoint.
 """
 
 from __future__ import annotations
