@@ -71,6 +71,7 @@ def test_tags() -> None:
     assert set(re.findall(r"^from (localiser\S*)", text, re.MULTILINE)) == {"localiser", "localiser.geometry"}
 
 
+@pytest.mark.slow
 def test_hundred_seeds(log: Path) -> None:
     text = output("hundred_seeds", log, "--seeds", 3)
     median, low, high = figures(text)

@@ -10,6 +10,7 @@ from folders import ROOT
 from localiser import edges, storage
 
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+REPLAYED = ("motion model", "sink")  # along the whole of a log
 EXAMPLES = dict(re.findall(r"^## Your own ([\w ]+)$.*?```python\n(.*?)```", PAGE, re.MULTILINE | re.DOTALL))
 
 
@@ -26,7 +27,9 @@ def test_every_seam_has_an_example() -> None:
     assert list(EXAMPLES) == ["detector", "observation", "motion model", "log reader", "sink"]
 
 
-@pytest.mark.parametrize("title", EXAMPLES)
+@pytest.mark.parametrize(
+    "title", [pytest.param(title, marks=pytest.mark.slow) if title in REPLAYED else title for title in EXAMPLES]
+)
 def test_example_prints_what_the_page_says(
     title: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
