@@ -13,23 +13,7 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-
-
-def bearing_jacobian(pose: ArrayLike, points: ArrayLike, robot_from_camera: ArrayLike) -> Array:
-    """Return H = ∂b/∂(x, z, heading) (L, 3) of the bearings of points (L, 2) from the camera of a robot at `pose` (3,).
-
-    robot_from_camera: (3,) the camera's floor pose in the robot frame: right, backward, yaw.
-    """
-    pose, mount = np.asarray(pose, dtype=np.float64), np.asarray(robot_from_camera, dtype=np.float64)
-    camera = geometry.compose(pose, mount)
-    x, z = np.moveaxis(geometry.robot_from_map(camera, points), -1, 0)
-    # b = atan2(x, -z) in the camera's frame, where a step of the camera moves the point the other way.
-    cos, sin = np.cos(camera[2]), np.sin(camera[2])
-    by_position = np.stack([z * cos - x * sin, -z * sin - x * cos], axis=-1) / (x**2 + z**2)[:, None]
-    # Turning left moves the point right by as much, and swings the camera around the robot's centre.
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    swing = np.array([-sin * mount[0] + cos * mount[1], -cos * mount[0] - sin * mount[1]])
-    return np.concatenate([by_position, (1.0 + by_position @ swing)[:, None]], axis=-1)
+from localiser.landmarks import bearing_jacobian
 
 
 def information(
@@ -67,7 +51,7 @@ def bearing_information(
         common_jacobian = edges.common.bearing_from_lean
     else:
         sigma, common_jacobian = edges.bearing_sigma, edges.common.bearing_from_line
-    jacobian = bearing_jacobian(pose, seen, camera.robot_from_level)
+    jacobian = bearing_jacobian(pose, camera_pose, seen)
     return information(jacobian, sigma, common_jacobian if common else None, edges.common.cov)
 
 

@@ -5,6 +5,8 @@ from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality
 from localiser.landmarks.visibility import (
     Sight,
     SightParameters,
+    bearing_jacobian,
+    by_robot_pose,
     field_of_view_rad,
     half_view_rad,
     image_heights,

@@ -98,6 +98,27 @@ def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
     return seen[..., 0], -seen[..., 1]
 
 
+def bearing_jacobian(robot_poses: Array, camera_poses: Array, points: Array) -> Array:
+    """Return ∂bearing/∂(x, z, heading) (..., 3) by the robot's pose, of points (..., 2) of the map.
+
+    robot_poses, camera_poses: (..., 3) where in the map the robot and its camera are.
+    """
+    dx, dz = np.moveaxis(points - camera_poses[..., :2], -1, 0)
+    squared = dx**2 + dz**2
+    by_camera = np.stack([dz / squared, -dx / squared, np.ones_like(dx)], axis=-1)
+    return by_robot_pose(by_camera, robot_poses, camera_poses)
+
+
+def by_robot_pose(by_camera_pose: Array, robot_poses: Array, camera_poses: Array) -> Array:
+    """Return derivatives (..., 3) by the robot's pose from those by the camera's pose (..., 3).
+
+    A robot that turns about its own centre moves the camera sideways too.
+    """
+    arm_x, arm_z = np.moveaxis(camera_poses[..., :2] - robot_poses[..., :2], -1, 0)
+    by_x, by_z, by_heading = np.moveaxis(by_camera_pose, -1, 0)
+    return np.stack([by_x, by_z, by_heading + (by_x * arm_z - by_z * arm_x)], axis=-1)
+
+
 def visible_length_px(
     camera: Camera, tangent: Array, ahead_m: Array, bottom_m: Array, top_m: Array, margin_px: float = 0.0
 ) -> Array:

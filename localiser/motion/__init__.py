@@ -15,7 +15,6 @@ from localiser.motion.odometry_model import (
     wheel_cov,
 )
 from localiser.motion.protocols import (
-    MOTION_MODELS,
     EstimatesConstantErrors,
     LinearisedMotion,
     MotionCovariance,

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from localiser.geometry import Array, Increment
-from localiser.motion.odometry_model import MotionParameters, Step
+from localiser.motion.odometry_model import Step
 from localiser.particles import Particles
 
 
@@ -61,10 +61,6 @@ class EstimatesConstantErrors(MotionModel, Protocol):
     def with_constant_errors(self, particles: Particles) -> Particles:
         """Return particles of poses that a camera was found at with the columns of the constant errors."""
         ...
-
-
-MOTION_MODELS: dict[str, type[MotionModel]] = {"odometry": MotionParameters}
-"""The motion models that ship, by name; each is its own parameters."""
 
 
 def covariance_of(model: MotionModel, increment: Increment) -> Array:

@@ -55,18 +55,23 @@ def endpoints_of(edges: Edges, camera: Camera) -> Endpoints:
     if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
         e = np.tile([-_UNKNOWN, _UNKNOWN], (count, 1))
         return Endpoints(e, np.full(count, _UNKNOWN), np.full((count, 2), _UNKNOWN), np.zeros((count, 2)), 1.0)
-    upright = camera.upright_from_pixels(edges.ends_px)[..., 1]
-    lower_first = np.argsort(upright, axis=1)
-    e = np.take_along_axis(upright, lower_first, axis=1)
+    e, cut = ends_lower_first(edges.ends_px, camera)
     _, _, e_low, e_high = camera.upright_bounds
     row = ROW_PX / camera.focal_px
     near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
     room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
     peak = (1.0 - MISSED) * room * camera.focal_px / (np.sqrt(2 * np.pi) * SIGMA_PX)
-    # The border ends an edge wherever its landmark does.
-    cut = np.take_along_axis(at_border(edges.ends_px, camera), lower_first, axis=1)
     per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
+    # The border ends an edge wherever its landmark does.
     return Endpoints(e, per_length, np.where(cut, _UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+
+
+def ends_lower_first(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """Return upright image heights (E, 2) of ends (E, 2, 2), the lower first, and whether they lie at the border."""
+    e = camera.upright_from_pixels(ends_px)[..., 1]
+    lower_first = np.argsort(e, axis=1)
+    cut = at_border(ends_px, camera)
+    return np.take_along_axis(e, lower_first, axis=1), np.take_along_axis(cut, lower_first, axis=1)
 
 
 def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:

@@ -73,7 +73,7 @@ class IdentifiedObservation(EdgeObservation):
 
 
 OBSERVATIONS: dict[str, type[EdgeObservation]] = {"unknown": EdgeObservation, "known": IdentifiedObservation}
-"""The observations of edges that ship, by what is set as `observation.association`."""
+"""The class of observation for each value of `observation.association`."""
 
 
 def observation_of(camera: Camera, parameters: ObservationParameters) -> EdgeObservation:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, robot_from_map, wrap_angle
-from localiser.landmarks import half_view_rad, image_heights, in_camera
+from localiser.landmarks import bearing_jacobian, by_robot_pose, half_view_rad, image_heights, in_camera
 from localiser.relocalisation.evidence import Evidence, evidence_of
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
@@ -70,19 +70,15 @@ def _add_normal_equations(
     right, ahead, e = right[keep], ahead[keep], e[keep]
     # The probability that the edge is this landmark and not clutter, as in the mixture.
     trust = fit / (fit + np.bincount(pose, minlength=len(poses))[pose])
-    dx, dz = (places.points[landmark] - cameras[pose, :2]).T
-    squared = dx**2 + dz**2
-    by_bearing = np.stack([dz / squared, -dx / squared, np.ones_like(dx)], axis=-1)
+    by_bearing = bearing_jacobian(poses[pose], cameras[pose], places.points[landmark])
+    squared = np.square(places.points[landmark] - cameras[pose, :2]).sum(axis=1)
     variance = view.bearing_sigma[edge] ** 2 + places.sigma_m[landmark] ** 2 / squared + window**2
     # The foot: e depends on the distance ahead alone, de/dahead = (s - e c) / depth.
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     per_ahead = (s - e * c) / (ahead * c - (places.bottom_m[landmark] - camera.mount.height_m) * s)
     heading = cameras[pose, 2]
-    by_foot = per_ahead[:, None] * np.stack([np.sin(heading), np.cos(heading), -right], axis=-1)
-    # A robot that turns about its own centre carries the camera along.
-    arm = cameras[pose, :2] - poses[pose, :2]
-    for jac in (by_bearing, by_foot):
-        jac[:, 2] += jac[:, 0] * arm[:, 1] - jac[:, 1] * arm[:, 0]
+    by_camera = per_ahead[:, None] * np.stack([np.sin(heading), np.cos(heading), -right], axis=-1)
+    by_foot = by_robot_pose(by_camera, poses[pose], cameras[pose])
     residual = view.bearing[edge] - np.arctan2(right, ahead)
     _accumulate(pose, by_bearing, residual, trust / variance, information, gradient)
     miss, sigma = view.foot[edge] - e, np.hypot(view.foot_sigma, window)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose
-from localiser.observation import ENDPOINT_SIGMA_PX, Angle, at_border
+from localiser.observation import ENDPOINT_SIGMA_PX, Angle, ends_lower_first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,16 +46,15 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
     variance = sigma**2 + angle.mount_var(edges)
     known = np.flatnonzero(np.isfinite(bearing) & np.isfinite(variance))
     order = known[np.argsort(bearing[known], kind="stable")]
-    ends_px = edges.ends_px[order]
-    heights = camera.upright_from_pixels(ends_px)[..., 1]
-    foot, lower = heights.min(axis=1), heights.argmin(axis=1)
-    foot = np.where(np.isnan(foot), _height_at(camera, bearing[order], edges.foot_range_m[order]), foot)
+    ends, cut = ends_lower_first(edges.ends_px[order], camera)
+    unknown = np.isnan(ends).any(axis=1)
+    foot = np.where(unknown, _height_at(camera, bearing[order], edges.foot_range_m[order]), ends[:, 0])
     return View(
         camera=camera,
         bearing=bearing[order],
         bearing_sigma=np.sqrt(variance[order]),
         foot=foot,
-        cut=at_border(ends_px, camera)[np.arange(len(order)), lower],
+        cut=cut[:, 0] & ~unknown,
         foot_sigma=float(np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))),
         length_px=np.nan_to_num(edges.length_px[order], nan=1.0),
     )

@@ -11,9 +11,8 @@ from localiser.camera import Camera, Mount
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, matched, step
 from localiser.geometry import Array, Increment, compose, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MOTION_MODELS, LinearisedMotion, MotionModel
+from localiser.motion import LinearisedMotion, MotionModel, MotionParameters
 from localiser.observation import (
-    OBSERVATIONS,
     Associates,
     FollowsClutter,
     GuidesSteps,
@@ -22,6 +21,7 @@ from localiser.observation import (
     ObservationParameters,
     TempersByScale,
 )
+from localiser.observation.known_association import OBSERVATIONS
 from localiser.particles import Particles
 
 TAGS = LandmarkMap.from_points(np.array([[-2.0, -3.0], [2.5, -4.0], [0.5, -7.0], [-3.0, 1.0]]))
@@ -100,10 +100,9 @@ def test_a_motion_model_needs_to_predict_and_nothing_else() -> None:
     assert found[-1].estimate.names == ("x", "z", "heading")
 
 
-@pytest.mark.parametrize("name", MOTION_MODELS)
-def test_motion_models_that_ship_can_be_listed_and_run(name: str) -> None:
+def test_the_motion_model_that_ships_runs_with_an_observation_that_it_does_not_know() -> None:
     truth, events = drive(10)
-    model = MOTION_MODELS[name]()
+    model = MotionParameters()
     assert isinstance(model, MotionModel)
     found = located(Mcl(TAGS, RangeAndBearing(), MclParameters(particles=1000), model), events)
     assert np.hypot(*(found[-1].estimate.pose - truth[-1])[:2]) < 0.15
