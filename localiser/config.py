@@ -69,6 +69,13 @@ def read_config(
     return documents.validate(document, Config)
 
 
+def with_seed(config: Config, seed: int | None) -> Config:
+    """Return the configuration with another seed, or as it is where that is None. Raises InputError."""
+    if seed is None:
+        return config
+    return config.model_copy(update={"seed": documents.validate(Document({"seed": seed}, {}), Config).seed})
+
+
 def _file(path: Path) -> Document:
     document = documents.load(path)
     if document.value is None:  # a file of comments changes nothing

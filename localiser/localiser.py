@@ -8,17 +8,20 @@ random generator, can be saved and restored to the last bit.
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera, Mount
-from localiser.config import Config
+from localiser.config import Config, with_seed
 from localiser.edges import Detector, Edges, find_edges
 from localiser.edges import warm_up as warm_up_edges
 from localiser.errors import InputError
@@ -38,7 +41,7 @@ from localiser.filter import (
     step,
 )
 from localiser.filter import warm_up as warm_up_filter
-from localiser.geometry import Array
+from localiser.geometry import Array, finite_numbers
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel
 from localiser.observation import EdgeObservation, LocalisesGlobally, Observation, observation_of
@@ -86,10 +89,15 @@ class Localiser:
         motion: MotionModel | None = None,
         detector: Detector | None = None,
     ) -> None:
-        config = config or Config()
         self.landmark_map = landmark_map
-        self.config = config if seed is None else config.model_copy(update={"seed": seed})
-        check_settings(config, camera)
+        self.config = config = with_seed(config or Config(), seed)
+        if not len(landmark_map):
+            raise InputError("expected at least one landmark, found none", field="landmark_map")
+        if observation is not None and not hasattr(observation, "log_likelihood"):
+            found = type(observation).__name__
+            raise InputError(f"expected a method `log_likelihood`, found {found} without one", field="observation")
+        self._check = partial(check_settings, config, own_observation=observation is not None)
+        self._check(camera)
         self.rng = np.random.default_rng(self.config.seed)
         self.state = FilterState()
         self._camera, self._detector = camera, detector
@@ -136,18 +144,24 @@ class Localiser:
     def start(self, pose: ArrayLike, cov: ArrayLike, t_ns: int | None = None) -> list[LocatedFrame]:
         """Take where the robot is said to be: pose (3,) in the map, covariance (3, 3). Raises InputError.
 
-        t_ns: when; None for the time of the next measurement. What was believed before is forgotten.
+        t_ns: when; None for the time of the next measurement. What was believed before is forgotten. Images that wait
+        for the wheels and were taken before the start are dropped; all that wait where t_ns is None.
         """
-        mean, spread = _numbers("pose", pose, (3,)), _numbers("cov", cov, (3, 3))
-        return self._step(self._mcl, Start(_AT_NEXT if t_ns is None else t_ns, mean, spread))
+        at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
+        event = Start(at_ns, finite_numbers("pose", pose, (3,)), _covariance(cov))
+        waiting = self.state.waiting
+        while waiting and (t_ns is None or waiting[0].t_ns < at_ns):
+            self._measured.pop(waiting.popleft().t_ns, None)
+        return self._step(self._mcl, event)
 
     def odometry(self, t_ns: int, pose: ArrayLike) -> list[LocatedFrame]:
         """Take a pose (3,) of the wheels in the odometry's own frame; only increments count. Raises InputError."""
+        t_ns, pose = _nanoseconds(t_ns), finite_numbers("odometry", pose, (3,))
         wheels = self.state.odometry
         if wheels and t_ns <= wheels[-1].t_ns:
             raise InputError(f"expected a time after {wheels[-1].t_ns} ns, found {t_ns} ns", field="odometry")
         self._begin(t_ns)
-        return self._step(self._mcl, Odometry(t_ns, _numbers("odometry", pose, (3,))))
+        return self._step(self._mcl, Odometry(t_ns, pose))
 
     def image(
         self, t_ns: int, image: Image, mount: Mount | None = None, *, by_wheels: bool = True
@@ -162,7 +176,7 @@ class Localiser:
         another one than the camera's is not supported yet. Raises InputError when the image is damaged or of another
         size than the camera's.
         """
-        check_settings(self.config, images=True)
+        self._check(images=True)
         self._require_own(mount)
         begin = perf_counter()
         pixels = decoded_file(image, self.camera) if isinstance(image, bytes) else image
@@ -179,12 +193,16 @@ class Localiser:
         by_wheels: False where the wheels were silent until this image; then its edges alone tell how the robot moved,
         and it is located at once.
         """
+        if not isinstance(edges, Edges | MeasuredImage):
+            raise InputError(f"expected Edges, found {type(edges).__name__}", field="edges")
+        t_ns = _nanoseconds(t_ns)
         measured = edges if isinstance(edges, MeasuredImage) else MeasuredImage(edges)
-        has_ends = bool(np.isfinite(measured.edges.ends_px).all())
-        started = self.state.particles is not None
-        check_settings(self.config, images=measured.image is not None, has_ends=has_ends, has_start=started)
+        found = measured.edges
+        of_image = bool(found.profile.size and (found.landmark_id < 0).all())  # only images show grey values
+        has_ends, started = bool(np.isfinite(found.ends_px).all()), self.state.particles is not None
+        self._check(images=measured.image is not None or of_image, has_ends=has_ends, has_start=started)
         self._require_own(mount)
-        self._require_ready(t_ns)
+        self._require_ready(t_ns, "image")
         self._measured[t_ns] = measured
         mcl = self._mcl
         if not by_wheels:
@@ -199,9 +217,10 @@ class Localiser:
         """
         if self._own["observation"] is None:
             raise InputError("expected Localiser(…, observation=…), which understands it", field="measurement")
-        check_settings(self.config, images=False)
-        self._require_ready(t_ns)
-        return self._step(self._mcl, Sighting(t_ns, measurement=np.array(measurement)))
+        t_ns, numbers = _nanoseconds(t_ns), _array("measurement", measurement)
+        self._check(images=False)
+        self._require_ready(t_ns, "measurement")
+        return self._step(self._mcl, Sighting(t_ns, measurement=numbers))
 
     def finish(self) -> list[LocatedFrame]:
         """Locate the images after the last pose of the wheels; the robot is taken to have stood still since then."""
@@ -235,7 +254,7 @@ class Localiser:
         state, identity = self.state, self.identity
         moved = replace(
             state,
-            at_ns=state.at_ns + shift_ns,
+            at_ns=state.at_ns if state.at_ns == _AT_NEXT else state.at_ns + shift_ns,
             odometry=deque(replace(pose, t_ns=pose.t_ns + shift_ns) for pose in state.odometry),
             waiting=deque(replace(sighting, t_ns=sighting.t_ns + shift_ns) for sighting in state.waiting),
         )
@@ -246,6 +265,8 @@ class Localiser:
 
         Raises InputError when the content is damaged, or was saved with other settings, another map or camera.
         """
+        if not isinstance(content, bytes):
+            raise InputError(f"expected the bytes of a saved state, found {type(content).__name__}", path=path)
         saved = checkpoint_of(content, Path(path), self.identity)
         self.state, self.rng = saved.state, saved.rng
         self._measured.clear()
@@ -267,23 +288,23 @@ class Localiser:
             begin = perf_counter()
         return frames
 
-    def _require_ready(self, t_ns: int) -> None:
-        """Raise InputError unless an image of this time can be taken."""
+    def _require_ready(self, t_ns: int, name: str) -> None:
+        """Raise InputError unless an image or a measurement, as `name` says, of this time can be taken."""
         if self.state.particles is None and self._mcl.search is None:
             raise InputError("expected a start before the first measurement: it cannot be found on the whole map")
         self._begin(t_ns)
-        self._require_in_order(t_ns)
+        self._require_in_order(t_ns, name)
 
     def _begin(self, t_ns: int) -> None:
         if self.state.at_ns == _AT_NEXT:
             self.state.at_ns = t_ns
 
-    def _require_in_order(self, t_ns: int) -> None:
+    def _require_in_order(self, t_ns: int, name: str) -> None:
         state = self.state
         if (state.waiting and t_ns <= state.waiting[-1].t_ns) or (state.weighed and t_ns <= state.at_ns):
-            raise InputError(f"expected a later time than that of the last image, found {t_ns} ns", field="image")
+            raise InputError(f"expected a later time than that of the last {name}, found {t_ns} ns", field=name)
         if state.particles is not None and t_ns < state.at_ns:
-            raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field="image")
+            raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field=name)
 
     def _require_own(self, mount: Mount | None) -> None:
         if mount is not None and mount != self.camera.mount:
@@ -300,13 +321,18 @@ def check_settings(
     images: bool | None = None,
     has_ends: bool = False,
     has_start: bool = True,
+    own_observation: bool = False,
 ) -> None:
     """Raise InputError when settings cannot work with what there is; None where that is not known yet.
 
     images: whether edges are found in images, or were measured elsewhere; has_ends: whether it is known then where
-    they end in the image. has_start: whether it is known where the robot starts.
+    they end in the image. has_start: whether it is known where the robot starts. own_observation: whether the
+    observation is one's own, which observation.kind and observation.association do not concern.
     """
-    known, source = config.observation.association == "known", config.increments.source
+    known, slope = config.observation.association == "known", config.observation.kind == "slope"
+    if own_observation:
+        known = slope = False
+    source = config.increments.source
     if known and images:
         raise InputError(
             "`known` believes edges that say which landmark they belong to, found images, whose edges do not; use "
@@ -323,7 +349,7 @@ def check_settings(
             "how far the robot went nor which edge is which; use --set increments.source=wheel",
             field="increments.source",
         )
-    if config.observation.kind == "slope" and camera is not None and abs(math.sin(camera.mount.tilt_rad)) < _LEAST_SIN:
+    if slope and camera is not None and abs(math.sin(camera.mount.tilt_rad)) < _LEAST_SIN:
         raise InputError(
             f"the observation `slope` needs a tilted camera, found a tilt of {math.degrees(camera.mount.tilt_rad):g}°: "
             "without tilt every vertical edge is vertical in the image; use --set observation.kind=line",
@@ -343,8 +369,33 @@ def _name_of(own: object) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
-def _numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    found = np.array(values, dtype=np.float64)
-    if found.shape != shape or not np.isfinite(found).all():
-        raise InputError(f"expected {shape} finite numbers, found {values!r}", field=name)
+def _nanoseconds(t_ns: int) -> int:
+    """Return a time as an integer. Raises InputError."""
+    try:
+        found = operator.index(t_ns)
+    except TypeError:
+        found = _AT_NEXT
+    if abs(found) >= -_AT_NEXT:
+        raise InputError(f"expected an integer of nanoseconds, found {t_ns!r}", field="t_ns")
+    return found
+
+
+def _covariance(cov: ArrayLike) -> Array:
+    """Return a covariance (3, 3), which may be singular. Raises InputError."""
+    found = finite_numbers("cov", cov, (3, 3))
+    variances = np.linalg.eigvalsh(found)
+    asymmetry = np.abs(found - found.T).max()
+    if asymmetry > 1e-9 * np.abs(found).max() or variances[0] < -1e-12 * abs(variances[-1]):
+        raise InputError(f"expected a symmetric matrix without negative eigenvalues, found {cov!r}", field="cov")
+    return found
+
+
+def _array(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Return numbers of any kind and shape. Raises InputError."""
+    try:
+        found = np.array(values)
+    except ValueError:  # rows of different lengths
+        found = np.array(None)
+    if found.dtype.kind not in "fiub":
+        raise InputError(f"expected an array of numbers, found {values!r}", field=name)
     return found

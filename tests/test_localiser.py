@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from small_log import write_edge_log
 
 from localiser.camera import Camera, Mount
 from localiser.config import Config, read_config
-from localiser.edges import Edges
+from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import Increment, Trajectory
@@ -407,3 +408,149 @@ def test_settings_that_only_edges_measured_elsewhere_do_not_fit(
 def test_edges_that_are_known_to_be_no_landmarks_of_images_are_refused() -> None:
     with pytest.raises(InputError, match=NOT_KNOWN):
         of_corridor(read_config(None, [KNOWN])).image(1, LOG.frames[0].encoded())
+
+
+# -- what is given wrongly --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("start_ns", "located_ns"), [(None, []), (30, []), (20, [20]), (15, [20])])
+def test_a_start_drops_the_images_that_wait_and_were_taken_before_it(
+    start_ns: int | None, located_ns: list[int]
+) -> None:
+    one = of_corridor()
+    one.start([0, 0, 0], np.eye(3))
+    one.odometry(10, [0, 0, 0])
+    assert one.edges(20, Edges.none()) == []
+    found = one.start([1, 0, 0], 1e-6 * np.eye(3), start_ns)
+    found += one.odometry(40, [0, 0, 0])
+    assert [frame.located.t_ns for frame in found] == located_ns
+    (last,) = one.edges(40, Edges.none())
+    np.testing.assert_allclose(last.located.estimate.pose, [1, 0, 0], atol=0.01)
+
+
+@pytest.mark.parametrize("t_ns", [1.5, "a", math.nan, None, 2**63])
+def test_a_time_that_is_no_integer_is_refused(t_ns: object) -> None:
+    one, by_own = started(of_corridor()), started(by_beacon())
+    calls = [
+        lambda: one.odometry(t_ns, [0, 0, 0]),
+        lambda: one.edges(t_ns, Edges.none()),
+        lambda: one.image(t_ns, LOG.frames[0].load()),
+        lambda: by_own.measurement(t_ns, [3.5]),
+    ]
+    if t_ns is not None:
+        calls.append(lambda: one.start([0, 0, 0], np.eye(3), t_ns))
+    for call in calls:
+        with pytest.raises(InputError, match=r"^t_ns: expected an integer of nanoseconds, found"):
+            call()
+
+
+@pytest.mark.parametrize("cov", [-np.eye(3), np.diag([1.0, 1.0, -1e-6]), np.eye(3) + np.eye(3, k=1)])
+def test_a_start_with_a_matrix_that_is_no_covariance_is_refused(cov: np.ndarray) -> None:
+    one = of_corridor()
+    with pytest.raises(InputError, match=r"^cov: expected a symmetric matrix without negative eigenvalues"):
+        one.start([0, 0, 0], cov)
+    one.start([0, 0, 0], np.zeros((3, 3)))
+    one.start([0, 0, 0], np.ones((3, 3)))
+
+
+class Returns:
+    """An observation that returns what it is told to, of N particles."""
+
+    def __init__(self, make: Callable[[int], object]) -> None:
+        self.make = make
+
+    def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Any:
+        return self.make(len(particles))
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda n: np.full(n, np.nan), "found nan or inf"),
+        (lambda n: np.r_[np.inf, np.zeros(n - 1)], "found nan or inf"),
+        (lambda n: np.full(n, -np.inf), "found -inf for all particles"),
+        (lambda n: np.zeros((n, 1)), r"numbers, found float64 \(\d+, 1\)"),
+        (lambda n: 0.0, r"found float64 \(\)"),
+        (lambda n: None, r"found object \(\)"),
+    ],
+)
+def test_an_observation_that_returns_no_log_likelihoods_is_refused(make: Callable[[int], object], told: str) -> None:
+    with pytest.raises(InputError, match=f"^Returns.log_likelihood: expected .*{told}"):
+        started(by_beacon(Returns(make))).measurement(0, [3.5])
+
+
+def test_an_observation_may_exclude_some_particles() -> None:
+    one = started(by_beacon(Returns(lambda n: np.where(np.arange(n) % 2, 0.0, -np.inf))))
+    assert len(one.measurement(0, [3.5])) == 1
+
+
+def test_an_observation_without_log_likelihood_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^observation: expected a method `log_likelihood`, found object without one"):
+        by_beacon(object())
+
+
+def test_settings_of_the_observation_do_not_concern_ones_own() -> None:
+    config = read_config(None, [SLOPE, KNOWN])
+    one = Localiser(LandmarkMap.from_points(np.zeros((1, 2))), UNTILTED, config, observation=Returns(np.zeros))
+    assert len(started(one).image(0, np.zeros((480, 640), dtype=np.uint8))) == 1
+
+
+def test_a_start_without_a_time_holds_from_the_next_measurement_on_another_clock_too() -> None:
+    one, moved = of_corridor(), of_corridor()
+    one.start([0, 0, 0], np.eye(3))
+    moved.restore(one.save(shift_ns=7 * SECOND))
+    moved.odometry(9 * SECOND, [0, 0, 0])
+    assert moved.state.at_ns == 9 * SECOND
+
+
+@pytest.mark.parametrize("image", [None, [[0, 1]], "a.png"])
+def test_an_image_of_another_type_is_refused(image: object) -> None:
+    with pytest.raises(InputError, match=r"^image: expected an array of 8-bit grey or BGR, found (NoneType|list|str)"):
+        of_corridor().image(0, image)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda one: one.edges(0, [0.1]), "^edges: expected Edges, found list"),
+        (lambda one: one.odometry(0, "abc"), r"^odometry: expected \(3,\) finite numbers, found 'abc'"),
+        (lambda one: one.odometry(0, [[0], [0, 0]]), r"^odometry: expected \(3,\) finite numbers"),
+        (lambda one: one.measurement(0, [[1], [1, 2]]), "^measurement: expected an array of numbers"),
+        (lambda one: one.measurement(0, "abc"), "^measurement: expected an array of numbers, found 'abc'"),
+        (lambda one: one.restore(None), "^state: expected the bytes of a saved state, found NoneType"),
+        (lambda one: one.restore("str"), "^state: expected the bytes of a saved state, found str"),
+    ],
+)
+def test_arguments_of_another_type_are_refused(call: Callable[[Localiser], object], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        call(started(by_beacon()))
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, 2**32, "a"])
+def test_a_seed_that_cannot_be_is_refused(seed: object) -> None:
+    with pytest.raises(InputError, match=r"^seed: expected .*, found"):
+        of_corridor(seed=seed)
+
+
+def test_a_map_without_landmarks_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^landmark_map: expected at least one landmark, found none"):
+        Localiser(LandmarkMap.from_points(np.zeros((0, 2))), LOG.camera)
+
+
+def test_edges_of_an_image_are_refused_where_landmarks_have_to_be_known() -> None:
+    one = of_corridor(read_config(None, [KNOWN]))
+    one.start([0, 0, 0], np.eye(3))
+    with pytest.raises(InputError, match=NOT_KNOWN):
+        one.edges(0, find_edges(LOG.frames[0].load(), LOG.camera))
+    one.edges(0, Edges.none())
+    one.edges(1, Edges.from_bearings([0.1], 0.01))  # of clutter, which no landmark belongs to
+
+
+def test_a_measurement_that_comes_too_early_is_not_called_an_image() -> None:
+    one = started(by_beacon())
+    one.odometry(SECOND, [0, 0, 0])
+    with pytest.raises(InputError, match=r"^measurement: expected a time after the start"):
+        one.measurement(-1, [3.5])
+    one.measurement(SECOND, [3.5])
+    with pytest.raises(InputError, match=r"^measurement: expected a later time than that of the last measurement"):
+        one.measurement(SECOND, [3.5])

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from localiser.camera import Camera
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import Image
+from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from localiser.edges.parameters import EdgeParameters
@@ -62,6 +63,9 @@ def registered(name: str) -> str:
 
 
 def detector_of(parameters: EdgeParameters) -> Detector:
-    """Return the registered detector that the parameters name, with their settings."""
-    detector = DETECTORS[parameters.detector]
+    """Return the registered detector that the parameters name, with their settings. Raises InputError."""
+    try:
+        detector = DETECTORS[registered(parameters.detector)]
+    except ValueError as error:
+        raise InputError(f"{error}, found {parameters.detector!r}", field="detector") from None
     return detector.configured(parameters) if isinstance(detector, Configurable) else detector

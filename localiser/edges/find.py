@@ -90,6 +90,8 @@ def warm_up(camera: Camera, parameters: EdgeParameters) -> None:
 
 def grey_image(image: Image, camera: Camera) -> Image:
     """Return the grey image (H, W) of a grey or BGR one. Raises InputError when type or size is not as expected."""
+    if not isinstance(image, np.ndarray):
+        raise InputError(f"expected an array of 8-bit grey or BGR, found {type(image).__name__}", field="image")
     size, expected = image.shape[:2], (camera.height, camera.width)
     is_grey, is_colour = image.ndim == 2, image.ndim == 3 and image.shape[2] == 3
     if image.dtype != np.uint8 or not (is_grey or is_colour):

@@ -1,4 +1,4 @@
-"""The edges of one image, with their errors, as columns."""
+"""What the front end says about one image: its vertical edges and how certain they are."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.geometry import Array
+from localiser.errors import InputError
+from localiser.geometry import Array, finite_numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,10 +96,16 @@ class Edges:
 
     @classmethod
     def from_bearings(cls, bearing: ArrayLike, sigma: ArrayLike) -> Edges:
-        """Return edges with known bearings (E,) only; sigma: (E,) or one for all. Both in rad."""
-        bearing = np.array(bearing, dtype=np.float64)
+        """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad.
+
+        Raises InputError unless all are finite and sigma is above 0.
+        """
+        bearing = finite_numbers("bearing", bearing, ("E",))
+        spread = np.full(bearing.shape, finite_numbers("sigma", sigma, (), bearing.shape))
+        if not (spread > 0).all():
+            raise InputError(f"expected numbers above 0, found {sigma!r}", field="sigma")
         unknown = np.full(len(bearing), np.nan)
-        return cls.from_columns(bearing, np.full(len(bearing), sigma), unknown, unknown)
+        return cls.from_columns(bearing, spread, unknown, unknown)
 
     @classmethod
     def none(cls) -> Edges:

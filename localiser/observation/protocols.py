@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.errors import InputError
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.observation.inlier_rate import INLIER_RATES
@@ -152,10 +153,22 @@ class LocalisesGlobally(RatesInliers, Protocol):
 def likelihood_by_rate(
     observation: Observation, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
 ) -> Array:
-    """Return log p(sighting | particle, w_k) (K, N): the same for all rates where the observation knows none."""
+    """Return log p(sighting | particle, w_k) (K, N): the same for all rates where the observation knows none.
+
+    Raises InputError when an observation of one's own returns anything else than log-likelihoods.
+    """
     if isinstance(observation, RatesInliers):
         return observation.by_rate(particles, sighting, landmark_map, blur_rad)
-    return np.tile(observation.log_likelihood(particles, sighting, landmark_map), (len(INLIER_RATES), 1))
+    found = np.asarray(observation.log_likelihood(particles, sighting, landmark_map))
+    name, count = f"{type(observation).__name__}.log_likelihood", len(particles)
+    if found.shape != (count,) or found.dtype.kind not in "fiu":
+        raise InputError(f"expected ({count},) numbers, found {found.dtype} {found.shape}", field=name)
+    if not (found < np.inf).all() or not (found > -np.inf).any():
+        problem = "-inf for all particles" if (found == -np.inf).all() else "nan or inf"
+        raise InputError(
+            f"expected log-likelihoods below inf, at least one of them finite, found {problem}", field=name
+        )
+    return np.tile(found, (len(INLIER_RATES), 1))
 
 
 def matches_of(observation: Observation, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:

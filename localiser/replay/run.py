@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from localiser import evaluate
-from localiser.config import Config, in_force, read_config, to_yaml
+from localiser.config import Config, in_force, read_config, to_yaml, with_seed
 from localiser.edges import Detector
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.evaluate import Track, write_report
@@ -149,7 +149,13 @@ def prepare(
     if landmark_map is None:
         raise InputError("the log has no map; expected --map MAP", path=log.path, field="map")
     try:
-        check_settings(config, log.camera, images=log.has_images, has_start=has_start(log, start))
+        check_settings(
+            config,
+            log.camera,
+            images=log.has_images,
+            has_start=has_start(log, start),
+            own_observation=own.get("observation") is not None,
+        )
     except InputError as error:
         raise _placed(error, log) from None
     localiser = Localiser(landmark_map, log.camera, config, **own)
@@ -184,8 +190,7 @@ def replay_log(
     """
     log = log if isinstance(log, Log) else open_log(log)
     config = read_config(None, (), log.settings) if config is None else config
-    if seed is not None:
-        config = config.model_copy(update={"seed": seed})
+    config = with_seed(config, seed)
     own: dict[str, Any] = {"observation": observation, "motion": motion, "detector": detector}
     run = prepare(log, config, start, landmark_map=landmark_map, **own)
     complete = False

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from localiser.edges import Edges
 from localiser.edges.bearings import BearingSensor, complete
+from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap, sight
 
 angle = st.floats(-1.3, 1.3)
@@ -51,3 +53,27 @@ def test_nominal_camera_sees_its_field_of_view_at_every_range(range_m: float) ->
     points = range_m * np.stack([np.sin(bearing), -np.cos(bearing)], axis=-1)
     seen = sight(sensor.camera(), np.zeros((1, 3)), LandmarkMap.from_points(points))
     np.testing.assert_array_equal(degrees[seen.landmark], [-32.0, 0.0, 32.0])
+
+
+@pytest.mark.parametrize(
+    ("bearing", "sigma", "told"),
+    [
+        (0.1, 0.01, r"bearing: expected \(E,\) finite numbers, found 0.1"),
+        ([[0.1]], 0.01, r"bearing: expected \(E,\) finite numbers"),
+        ([0.1, np.nan], 0.01, r"bearing: expected \(E,\) finite numbers"),
+        (["left"], 0.01, r"bearing: expected \(E,\) finite numbers"),
+        ([0.1], 0.0, "sigma: expected numbers above 0, found 0.0"),
+        ([0.1], -0.01, "sigma: expected numbers above 0, found -0.01"),
+        ([0.1], np.inf, r"sigma: expected one or \(1,\) finite numbers, found inf"),
+        ([0.1, 0.2], [0.01] * 3, r"sigma: expected one or \(2,\) finite numbers"),
+    ],
+)
+def test_bearings_that_cannot_be_are_refused(bearing: object, sigma: object, told: str) -> None:
+    with pytest.raises(InputError, match=f"^{told}"):
+        Edges.from_bearings(bearing, sigma)
+
+
+def test_bearings_have_one_sigma_or_one_each() -> None:
+    assert Edges.from_bearings([0, 1], 1).bearing_sigma.tolist() == [1.0, 1.0]
+    assert Edges.from_bearings([0.1, 0.2], [0.01, 0.02]).bearing_sigma.tolist() == [0.01, 0.02]
+    assert len(Edges.from_bearings([], 0.01)) == 0

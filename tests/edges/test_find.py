@@ -275,3 +275,8 @@ def test_probabilities_are_unknown_unless_asked_for():
     assert np.isfinite(full.foot_probability).all()
     assert np.isfinite(full.vertical_probability).all()
     np.testing.assert_array_equal(plain.bearing, full.bearing)
+
+
+def test_a_detector_of_no_known_name_is_refused():
+    with pytest.raises(InputError, match=r"^detector: expected 'columns', .* or 'hough', found 'nope'"):
+        find_edges(np.zeros((480, 640), dtype=np.uint8), camera_of(), EdgeParameters(detector="nope"))
