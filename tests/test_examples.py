@@ -45,6 +45,7 @@ def test_docstring_says_how_to_run_it(example: Path) -> None:
     assert docstring is not None and f"`python examples/{example.name}" in docstring
 
 
+@pytest.mark.slow
 def test_replay_and_plot(log: Path, tmp_path: Path) -> None:
     text = output("replay_and_plot", log, "--out", tmp_path / "path.png")
     assert "position_rmse_m" in text and max(figures(text)) < 0.5
@@ -57,6 +58,7 @@ def test_own_bearings() -> None:
     assert last < 0.03 and worst < 0.28 and wheels > 0.15
 
 
+@pytest.mark.slow
 def test_own_detector(log: Path) -> None:
     edges, error_m = figures(output("own_detector", log))
     assert edges > 10 and error_m < 0.1

@@ -132,6 +132,7 @@ def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, l
     assert "--truth" in without.err
 
 
+@pytest.mark.slow
 def test_a_simulated_log_can_be_replayed(localiser: Localiser, tmp_path: Path) -> None:
     world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
     world["camera"] |= {"width": 320, "height": 240, "focal_px": 277.0}

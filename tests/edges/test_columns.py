@@ -144,6 +144,7 @@ def test_an_edge_smeared_by_motion_is_one_edge_with_an_honest_sigma(motion_px):
     assert np.all(np.abs(error) < 3.5 * edges.bearing_sigma[np.argsort(edges.bearing)])
 
 
+@pytest.mark.slow
 def test_sigma_is_honest_from_clean_to_hard():
     camera = camera_of(roll_deg=1.0)
     rng = np.random.default_rng(11)

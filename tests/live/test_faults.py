@@ -18,7 +18,10 @@ from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, pr
 from short_log import CORRIDOR
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them")
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them"),
+    pytest.mark.slow,  # the same faults without processes: test_run.py, test_fuzz.py
+]
 
 ROBOT = ROOT / "tests" / "support" / "live_faulty_robot.py"
 IMAGES = 24

@@ -90,6 +90,7 @@ def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program,
     assert "Traceback" not in live.all_said()
 
 
+@pytest.mark.slow
 def test_a_viewer_that_is_not_there_changes_nothing(robot: Program, endpoint: str) -> None:
     """There is no display for it."""
     arguments = ("--connect", endpoint, "--start", START, "--view", "native")

@@ -165,7 +165,8 @@ def test_tracks_follow_single_landmarks() -> None:
     assert np.isin(track[true >= 0], long).mean() > 0.9
 
 
-@pytest.mark.parametrize(("name", "seed"), [("corridor", 0), ("corridor", 1), ("office", 0), ("office", 1)])
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", ["corridor", pytest.param("office", marks=pytest.mark.slow)])
 def test_known_poses_give_an_accurate_complete_honest_map(name: str, seed: int) -> None:
     drive = world(name)
     edges = drive.edges(seed)

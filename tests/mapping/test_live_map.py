@@ -52,7 +52,7 @@ def drive_past(live: LiveMap, point: Array, z_m: Array, rng: np.random.Generator
         live.step(np.array([0.0, z, 0.0]), edges_at([np.arctan2(right, ahead) + rng.normal(0, SIGMA)], polarity))
 
 
-@pytest.mark.parametrize("name", ["corridor", "office"])
+@pytest.mark.parametrize("name", ["corridor", pytest.param("office", marks=pytest.mark.slow)])
 def test_landmarks_are_where_they_are_and_as_certain_as_they_say(name: str) -> None:
     drive = world(name)
     edges = drive.edges(seed=0)
@@ -68,7 +68,7 @@ def test_landmarks_are_where_they_are_and_as_certain_as_they_say(name: str) -> N
     assert np.quantile(nees, 0.9) < 2.5 * 4.605  # 4.605 holds 90 % of a Gaussian in the plane
 
 
-@pytest.mark.parametrize("name", ["corridor", "office"])
+@pytest.mark.parametrize("name", ["corridor", pytest.param("office", marks=pytest.mark.slow)])
 def test_the_batch_finds_the_same_landmarks(name: str) -> None:
     drive = world(name)
     edges = drive.edges(seed=1)

@@ -89,6 +89,7 @@ def test_the_camera_is_carried_where_its_own_yaw_says() -> None:
     np.testing.assert_allclose(after["heading"], 0.1, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_biases_are_learnt_from_where_the_camera_is_seen_and_their_sigmas_are_honest() -> None:
     """Camera poses measured within 1 cm and 0.3° along 24 m: all five become known as well as the filter says."""
     increments, measured_sigma = drive(300), np.array([0.01, 0.01, 0.005])

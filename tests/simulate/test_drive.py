@@ -98,6 +98,7 @@ def test_systematic_errors_have_the_stated_size() -> None:
     assert veering[0] < -0.5, "a positive veer is anticlockwise: to the left"
 
 
+@pytest.mark.slow
 def test_random_errors_grow_as_stated_whatever_the_rate() -> None:
     spec = OdometrySpec(distance_noise_m_per_sqrt_m=0.02, heading_walk_deg_per_sqrt_m=2.0)
     for rate in (10.0, 50.0):

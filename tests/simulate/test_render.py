@@ -180,6 +180,7 @@ def test_vignette_and_gain_darken_as_stated(scene: Scene) -> None:
     )
 
 
+@pytest.mark.slow
 def test_exposure_blurs_edges_by_the_motion_and_leaves_them_in_place() -> None:
     scene = scene_of(world_of(world_data(image={"noise_sigma": 0.0, "exposure_s": 0.02, "colour": False})))
     turning = Trajectory(np.array([0, 100_000_000]), np.array([[0.0, 2.0, -0.03], [0.0, 2.0, 0.03]]))
