@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.edges import EdgeParameters, Edges
 from localiser.errors import InputError
@@ -111,16 +112,7 @@ def build_map(
     config = config or BuildParameters()
     name = poses if isinstance(poses, str) else source
     known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
-    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
-    inside = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))
-    if len(inside) < _FEWEST_FRAMES:
-        raise InputError(
-            f"expected poses at two images at least, found poses from {known.t_ns[0]} to {known.t_ns[-1]} ns and "
-            f"images from {t_ns[0]} to {t_ns[-1]} ns",
-            path=log.path,
-            field="--poses",
-        )
-    trajectory = known.sampled(t_ns[inside])
+    inside, trajectory = _sampled_at_images(log, known)
     require_motion(log, trajectory)
     exact = name not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
@@ -141,20 +133,13 @@ def build_map(
         )
     parameters, camera, slam = config.mapping, log.camera, None
     if name == SLAM:
-        wheels = wheels_of(log.odometry, trajectory.t_ns, config.motion)
-        require_association(log.path, sightings, wheels)
-        prior = Prior.of(config.motion)
-        slam = build_from_log(sightings, wheels, prior, trajectory.poses[0], camera, parameters)
+        slam = _slam(log, sightings, trajectory, config)
         trajectory, camera = Trajectory(trajectory.t_ns, slam.poses), slam.camera
         sigma, built = slam.sigma, slam.built
     else:
-        cameras = camera.pose_in_map(trajectory.poses)
         sigma = measured_sigma(sightings, camera.focal_px, parameters)
-        if exact and np.median(sigma) > COARSE_RAD:
-            built = build_from_coarse(sightings, cameras, sigma, parameters)
-        else:
-            track = follow(sightings, cameras, turn_sigma, parameters.tracks)
-            built = build_from_poses(sightings, track, cameras, sigma, parameters)
+        cameras = camera.pose_in_map(trajectory.poses)
+        built = _built_along(cameras, sightings, sigma, turn_sigma, parameters, exact=exact)
     cameras = camera.pose_in_map(trajectory.poses)
     landmark_map = landmark_map_of(
         sightings, built, cameras, sigma, camera, parameters, log.name, f"{log.name}, poses: {name}"
@@ -164,3 +149,37 @@ def build_map(
     if watch is not None:
         watch.finish(result)
     return result
+
+
+def _sampled_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
+    """Return the indices of the images within the time of the known poses, and the poses at these images."""
+    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
+    inside = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))
+    if len(inside) < _FEWEST_FRAMES:
+        raise InputError(
+            f"expected poses at two images at least, found poses from {known.t_ns[0]} to {known.t_ns[-1]} ns and "
+            f"images from {t_ns[0]} to {t_ns[-1]} ns",
+            path=log.path,
+            field="--poses",
+        )
+    return inside, known.sampled(t_ns[inside])
+
+
+def _slam(log: RecordedLog, sightings: Sightings, odometry: Trajectory, config: BuildSettings) -> Slam:
+    """Return landmarks and poses, found together from edges and wheels."""
+    wheels = wheels_of(log.odometry, odometry.t_ns, config.motion)
+    require_association(log.path, sightings, wheels)
+    return build_from_log(sightings, wheels, Prior.of(config.motion), odometry.poses[0], log.camera, config.mapping)
+
+
+def _built_along(
+    cameras: Array, sightings: Sightings, sigma: Array, turn_sigma: Array, parameters: MappingParameters, *, exact: bool
+) -> Built:
+    """Return the landmarks seen from camera poses (T, 3); exact: these are known and not from odometry.
+
+    Where bearings are too coarse to follow an edge from image to image, a mixture of landmarks explains all of them.
+    """
+    if exact and np.median(sigma) > COARSE_RAD:
+        return build_from_coarse(sightings, cameras, sigma, parameters)
+    track = follow(sightings, cameras, turn_sigma, parameters.tracks)
+    return build_from_poses(sightings, track, cameras, sigma, parameters)

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 
 from localiser.camera import Camera, Mount
-from localiser.edges import Edges
+from localiser.edges import Edges, mount_error_of_edges
 from localiser.edges.measure import common_error
 from localiser.evaluate import nees
 from localiser.filter import mcl
@@ -88,6 +89,23 @@ def test_edges_tell_tilt_and_roll_within_the_sigma_they_claim() -> None:
     assert (np.sqrt(np.diag(attitude.cov)) < np.radians([0.15, 0.1])).all()
     assert np.mean(np.square(off[5:])) < 1.5
     assert np.max(off[5:]) < 3.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_update_is_filterpys(seed: int) -> None:
+    """The measurement is what an image tells without the prior on the mount, and counts by its novelty."""
+    rng, edges = np.random.default_rng(seed), frames_of(HANGING)[seed]
+    root = rng.standard_normal((2, 2)) * SIGMA
+    known = Attitude(ERROR * rng.standard_normal(2), root @ root.T)
+    novelty = rng.uniform(0.1, 1.0)
+    image = mount_error_of_edges(edges, STATED, SIGMA, PLUMB)
+    noise = np.linalg.inv(novelty * (np.linalg.inv(image.cov) - np.diag(SIGMA**-2.0)))
+    kalman = KalmanFilter(dim_x=2, dim_z=2)
+    kalman.x, kalman.P, kalman.H = known.mean.copy(), known.cov.copy(), np.eye(2)
+    kalman.update(noise @ (novelty * np.linalg.inv(image.cov) @ image.mean), R=noise)
+    found = known.given(edges, STATED, PLUMB, novelty)
+    np.testing.assert_allclose(found.mean, kalman.x, rtol=1e-9)
+    np.testing.assert_allclose(found.cov, kalman.P, rtol=1e-9, atol=1e-9 * np.trace(kalman.P))
 
 
 def test_an_image_seen_again_tells_nothing_and_what_was_learnt_is_forgotten() -> None:

@@ -8,23 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from recorded_texts import text, texts
 
 from localiser.errors import InputError
 from localiser.live.recording import Recording
-from localiser.storage.bags import TEXT, Messages
-from localiser.storage.bags.bag import Bag
+from localiser.storage.bags import TEXT
 
 PATIENCE_S = 60.0
-MAKE = Messages()
-
-
-def text(words: str) -> bytes:
-    return MAKE.encode(MAKE.text(words))
-
-
-def texts(path: Path) -> list[str]:
-    with Bag(path) as bag:
-        return [message.content.data for message in bag.messages(bag.topics)]
 
 
 def test_a_recording_is_committed_while_it_goes_on(tmp_path: Path) -> None:

@@ -6,22 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from vga_camera import vga_camera
 
 from localiser import geometry
-from localiser.camera import Camera, Mount
+from localiser.camera import Mount
 from localiser.edges import Segments
 from localiser.edges.mount import nadir_miss
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.simulate import EdgeNoise, simulated_edges
 
-CAMERA = Camera(
-    640,
-    480,
-    554.0,
-    554.0,
-    319.5,
-    239.5,
+CAMERA = vga_camera(
     Mount(np.deg2rad(20), 0.9, roll_rad=np.deg2rad(1), yaw_rad=np.deg2rad(2), back_m=-0.1),
     "plumb_bob",
     (-0.25, 0.0, 0.0, 0.0),

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from vga_camera import vga_camera
 
 from localiser import geometry
-from localiser.camera import Camera, Mount
+from localiser.camera import Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
 
-CAMERA = Camera(
-    640,
-    480,
-    554.0,
-    554.0,
-    319.5,
-    239.5,
-    Mount(np.radians(20.0), 0.9, yaw_rad=np.radians(3.0), right_m=0.05, back_m=-0.1),
-)
-
-
+CAMERA = vga_camera(Mount(np.radians(20.0), 0.9, yaw_rad=np.radians(3.0), right_m=0.05, back_m=-0.1))
 BEARING_SIGMA, INVERSE_SIGMA = np.radians(0.02), 0.004
 POINTS = np.array(
     [

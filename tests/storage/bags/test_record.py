@@ -7,28 +7,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from recorded_texts import MAKE, text, texts
 from small_log import CAMERA, MAP, image
 
 from localiser.errors import InputError, OutputError
 from localiser.storage import open_log
-from localiser.storage.bags.bag import Bag
 from localiser.storage.bags.decisions import image_decision, odometry_decision
-from localiser.storage.bags.messages import Messages
 from localiser.storage.bags.record import BagRecorder
 from localiser.storage.images import encode_image
 
 PATIENCE_S = 60.0
 TEXT = "std_msgs/msg/String"
-MAKE = Messages()
-
-
-def text(words: str) -> bytes:
-    return MAKE.encode(MAKE.text(words))
-
-
-def texts(path: Path) -> list[str]:
-    with Bag(path) as bag:
-        return [message.content.data for message in bag.messages(bag.topics)]
 
 
 def test_messages_come_back_in_the_order_of_calls(tmp_path: Path) -> None:
