@@ -89,8 +89,8 @@ class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
     particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
-    inliers: the learnt inlier rate. belief: whether the robot is elsewhere. attitude: tilt and roll of the camera, None as
-    it is stated. seen: the last image. pace: twist per second then, as far as edges told. odometry: poses since then,
+    inliers: the learnt inlier rate. belief: whether the robot is elsewhere. attitude: tilt and roll of the camera;
+    None: as stated. seen: the last image. pace: twist per second then, from the edges. odometry: poses since then,
     and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
