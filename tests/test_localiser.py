@@ -481,7 +481,10 @@ def test_an_observation_that_returns_no_log_likelihoods_is_refused(make: Callabl
 
 def test_an_observation_may_exclude_some_particles() -> None:
     one = started(by_beacon(Returns(lambda n: np.where(np.arange(n) % 2, 0.0, -np.inf))))
-    assert len(one.measurement(0, [3.5])) == 1
+    (found,) = one.measurement(0, [3.5])
+    possible = found.located.particles.weight[1::2]
+    np.testing.assert_allclose(possible, 1 / len(possible))
+    assert np.isfinite(one.state.inliers.mean)
 
 
 def test_an_observation_without_log_likelihood_is_refused() -> None:
