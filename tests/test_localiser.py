@@ -302,6 +302,8 @@ def test_a_log_of_measurements_is_replayed() -> None:
     log = Log("beacon", Path("beacon"), LOG.camera, standing, frames, landmark_map, start)
     run = replay_log(log, observation=Beacon())
     np.testing.assert_allclose(run.track.poses[:, 0], 3.5, atol=0.05)
+    same = replay_log(replace(log, camera=UNTILTED), read_config(None, [SLOPE]), observation=Beacon())
+    np.testing.assert_array_equal(same.track.poses, run.track.poses)
 
 
 def test_what_does_not_go_with_ones_own_observation_is_refused() -> None:
