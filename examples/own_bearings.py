@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from localiser import BearingSensor, Edges, LandmarkMap, Localiser
-from localiser.geometry import compose, robot_from_map
+from localiser import BearingSensor, Edges, LandmarkMap, Localiser, compose, robot_from_map
 
 SENSOR = BearingSensor(bearing_sigma_deg=1.0, half_view_deg=45.0)
 SIGMA = np.radians(SENSOR.bearing_sigma_deg)

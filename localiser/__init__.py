@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from localiser.errors import InputError, LocaliserError
     from localiser.evaluate import Track
     from localiser.filter import Located, LocatedFrame, Start
-    from localiser.geometry import Increment, Trajectory
+    from localiser.geometry import Increment, Trajectory, compose, robot_from_map, wrap_angle
     from localiser.landmarks import LandmarkMap
     from localiser.localiser import Localiser
-    from localiser.mapping import MapBuilt, build_map
+    from localiser.mapping import BuildWatch, MapBuilt, build_map
     from localiser.motion import MotionModel
     from localiser.observation import Observation, Sighting
     from localiser.particles import Estimate, Particles
@@ -40,6 +40,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "BearingSensor",
+    "BuildWatch",
     "Camera",
     "Config",
     "Detector",
@@ -69,6 +70,7 @@ __all__ = [
     "Trajectory",
     "World",
     "build_map",
+    "compose",
     "evaluate_run",
     "find_edges",
     "open_log",
@@ -76,7 +78,9 @@ __all__ = [
     "read_config",
     "read_map",
     "replay_log",
+    "robot_from_map",
     "simulate_log",
+    "wrap_angle",
     "write_camera",
     "write_map",
 ]
@@ -88,10 +92,10 @@ _NAMES_OF = {
     "errors": ("InputError", "LocaliserError"),
     "evaluate": ("Track",),
     "filter": ("Located", "LocatedFrame", "Start"),
-    "geometry": ("Increment", "Trajectory"),
+    "geometry": ("Increment", "Trajectory", "compose", "robot_from_map", "wrap_angle"),
     "landmarks": ("LandmarkMap",),
     "localiser": ("Localiser",),
-    "mapping": ("MapBuilt", "build_map"),
+    "mapping": ("BuildWatch", "MapBuilt", "build_map"),
     "motion": ("MotionModel",),
     "observation": ("Observation", "Sighting"),
     "particles": ("Estimate", "Particles"),

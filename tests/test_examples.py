@@ -11,6 +11,8 @@ import cv2
 import pytest
 from short_log import CORRIDOR, cut_log
 
+import localiser
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
@@ -45,6 +47,16 @@ def test_docstring_says_how_to_run_it(example: Path) -> None:
     assert docstring is not None and f"`python examples/{example.name}" in docstring
 
 
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
+def test_it_imports_public_names_only(example: Path) -> None:
+    for node in ast.walk(ast.parse(example.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("localiser"):
+            assert node.module == "localiser" and set(names) <= set(localiser.__all__)
+        else:
+            assert not any(name.startswith("localiser") for name in names)
+
+
 @pytest.mark.slow
 def test_replay_and_plot(log: Path, tmp_path: Path) -> None:
     text = output("replay_and_plot", log, "--out", tmp_path / "path.png")
@@ -65,12 +77,11 @@ def test_own_detector(log: Path) -> None:
 
 
 def test_tags() -> None:
-    """The error stays below that of one measured range, and the script needs nothing but public names."""
+    """The error stays below that of one measured range."""
     last, worst, wheels = figures(output("tags"))
     assert last < 0.03 and worst < 0.15 and wheels > 0.15
     text = (ROOT / "examples" / "tags.py").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 150
-    assert set(re.findall(r"^from (localiser\S*)", text, re.MULTILINE)) == {"localiser", "localiser.geometry"}
 
 
 @pytest.mark.slow

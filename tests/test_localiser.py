@@ -302,6 +302,8 @@ def test_a_log_of_measurements_is_replayed() -> None:
     log = Log("beacon", Path("beacon"), LOG.camera, standing, frames, landmark_map, start)
     run = replay_log(log, observation=Beacon())
     np.testing.assert_allclose(run.track.poses[:, 0], 3.5, atol=0.05)
+    same = replay_log(replace(log, camera=UNTILTED), read_config(None, [SLOPE]), observation=Beacon())
+    np.testing.assert_array_equal(same.track.poses, run.track.poses)
 
 
 def test_what_does_not_go_with_ones_own_observation_is_refused() -> None:
@@ -481,7 +483,10 @@ def test_an_observation_that_returns_no_log_likelihoods_is_refused(make: Callabl
 
 def test_an_observation_may_exclude_some_particles() -> None:
     one = started(by_beacon(Returns(lambda n: np.where(np.arange(n) % 2, 0.0, -np.inf))))
-    assert len(one.measurement(0, [3.5])) == 1
+    (found,) = one.measurement(0, [3.5])
+    possible = found.located.particles.weight[1::2]
+    np.testing.assert_allclose(possible, 1 / len(possible))
+    assert np.isfinite(one.state.inliers.mean)
 
 
 def test_an_observation_without_log_likelihood_is_refused() -> None:

@@ -22,6 +22,8 @@ from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.parameters import ObservationParameters
 from localiser.particles import Particles
 
+_IMPOSSIBLE = -1e300  # stands for a log-likelihood of -inf, of which no difference can be taken
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
@@ -168,7 +170,7 @@ def likelihood_by_rate(
         raise InputError(
             f"expected log-likelihoods below inf, at least one of them finite, found {problem}", field=name
         )
-    return np.tile(found, (len(INLIER_RATES), 1))
+    return np.tile(np.maximum(found, _IMPOSSIBLE, dtype=np.float64), (len(INLIER_RATES), 1))
 
 
 def matches_of(observation: Observation, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
