@@ -209,12 +209,6 @@ class Camera:
         level = np.stack([floor[..., 0], points[..., 1] - self.mount.height_m, floor[..., 1]], axis=-1)
         return self.project_level(level)
 
-    def floor_points(self, pixels: ArrayLike) -> Array:
-        """Return floor points (x, z) (..., 2) of the level frame seen at pixels (..., 2); nan above the horizon."""
-        rays = self.level_rays(pixels)
-        down = np.where(rays[..., 1] < 0, -rays[..., 1], np.nan)
-        return np.asarray(rays[..., [0, 2]] * (self.mount.height_m / down)[..., None])
-
     # -- lines --------------------------------------------------------------------------------------------------
 
     def lean_of_segments(self, ends_px: ArrayLike) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from floor_points import floor_points
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -135,7 +136,7 @@ def test_floor_point_comes_back_from_the_pixel_of_a_foot(lens, data, robot_pose,
     range_m = camera.mount.height_m / np.tan(depression) / np.cos(bearing)
     foot = seen_from(camera, robot_pose, bearing, range_m)
     pixel = project_with_opencv(camera, robot_pose, [[foot[0], 0.0, foot[1]]])[0]
-    in_level = camera.floor_points(pixel)
+    in_level = floor_points(camera, pixel)
     # Up to 40 m away, and (r² + h²)/h = 4 km per radian at 3° of depression and 2 m: 1e-12 rad stays below 1e-8 m.
     sensitivity = (range_m**2 + camera.mount.height_m**2) / camera.mount.height_m
     np.testing.assert_allclose(
@@ -206,7 +207,6 @@ def test_points_keep_their_shape(lens, shape):
     camera = make_camera(lens)
     pixels = np.random.default_rng(0).uniform(50, 400, shape)
     assert camera.image_from_pixels(pixels).shape == camera.pixels_from_image(pixels / 1000).shape == shape
-    assert camera.floor_points(pixels).shape == shape
     assert camera.level_rays(pixels).shape == (*shape[:-1], 3)
 
 
@@ -225,20 +225,6 @@ def test_tilted_camera_sees_a_foot_below_it_but_not_overhead():
     below, above = camera.project_level([[0, -1.0, 0], [0, 1.0, 0]])
     np.testing.assert_allclose(below, camera.nadir_px)
     assert np.isnan(above).all()
-
-
-def test_floor_is_met_below_the_horizon_only():
-    camera = make_camera()
-    horizon_v = camera.cy - camera.fy * np.tan(camera.mount.tilt_rad)
-    above, just_below, below = camera.floor_points([[320, horizon_v - 1], [320, horizon_v + 1e-3], [320, 240]])
-    assert np.isnan(above).all()
-    assert just_below[1] < -1e5  # 1e-3 px is 1.6e-6 rad at the horizon: 1.2 m / that is 750 km
-    assert below[1] == pytest.approx(-1.2 / np.tan(np.radians(20) + 0.5 / 554), rel=1e-5)
-
-
-def test_exactly_at_the_horizon_there_is_no_floor():
-    camera = make_camera(tilt_rad=0.0)
-    assert np.isnan(camera.floor_points([camera.cx, camera.cy])).all()
 
 
 # -- the nadir point --------------------------------------------------------------------------------------------------

@@ -21,7 +21,6 @@ _COEFFICIENTS = {
     "rational_polynomial": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
-LENSES = tuple(_COEFFICIENTS)
 _NO_LENS = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
 _EARNS_ITS_PLACE_SIGMA = 3.0
 _VAGUE_FOCAL = 0.05
@@ -61,7 +60,7 @@ class Intrinsics:
 
 
 def calibrated(views: Sequence[BoardView], size: tuple[int, int], lens: str = "plumb_bob") -> Intrinsics:
-    """Return the camera that took the views of a board, size: (width, height) px, lens: one of `LENSES`.
+    """Return the camera that took the views of a board, size: (width, height) px, lens: as ROS names it, or none.
 
     The highest coefficient of plumb_bob, k3, is 0 unless the views tell it: it would bend the image's corners.
     Raises InputError when there are too few views or they do not tell the focal length.

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
+from floor_points import floor_points
 
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.column_detector import Columns
@@ -178,7 +179,7 @@ def test_a_shadow_beside_an_edge_moves_it_little_and_is_part_of_its_sigma():
 @pytest.mark.parametrize(("right_of_foot_m", "found"), [(0.0, 1), (0.3, 0)])
 def test_a_seam_of_the_floor_is_taken_for_an_edge_only_when_it_passes_below_the_camera(right_of_foot_m, found):
     camera = camera_of()
-    floor = camera.floor_points(np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1))
+    floor = floor_points(camera, np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1))
     # The floor is on both sides of the seam x = right_of_foot - z / 4.
     side = np.where(floor[..., 0] > right_of_foot_m - floor[..., 1] / 4, 150, 90)
     image = np.where(np.isnan(floor[..., 0]), 120, side).astype(np.uint8)

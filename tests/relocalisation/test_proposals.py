@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from floor_points import floor_points
 from proposal_room import CAMERA, drawn_frames, room
 
 from localiser.edges import Edges
@@ -124,7 +125,7 @@ def test_a_floor_range_says_the_same_as_the_end_that_it_was_measured_from():
     edges = next(edges for edges in frames if len(edges) >= 12)
     view = view_of(CAMERA, edges)
     foot_px = np.take_along_axis(edges.ends_px, edges.ends_px[..., 1].argmax(axis=1)[:, None, None], axis=1)[:, 0]
-    range_m = np.linalg.norm(CAMERA.floor_points(foot_px), axis=-1)
+    range_m = np.linalg.norm(floor_points(CAMERA, foot_px), axis=-1)
     bare = Edges.from_columns(edges.bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, foot_range_m=range_m)
     seen = np.isfinite(view_of(CAMERA, bare).foot)
     assert seen.sum() >= 8

@@ -8,19 +8,12 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap
 from localiser.mapping import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
-from localiser.simulate import Solids, World, solids_of, vertical_edges
+from localiser.simulate import Solids, World, solids_of
 
 CUT_M = 1.2
 """Height above the floor at which a plan shows a building."""
 _MARGIN_M = 0.5
-
-
-def drawn_corners(world: World, *, furniture: bool = False) -> LandmarkMap:
-    """Return the true corners of what a plan of the world shows."""
-    edges = vertical_edges(_drawn_solids(world, furniture=furniture))
-    return LandmarkMap.from_points(edges.points, name=world.name, bottom_m=edges.bottom_m, top_m=edges.top_m)
 
 
 def draw_plan(world: World, resolution_m: float, yaw_rad: float = 0.0, *, furniture: bool = False) -> FloorPlan:
@@ -28,7 +21,7 @@ def draw_plan(world: World, resolution_m: float, yaw_rad: float = 0.0, *, furnit
 
     A cell is a wall where its middle is. Raises InputError for a world with nothing to draw, or too fine a grid.
     """
-    solids = _drawn_solids(world, furniture=furniture)
+    solids = drawn_solids(world, furniture=furniture)
     if not len(solids):
         raise InputError(f"expected walls or posts that reach {CUT_M} m, found none", field="walls")
     nothing = np.zeros((0, 0), dtype=bool)
@@ -45,7 +38,7 @@ def draw_plan(world: World, resolution_m: float, yaw_rad: float = 0.0, *, furnit
     return replace(plan, free=~occupied)
 
 
-def _drawn_solids(world: World, *, furniture: bool) -> Solids:
+def drawn_solids(world: World, *, furniture: bool = False) -> Solids:
     """Return what a plan of the world shows: no leaves of doors, no pictures, furniture where asked for."""
     walls = tuple(
         wall.model_copy(
