@@ -76,7 +76,7 @@ def write(groups: Mapping[str, Group], data: Path, jobs: int, most_seeds: int) -
     figures = {key: figure for key, figure in figures.items() if key[0] not in groups}
     figures |= {key: groups[key[0]].figure(key[2], values) for key, values in samples.items()}
     for name, group in groups.items():
-        about[name] = {"seeds": seeds[name], "check_seeds": group.check_seeds, "machine": store.machine()}
+        about[name] = {"seeds": seeds[name], "check_seeds": group.checked(seeds[name]), "machine": store.machine()}
     store.write(FILE, figures, {name: about[name] for name in GROUPS if name in about})
     print(f"{len(samples)} figures written to {FILE.relative_to(ROOT)}")
 
@@ -85,7 +85,8 @@ def check(groups: Mapping[str, Group], data: Path, jobs: int) -> list[Compared]:
     """Measure these groups and return the verdicts."""
     figures, about = store.read(FILE)
     figures = {key: figure for key, figure in figures.items() if key[0] in groups}
-    tasks = [task for group in groups.values() for task in group.tasks(data, group.check_seeds)]
+    seeds = {name: group.checked(about.get(name, {}).get("seeds", SEEDS)) for name, group in groups.items()}
+    tasks = [task for name, group in groups.items() for task in group.tasks(data, seeds[name])]
     samples, failed = measure([task for task in tasks if not task.missing], jobs)
     missing = {(task.group, task.case): task.missing for task in tasks if task.missing}
     verdicts = compared(

@@ -145,10 +145,24 @@ def test_the_committed_figures_follow_from_their_samples(benchmark: Any) -> None
     for key, figure in figures.items():
         group = benchmark.GROUPS[key[0]]
         said = about[key[0]]
-        assert said["check_seeds"] == group.check_seeds
+        assert said["check_seeds"] == group.checked(said["seeds"])
         if not isinstance(figure.value, str):
             assert len(figure.samples) == said["seeds"]
             assert group.figure(key[2], figure.samples) == figure, key
+
+
+def test_a_check_takes_no_seed_that_the_baseline_does_not_have(
+    benchmark: Any, compare: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "file.json"
+    benchmark.store.write(file, {}, {"efficiency": {"seeds": 8, "machine": {}}})
+    monkeypatch.setattr(benchmark, "FILE", file)
+    asked: list[Any] = []
+    monkeypatch.setattr(benchmark, "measure", lambda tasks, jobs: (asked.extend(tasks), ({}, {}))[1])
+    group = benchmark.GROUPS["efficiency"]
+    benchmark.check({"efficiency": group}, tmp_path, 1)
+    assert group.check_seeds > 8
+    assert {task.seed for task in asked} == set(range(8))
 
 
 def test_every_task_is_in_the_committed_file(benchmark: Any, tmp_path: Path) -> None:

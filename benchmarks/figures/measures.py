@@ -1,14 +1,16 @@
 """What a figure means: which way is a loss, how seeds are summed up, and how far chance alone may move it.
 
-Tolerance. A figure is the median (of errors) or the mean (of shares and ratios) over k seeds. Its values v₁ … v₂₀ with
-20 seeds say how much chance moves one of them. The standard error s of the figure over k seeds is the standard
-deviation of that median or mean over draws of k of the 20, with replacement [Efron 1979], times √(20/19), because the
-20 spread less about their own mean than about the true one. Code that is as good but
-draws other random numbers gives a figure that differs from the baseline's by N(0, 2s²), since both are of k seeds. It
-is a loss when it is worse by more than z·√2·s with z = 3.09, which chance exceeds once in a thousand figures. Where
-all 20 values are equal the tolerance is 0: what was never sure and wrong may not become so once. That is strict, since
-20 seeds without a failure still allow a true rate of 14 % [rule of three]; such a loss is a seed to look at. Figures
-without seeds have no spread, and whatever makes them worse is a loss.
+Tolerance. A figure is the median (of errors) or the mean (of shares and ratios) over k seeds. Its values v₁ … vₙ with
+n = 20 seeds say how much chance moves one of them. The standard error s of the figure over k seeds is the standard
+deviation of that median or mean over draws of k of the n, with replacement [Efron 1979], times √(n/(n − 1)), because
+the n spread less about their own mean than about the true one. Code that is as good but draws other random numbers
+gives a figure that differs from the baseline's by N(0, 2s²), since both are of k seeds. It is a loss when it is worse
+by more than z·√2·s with z = 3.09, which chance exceeds once in a thousand figures.
+
+Where all n values are equal the tolerance is 0: what was never sure and wrong may not become so once. That is strict,
+since 20 seeds without a failure still allow a true rate of 14 % [rule of three]; such a loss is a seed to look at.
+Figures without seeds have no spread, and whatever makes them worse is a loss. The file says how many seeds a group was
+measured with; with fewer than 20 the same rule holds, and the tolerance is less certain.
 
 NEES over its degrees of freedom should be 1. It is compared by the size of its logarithm: twice and half are as bad.
 """
