@@ -33,6 +33,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         and not options.collectonly
         and not hasattr(session.config, "workerinput")
     ):
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # a worker has one core: more threads only wait
+            os.environ.setdefault(name, "1")
         path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
         command = [sys.executable, ROOT / "tests" / "support" / "warm_up.py"]
         subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, check=True)
