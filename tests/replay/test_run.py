@@ -350,7 +350,7 @@ def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Pat
     assert rows_of(tmp_path / "out" / "corridor" / "1") == []
 
 
-@pytest.mark.parametrize("kind", ["native", "web"])
+@pytest.mark.parametrize("kind", ["native", pytest.param("web", marks=pytest.mark.slow)])
 def test_run_without_a_display_says_so_and_goes_on(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
