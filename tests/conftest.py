@@ -20,9 +20,8 @@ compiled.folder()  # chosen before any test changes the environment: machine cod
 WORKER_END_S = 1
 """What workers are given to end after Ctrl-C; the default is 10 s."""
 
-settings.register_profile(
-    "usual", max_examples=50, deadline=None
-)  # how long an example takes depends on what else the machine does
+# Without deadlines: how long an example takes depends on what else the machine does.
+settings.register_profile("usual", max_examples=50, deadline=None)
 settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times `examples`
 settings.load_profile("usual")
 
