@@ -20,8 +20,9 @@ compiled.folder()  # chosen before any test changes the environment: machine cod
 WORKER_END_S = 1
 """What workers are given to end after Ctrl-C; the default is 10 s."""
 
-settings.register_profile("usual", deadline=None)  # how long an example takes depends on what else the machine does
-settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times the default: see `examples`
+# Without deadlines: how long an example takes depends on what else the machine does.
+settings.register_profile("usual", max_examples=50, deadline=None)
+settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times `examples`
 settings.load_profile("usual")
 
 
@@ -33,6 +34,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         and not options.collectonly
         and not hasattr(session.config, "workerinput")
     ):
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # a worker has one core: more threads only wait
+            os.environ.setdefault(name, "1")
         path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
         command = [sys.executable, ROOT / "tests" / "support" / "warm_up.py"]
         subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, check=True)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from folders import ROOT
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localiser import __version__
@@ -102,6 +102,7 @@ def test_place_is_that_of_the_source_the_value_came_from(tmp_path: Path) -> None
 # -- what is written --------------------------------------------------------------------------------------------------
 
 
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 10**7), st.floats(0, 1e3), st.sampled_from(["line", "slope"]))
 def test_config_of_a_run_gives_the_same_run_again(seed: int, particles: int, alpha: float, kind: str) -> None:
     config = read_config(

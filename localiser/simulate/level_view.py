@@ -7,6 +7,7 @@ view, in which every vertical edge is a column (design equation 3).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -53,14 +54,19 @@ class LevelView:
         return np.asarray(cv2.resize(fine, self.size, interpolation=cv2.INTER_AREA))
 
 
+def require_view_ahead(camera: Camera) -> None:
+    """Raise ValueError when the image looks straight down somewhere; its border then does, or looks behind."""
+    rays = camera.level_rays(camera.border_px(outside_px=0.5))
+    if not (-rays[..., 2] / np.linalg.norm(rays, axis=-1)).min() > SMALLEST_DEPTH:
+        raise ValueError("the image must not look straight down: expected a smaller tilt or a narrower field of view")
+
+
+@lru_cache(maxsize=1)
 def level_view_of(camera: Camera) -> LevelView:
-    """Return the level view that covers the camera's image; raises ValueError when that looks straight down."""
+    """Return the level view that covers the camera's image, which must not look straight down."""
     u = (np.arange(camera.width * OVERSAMPLE) + 0.5) / OVERSAMPLE - 0.5
     v = (np.arange(camera.height * OVERSAMPLE) + 0.5) / OVERSAMPLE - 0.5
     rays = camera.level_rays(np.stack(np.meshgrid(u, v), axis=-1))
-    depth = -rays[..., 2] / np.linalg.norm(rays, axis=-1)
-    if not depth.min() > SMALLEST_DEPTH:
-        raise ValueError("the image must not look straight down: expected a smaller tilt or a narrower field of view")
     bearing, elevation = rays[..., 0] / -rays[..., 2], rays[..., 1] / -rays[..., 2]
     per_unit = OVERSAMPLE * camera.focal_px
     margin = 3 / per_unit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
-from localiser.simulate.level_view import LevelView, level_view_of
+from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead
 from localiser.simulate.light import Lighting, lighting_of
 from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
 from localiser.simulate.robot import ImageSpec
@@ -23,16 +24,29 @@ _BLUR_STEP_PX = 1.5  # motion blur averages sharp images no further apart than t
 _BLUR_STEPS_MOST = 16
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """A world made ready to be seen by one camera."""
+    """A world and the camera that sees it. What only rendering needs is made when it is first used."""
 
     world: World
     camera: Camera
     structure: Structure
-    atlas: Atlas
-    lighting: Lighting
-    view: LevelView
+
+    @cached_property
+    def atlas(self) -> Atlas:
+        """The textures of all materials."""
+        return atlas_of(self.world.materials)
+
+    @cached_property
+    def lighting(self) -> Lighting:
+        """The light on every face."""
+        path = np.array([point.to for point in self.world.drive.path])
+        return lighting_of(self.world.light, self.structure.solids, path)
+
+    @property
+    def view(self) -> LevelView:
+        """The level view of the camera."""
+        return level_view_of(self.camera)
 
 
 def scene_of(world: World, camera: Camera | None = None) -> Scene:
@@ -41,16 +55,8 @@ def scene_of(world: World, camera: Camera | None = None) -> Scene:
     Raises ValueError when the camera looks straight down.
     """
     camera = camera or world.camera.camera(world.name)
-    structure = structure_of(world)
-    path = np.array([point.to for point in world.drive.path])
-    return Scene(
-        world=world,
-        camera=camera,
-        structure=structure,
-        atlas=atlas_of(world.materials),
-        lighting=lighting_of(world.light, structure.solids, path),
-        view=level_view_of(camera),
-    )
+    require_view_ahead(camera)
+    return Scene(world, camera, structure_of(world))
 
 
 def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from board_views import board_image, floor_pose, poses_before
 from edge_images import camera_of
-from short_log import CORRIDOR, FRAMES, Localiser, cut_log
+from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 from small_log import write_edge_log, write_small_log
 
 from localiser.calibration import Board
@@ -108,19 +108,19 @@ def test_an_image_that_cannot_be_read_is_named(localiser: Localiser, log: Path) 
 def test_replay_warns_once_when_edges_contradict_the_stated_tilt(
     localiser: Localiser, log: Path, tmp_path: Path
 ) -> None:
-    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--set", "mcl.particles=100")
+    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", *FEW_PARTICLES)
     assert result.exit_code == 0
     assert result.err.count(f"localiser camera tilt {log}") == 1
     (metrics,) = (tmp_path / "out").glob("*/1/metrics.json")
     figures = json.loads(metrics.read_text())
     assert abs(figures["tilt_found_deg"] - 20.0) < 0.3 and len(figures["warnings"]) == 1
-    run = localiser.replay(log, tmp_path / "quiet", "--set", "mcl.particles=100")  # which demands an empty stderr
+    run = localiser.replay(log, tmp_path / "quiet")  # which demands an empty stderr
     assert json.loads((run / "metrics.json").read_text())["warnings"] == figures["warnings"]
 
 
 def test_replay_says_nothing_of_a_tilt_that_is_right(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     assert localiser("camera", "tilt", log, "--write", "--images", 4, "--quiet").exit_code == 0
-    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--set", "mcl.particles=100")
+    result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", *FEW_PARTICLES)
     assert result.exit_code == 0 and "localiser camera tilt" not in result.err
 
 

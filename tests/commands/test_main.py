@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from folders import ROOT
-from short_log import CORRIDOR, FRAMES, Localiser, cut_log
+from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 
 from localiser import __version__
 from localiser.config import Config, read_config
@@ -102,8 +102,8 @@ def test_runs_of_the_same_name_keep_a_row_each(localiser: Localiser, log: Path, 
 
 
 def test_evaluate_says_that_a_run_ended_early(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    with_cut_image(log)
-    assert localiser("replay", log, "--out", tmp_path, "--no-rrd", "--quiet").exit_code == 2
+    few = with_cut_image(log)
+    assert localiser("replay", log, "--out", tmp_path, "--no-rrd", "--quiet", *few).exit_code == 2
     result = localiser("evaluate", tmp_path / "corridor" / "latest")
     assert result.exit_code == 0
     assert result.err == "corridor/latest ended early: its figures are those of 3 frames.\n"
@@ -151,6 +151,7 @@ def test_a_simulated_log_can_be_replayed(localiser: Localiser, tmp_path: Path) -
 
 def test_a_drive_that_sees_no_landmark_makes_no_log(localiser: Localiser, tmp_path: Path) -> None:
     world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
+    world["camera"] |= {"width": 320, "height": 240, "focal_px": 277.0}
     world["drive"]["path"] = [{"to": [0.1, 0.7]}, {"to": [0.1, 0.69]}]
     short = tmp_path / "short.yaml"
     short.write_text(yaml.safe_dump(world))
@@ -219,7 +220,7 @@ def without_image(log: Path) -> list[str]:
 def with_cut_image(log: Path) -> list[str]:
     image = log / "images" / "000003.jpg"
     image.write_bytes(image.read_bytes()[:-3000])
-    return []
+    return [*FEW_PARTICLES]
 
 
 def with_small_image(log: Path) -> list[str]:

@@ -112,6 +112,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.slow  # quick: test_recording.py has a database that is full
 def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint: str, small_disk: Path) -> None:
     bag = small_disk / "drive.db3"
     limit = None if small_disk.is_mount() else DISK_BYTES  # of files, which fails as a full disk does

@@ -24,6 +24,7 @@ from localiser.view import palette, paths
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = [
     pytest.mark.debian,
+    pytest.mark.slow,  # quick: test_view.py holds that a live view gets what a recording does
     pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's package chromium: apt-get install chromium"),
     pytest.mark.skipif(sys.platform != "linux", reason="processes as Linux has them"),
 ]

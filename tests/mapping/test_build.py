@@ -47,7 +47,7 @@ def test_either_good_wheels_or_good_bearings_will_do() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("robot", [1, 2, 3])
+@pytest.mark.parametrize("robot", [1, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 3))])
 def test_a_real_robot_of_commanded_velocities_is_refused(data_dir: Path, robot: int) -> None:
     log = open_log(data_dir / f"mrclam:{robot}")
     with pytest.raises(InputError, match="nothing tells which landmark was seen"):

@@ -14,6 +14,7 @@ from localiser.edges import BearingSensor, Edges, complete
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import MappingParameters, Sightings, build_map
+from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
 from localiser.mapping.sightings import direction_of
 from localiser.storage import open_log
 
@@ -59,6 +60,19 @@ def test_neighbours_nearer_than_a_bearing_tells_are_found_apart(seed: int) -> No
     made = map_of(seen_from(cameras, PLACES, rng, 0.3, np.deg2rad(0.8)), cameras)
     assert matched(PLACES, made.points).max() < 0.08
     assert len(made) <= len(PLACES) + 2
+
+
+def test_a_landmark_is_found_where_few_rays_pass_on_both_sides_of_it() -> None:
+    """From 20 places on the diagonals: with fewer rays than cells, a vote counts across its ray, not along it."""
+    rng = np.random.default_rng(0)
+    place = np.array([[0.4, -0.3]])
+    way = rng.choice([1, 3, 5, 7], 20) * np.pi / 4
+    position = place + rng.uniform(1.5, 4, (20, 1)) * np.stack([np.cos(way), np.sin(way)], axis=-1)
+    heading, _ = direction_of(np.tile(place, (20, 1)), np.column_stack([position, np.zeros(20)]))
+    cameras = np.column_stack([position, heading])
+    sightings = seen_from(cameras, place, rng, 0.3, SIGMA)
+    owner = landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 10.0)
+    assert owner.max() == 0 and (owner == 0).sum() > 8
 
 
 def test_errors_as_large_as_stated_are_no_obstacle() -> None:

@@ -111,8 +111,9 @@ def test_what_is_known_depends_on_the_past_alone() -> None:
     np.testing.assert_array_equal(half.points, whole.points)
 
 
-def test_clutter_makes_no_landmark() -> None:
-    drive = world("office")
+@pytest.mark.parametrize("name", ["corridor", pytest.param("office", marks=pytest.mark.slow)])
+def test_clutter_makes_no_landmark(name: str) -> None:
+    drive = world(name)
     clutter = [seen.take(seen.landmark_id < 0) for seen in drive.edges(seed=2, clutter=4.0)]
     assert len(grown(drive, clutter)) == 0
 

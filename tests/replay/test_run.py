@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from short_log import CORRIDOR, FRAMES, Localiser, cut_log
+from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 from small_log import CAMERA, MAP, ODOMETRY, TRUTH, sightings, write_edge_log
 
 from localiser import documents, storage
-from localiser.evaluate import report
 from localiser.evaluate.metrics import ABOUT
 from localiser.landmarks import LandmarkMap
 from localiser.replay import evaluate_run
+from localiser.replay import run as replay_run
 from localiser.view import live, paths
 
 COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh", "ess"]
@@ -63,7 +63,7 @@ def logged_frames(run: Path) -> int:
 
 
 def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    run = localiser.replay(log, tmp_path / "out", rrd=True, few=False)
+    run = localiser.replay(log, tmp_path / "out", rrd=True, report=True, few=False)
     assert {file.name for file in run.iterdir()} == {
         "config.yaml", "groundtruth.tum", "metrics.json", "report.png", "run.rrd", "run.yaml", "timing.json",
         "trajectory.csv", "trajectory.tum",
@@ -296,9 +296,8 @@ def test_run_says_what_it_was_made_from(localiser: Localiser, log: Path, tmp_pat
 # -- how good it is ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("observation", "rmse_m"), [("line", 0.04), pytest.param("slope", 0.12, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("observation", "rmse_m"), [("line", 0.04), ("slope", 0.12)])
+@pytest.mark.slow  # quick: the code of the README replays the same log
 def test_corridor_is_located(localiser: Localiser, tmp_path: Path, observation: str, rmse_m: float) -> None:
     figures = metrics_of(localiser.replay(CORRIDOR, tmp_path, "--observation", observation, few=False))
     assert figures["position_rmse_m"] <= rmse_m
@@ -351,7 +350,7 @@ def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Pat
     assert rows_of(tmp_path / "out" / "corridor" / "1") == []
 
 
-@pytest.mark.parametrize("kind", ["native", "web"])
+@pytest.mark.parametrize("kind", ["native", pytest.param("web", marks=pytest.mark.slow)])
 def test_run_without_a_display_says_so_and_goes_on(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
@@ -365,7 +364,7 @@ def test_run_without_a_display_says_so_and_goes_on(
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "localiser", "replay", CORRIDOR, "--out", tmp_path]
+    command = [sys.executable, "-m", "localiser", "replay", CORRIDOR, "--out", tmp_path, *FEW_PARTICLES]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     run = tmp_path / "corridor" / "1"
     try:
@@ -389,14 +388,17 @@ def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> 
 def test_ctrl_c_while_the_report_is_drawn_takes_nothing_away(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw = report.write_report
+    draw, interruptions = replay_run.write_report, 0
 
     def interrupted(*arguments: Any, **further: Any) -> None:
+        nonlocal interruptions
+        interruptions += 1
         signal.raise_signal(signal.SIGINT)
         draw(*arguments, **further)
 
-    monkeypatch.setattr(report, "write_report", interrupted)
-    run = localiser.replay(log, tmp_path / "out")
+    monkeypatch.setattr(replay_run, "write_report", interrupted)
+    run = localiser.replay(log, tmp_path / "out", report=True)
+    assert interruptions == 1
     assert (run / "report.png").stat().st_size > 10_000
     assert metrics_of(run)["complete"]
 

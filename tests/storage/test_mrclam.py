@@ -120,7 +120,7 @@ def test_robot_must_be_named_and_there(folder: Path) -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("robot", [1, 2, 3])
+@pytest.mark.parametrize("robot", [1, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 3))])
 def test_real_bearings_fit_the_truth(data_dir: Path, robot: int) -> None:
     """All conversions at once: frame, sign, barcodes. Measured: bias within 0.2 degrees, sigma 0.5 to 1.2 degrees."""
     log = open_log(f"{data_dir / 'mrclam'}:{robot}")

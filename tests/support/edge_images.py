@@ -12,6 +12,7 @@ from localiser.camera import Camera, Mount
 SUPERSAMPLING = 5
 
 
+@lru_cache
 def camera_of(width=640, height=480, *, tilt_deg=20.0, roll_deg=0.0, k1=0.0, focal_px=None) -> Camera:
     focal = 554.0 * width / 640 if focal_px is None else focal_px
     distortion = () if k1 == 0 else (k1, 0.0, 0.0, 0.0, 0.0)
@@ -40,8 +41,13 @@ def wall_image(
     """Return the (H, W) uint8 image of a wall straight ahead, whose grey changes at the given bearings.
 
     bearings_deg: (E,) ascending. greys: (E + 1,) from left to right. wall_ahead_m: where it stands on a floor of
-    `floor_grey`; None: it has no foot.
+    `floor_grey`; None: it has no foot. The same image is drawn once and copied.
     """
+    return _drawn(camera, tuple(bearings_deg), tuple(greys), wall_ahead_m, floor_grey, noise_sigma, seed).copy()
+
+
+@lru_cache(maxsize=64)
+def _drawn(camera, bearings_deg, greys, wall_ahead_m, floor_grey, noise_sigma, seed) -> np.ndarray:
     k = SUPERSAMPLING
     tangent, elevation = supersampled_directions(camera)
     fine = np.asarray(greys, dtype=np.float64)[np.searchsorted(np.tan(np.deg2rad(bearings_deg)), tangent)]

@@ -1,15 +1,15 @@
-"""How many examples a fuzzing test takes: few when all tests run, ten times as many when they are what is run.
+"""How many examples a fuzzing test takes: half as many when all tests run, ten times as many when only they do.
 
-pytest --hypothesis-profile=thorough tests/test_storage_bags_damage.py tests/test_live_fuzz.py
+pytest --hypothesis-profile=thorough tests/storage/bags/test_damage.py tests/live/test_fuzz.py
 """
 
 from __future__ import annotations
 
 from hypothesis import settings
 
-_USUAL = 100  # of Hypothesis's own profile
+_FULL = 100  # of Hypothesis's own profile
 
 
-def examples(usually: int) -> int:
+def examples(full: int) -> int:
     """Return how many examples to take by the profile in force."""
-    return max(usually * settings.default.max_examples // _USUAL, 1)
+    return max(full * settings.default.max_examples // _FULL, 1)

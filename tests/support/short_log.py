@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
@@ -59,13 +60,18 @@ class Localiser:
         out, err = self.capsys.readouterr()
         return Result(code if isinstance(code, int) else int(code is not None), out, err)
 
-    def replay(self, log: Path, out: Path, *arguments: object, rrd: bool = False, few: bool = True) -> Path:
+    def replay(
+        self, log: Path, out: Path, *arguments: object, rrd: bool = False, report: bool = False, few: bool = True
+    ) -> Path:
         """Replay, which must succeed, and return the folder of the run.
 
-        few: with a few particles, which is enough for all but the figures, unless a configuration is given.
+        report: draw report.png, which takes as long as a dozen images. few: with a few particles, which is enough for
+        all but the figures, unless a configuration is given.
         """
         settings = FEW_PARTICLES if few and "--config" not in arguments else ()
-        result = self("replay", log, "--out", out, "--quiet", "--rrd" if rrd else "--no-rrd", *settings, *arguments)
+        recorded = "--rrd" if rrd else "--no-rrd"
+        with nullcontext() if report else patch("localiser.replay.run.write_report"):
+            result = self("replay", log, "--out", out, "--quiet", recorded, *settings, *arguments)
         assert result.exit_code == 0 and not result.err, result.err
         (name,) = {folder.name for folder in out.iterdir()}
         return (out / name / "latest").resolve()
