@@ -108,7 +108,9 @@ def plain(outcomes: Sequence[Outcome], found: dict[str, belief_score.Calibration
         name: {"images": one.images, "ece": one.ece, "log_score": one.log_score, "rows": one.rows.tolist()}
         for name, one in found.items()
     }
-    return {"figures": figures, "calibration": calibrated, "runs": runs}
+    hours = [one for one in outcomes if one.case.scenario == "recovery"]
+    rates = belief_table.rates_of(hours) if hours else []
+    return {"figures": figures, "rates": rates, "calibration": calibrated, "runs": runs}
 
 
 def main() -> None:
@@ -133,6 +135,8 @@ def main() -> None:
         own = [one for one in outcomes if one.case.scenario == name]
         if own:
             report.print(belief_table.table_of(name, own))
+        if own and name == "recovery":
+            report.print(belief_table.rate_table(belief_table.rates_of(own)))
     if found:
         report.print(calibration_table(found))
         report.print(reliability_table(found["all"]))

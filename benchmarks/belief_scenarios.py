@@ -15,14 +15,17 @@ import belief_drives as drives
 import belief_maps as maps
 import numpy as np
 import scenarios
+from belief_buildings import KINDS
 from belief_drives import LOGS, drive_of, is_there
-from belief_run import Drive, Record, first_of, run, settled_at
+from belief_run import CORRECT_M, Drive, Record, first_of, run, settled_at
 from belief_score import Claims
+from belief_worlds import hours_of
 
 About = tuple[str, ...]
 Values = dict[str, float]
 BEGIN_S = 3.0  # what is said earlier on a wrong map is not judged
 BACK_M = 0.25
+MINUTES = 12.0  # of a drive in a simulated building: ten seeds of five kinds are ten hours
 DOUBTFUL, FEWEST_EXPECTED, FEWEST_SHOWN = 0.5, 3, 5
 NEVER = math.inf
 
@@ -147,6 +150,32 @@ def warned(record: Record) -> Values:
     }
 
 
+# -- hours of tracking -------------------------------------------------------------------------------------------------
+
+
+def recovery(kind_of_world: str, kind: str, *, seed: int) -> tuple[Values, Record]:
+    """Some minutes of tracking in a simulated building, from a start near the truth."""
+    drive = hours_of(kind_of_world, seed, MINUTES)
+    record = run(drive, kind, seed)
+    way = np.hypot(*np.diff(drive.truth[:, :2], axis=0).T)
+    return {
+        "hours": float(record.seconds[-1]) / 3600,
+        "images": float(len(record.seconds)),
+        "metres": float(way.sum()),
+        "false_recoveries": float(false_recoveries(record)),
+        "off": float((~record.right).mean()),
+        "edges": float(record.shows.mean()),
+        "mapped": float(np.mean([(one.landmark_id >= 0).sum() for one in drive.edges])),
+    } | tracked(record), record
+
+
+def false_recoveries(record: Record) -> int:
+    """Return how often the estimate jumps by more than 0.5 m away from a truth that it had."""
+    jump_m = np.hypot(*np.diff(record.error[:, :2], axis=0).T)
+    had, left = record.error_m[:-1] <= CORRECT_M, record.error_m[1:] > CORRECT_M
+    return int((had & left & (jump_m > CORRECT_M)).sum())
+
+
 # -- a wrong belief ----------------------------------------------------------------------------------------------------
 
 
@@ -243,6 +272,7 @@ SCENARIOS: dict[str, Scenario] = {
     "tracking": Scenario(_each(("corridor", "house", "bookstore"), NEAR_OR_NOT), tracking, kinds=("line", "slope")),
     "wrong": Scenario(_wrong, wrong),
     "right": Scenario(_each(LOGS, ("whole", "removed", "moved"), NEAR_OR_NOT), right),
+    "recovery": Scenario(_each(tuple(KINDS)), recovery),
     "kidnapped": Scenario(_each(("office", "house", "bookstore")), kidnapped),
     "misplaced": Scenario(_each(LOGS), misplaced),
     "mrclam": Scenario(lambda _: [(str(robot), "line") for robot in (1, 2, 3)], mrclam),

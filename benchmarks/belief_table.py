@@ -9,6 +9,7 @@ from fnmatch import fnmatch
 
 import numpy as np
 from belief_scenarios import Case, Outcome
+from intervals import rate_bound
 from rich.table import Table
 
 
@@ -54,6 +55,9 @@ class Column:
         if math.isinf(figure):
             return "never"
         return f"{100 * figure:.{self.digits}f} %" if self.percent else f"{figure:.{self.digits}f}"
+
+
+RARE = ("false_recoveries", "hours", "images", "metres")
 
 
 def _median(samples: np.ndarray) -> float:
@@ -174,6 +178,30 @@ def figures_of(scenario: str, outcomes: Sequence[Outcome]) -> list[dict[str, obj
         plain = {name: finite(value) for name, value in figures.items()}
         rows.append({"scenario": scenario, "case": case.name, "seeds": len(own), "missed": missed, **plain})
     return rows
+
+
+def rates_of(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
+    """Return how rare false recoveries are, in each kind of world and in all, with one-sided 95 % bounds."""
+    kinds = list(dict.fromkeys(one.case.about[0] for one in outcomes))
+    rows: list[dict[str, object]] = []
+    for kind in [*kinds, "all"]:
+        own = [one for one in outcomes if kind in (one.case.about[0], "all")]
+        total = {name: sum(one.values[name] for one in own) for name in RARE}
+        count = round(total.pop("false_recoveries"))
+        bounds = {f"bound per {name.removesuffix('s')}": rate_bound(count, value) for name, value in total.items()}
+        wall_h = sum(one.wall_s for one in own) / 3600
+        rows.append({"world": kind, "count": count, **total, **bounds, "hours per hour": total["hours"] / wall_h})
+    return rows
+
+
+def rate_table(rows: Sequence[dict[str, object]]) -> Table:
+    """Return the rates as a table."""
+    table = Table(title="false recoveries, 95 % bounds of their rate", title_justify="left")
+    for name in rows[0]:
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(*(value if isinstance(value, str) else f"{value:.5g}" for value in row.values()))
+    return table
 
 
 def finite(value: float) -> float | str | None:
