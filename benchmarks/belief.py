@@ -1,6 +1,6 @@
 """Is the filter's belief right? It must not leave the truth, must not be sure of a wrong place, and must say so.
 
-    tracking   logs on their own maps, from a start near the truth and from anywhere
+    tracking   logs, and a simulated shop (another one with every seed), from a start near the truth and from anywhere
     wrong      every log on every other one's map, on its own mirrored, and on its own with blocks of 1.5 m shuffled;
                start: its own true pose, the other log's first pose, none
     right      every log on its own map, whole, without 30 % of its landmarks, or with 30 % of them moved by 0.3 m

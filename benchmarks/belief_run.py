@@ -103,6 +103,7 @@ def run(
     """
     config = read_config(drive.config, [f"observation.kind={observation}"], drive.settings)
     robot = Localiser(landmark_map or drive.landmark_map, drive.camera, config, seed)
+    robot.warm_up(images=False)
     if isinstance(start, str):
         start = drive.truth[0] + START_SIGMA * robot.rng.standard_normal(3)
     if start is not None:

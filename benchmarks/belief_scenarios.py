@@ -26,6 +26,7 @@ Values = dict[str, float]
 BEGIN_S = 3.0  # what is said earlier on a wrong map is not judged
 BACK_M = 0.25
 MINUTES = 12.0  # of a drive in a simulated building: ten seeds of five kinds are ten hours
+SHOP_MINUTES = 1.5
 DOUBTFUL, FEWEST_EXPECTED, FEWEST_SHOWN = 0.5, 3, 5
 NEVER = math.inf
 
@@ -81,8 +82,9 @@ def outcome(case: Case, seed: int) -> Outcome:
 
 
 def tracking(log: str, start: str, kind: str, *, seed: int) -> tuple[Values, Record]:
-    """A log on its own map, from a start near the truth or from anywhere."""
-    record = run(drive_of(log), kind, seed, start="truth" if start == "truth" else None)
+    """A log on its own map, from a start near the truth or from anywhere; `shop` is another one with every seed."""
+    drive = hours_of("shelves", seed, SHOP_MINUTES) if log == "shop" else drive_of(log)
+    record = run(drive, kind, seed, start="truth" if start == "truth" else None)
     return tracked(record), record
 
 
@@ -269,7 +271,9 @@ def _wrong(kinds: Sequence[str]) -> list[About]:
 
 NEAR_OR_NOT = ("truth", "global")
 SCENARIOS: dict[str, Scenario] = {
-    "tracking": Scenario(_each(("corridor", "house", "bookstore"), NEAR_OR_NOT), tracking, kinds=("line", "slope")),
+    "tracking": Scenario(
+        _each(("corridor", "house", "bookstore", "shop"), NEAR_OR_NOT), tracking, kinds=("line", "slope")
+    ),
     "wrong": Scenario(_wrong, wrong),
     "right": Scenario(_each(LOGS, ("whole", "removed", "moved"), NEAR_OR_NOT), right),
     "recovery": Scenario(_each(tuple(KINDS)), recovery),
