@@ -24,6 +24,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import belief_score
 import belief_table
@@ -65,15 +66,20 @@ def calibrations(outcomes: Sequence[Outcome]) -> dict[str, belief_score.Calibrat
     return {**each, "all": belief_score.calibration(claims)} if claims else {}
 
 
-def calibration_table(found: dict[str, belief_score.Calibration]) -> Table:
-    """Return the log score and the expected calibration error of each scenario and of all."""
+def calibration_table(found: dict[str, belief_score.Calibration], before: dict[str, Any]) -> Table:
+    """Return the log score and the expected calibration error of each scenario and of all, and both of before."""
     table = Table("p_correct", title="calibration; 95 % intervals in brackets", title_justify="left")
-    for name in ("images", "log score", "expected calibration error"):
+    for name in ("images", "log score", "before", "expected calibration error", "before"):
         table.add_column(name, justify="right")
     for scenario, one in found.items():
-        ece, score = ("{:.4f} [{:.4f}, {:.4f}]".format(*interval) for interval in (one.ece, one.log_score))
-        table.add_row(scenario, str(one.images), score, ece)
+        then = before.get(scenario, {"log_score": None, "ece": None})
+        cells = [_interval(each) for each in (one.log_score, then["log_score"], one.ece, then["ece"])]
+        table.add_row(scenario, str(one.images), *cells)
     return table
+
+
+def _interval(interval: Sequence[float] | None) -> str:
+    return "" if interval is None else "{:.4f} [{:.4f}, {:.4f}]".format(*interval)
 
 
 def reliability_table(one: belief_score.Calibration) -> Table:
@@ -122,6 +128,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one for each core")
     parser.add_argument("--json", type=Path, help="where to write all figures")
+    parser.add_argument("--against", type=Path, help="figures of another state, written with --json, to compare with")
     parser.add_argument("--diagram", type=Path, help="where to draw the reliability diagram")
     arguments = parser.parse_args()
     cases = cases_of(arguments)
@@ -130,6 +137,7 @@ def main() -> None:
     console = Console(stderr=True)
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     outcomes = measured(cases, seeds, arguments.jobs, console)
+    before = json.loads(arguments.against.read_text(encoding="utf-8"))["calibration"] if arguments.against else {}
     report, found = Console(width=None if console.is_terminal else 200), calibrations(outcomes)
     for name in arguments.scenario:
         own = [one for one in outcomes if one.case.scenario == name]
@@ -138,7 +146,7 @@ def main() -> None:
         if own and name == "recovery":
             report.print(belief_table.rate_table(belief_table.rates_of(own)))
     if found:
-        report.print(calibration_table(found))
+        report.print(calibration_table(found, before))
         report.print(reliability_table(found["all"]))
         if arguments.diagram:
             everything = found.pop("all")

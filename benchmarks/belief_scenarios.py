@@ -74,7 +74,10 @@ def outcome(case: Case, seed: int) -> Outcome:
     """Return what one seed of a case comes to."""
     begin, scenario = perf_counter(), SCENARIOS[case.scenario]
     values, record = scenario.judge(*case.about, seed=seed)
-    claims = Claims.of(record.p_correct, record.right) if scenario.claims else None
+    claims = None
+    if scenario.claims:
+        claims = Claims.of(record.p_correct, record.right)
+        values |= {"log_score": claims.log_score / len(record.right)}
     return Outcome(case, seed, values, claims, perf_counter() - begin)
 
 

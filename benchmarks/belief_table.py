@@ -72,6 +72,7 @@ OVER: dict[str, Callable[[np.ndarray], float]] = {
     "mean": lambda samples: float(samples.mean()),
     "sum": lambda samples: float(samples.sum()),
 }
+_SCORE = Column("log_score", "mean", 3)
 _WRONG = Column("sure_wrong", "mean", 2, True, (("*", 0.005),))
 COLUMNS: dict[str, tuple[Column, ...]] = {
     "tracking": (
@@ -85,6 +86,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("found_s", "median", 1),
         Column("found_s", "worst", 1, bars=(("bookstore global*", 15.0), ("shop global*", 15.0))),
         Column("lost_images", "worst", 0, bars=(("*", 0.0),)),
+        _SCORE,
     ),
     "wrong": (
         Column("sure_later", "mean", 1, True),
@@ -94,6 +96,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("warned_s", "median", 1),
         Column("warned_s", "worst", 1, bars=(("*", 20.0),)),
         Column("warned_images", "mean", 0, True),
+        _SCORE,
     ),
     "right": (
         Column("warned_s", "least", 1, bars=(("*", math.inf),), at_least=True),
@@ -103,6 +106,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         _WRONG,
         Column("found_s", "worst", 1),
         Column("lost_images", "worst", 0),
+        _SCORE,
     ),
     "recovery": (
         Column("hours", "sum", 2),
@@ -116,6 +120,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("mapped", "mean", 1),
         Column("sure", "mean", 1, True),
         _WRONG,
+        _SCORE,
     ),
     "kidnapped": (
         Column("back_images", "median", 0, bars=(("bookstore*", math.inf), ("*", 5.0))),
@@ -125,6 +130,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("sure_images", "worst", 0, bars=(("*", 6.0),)),
         Column("noticed_images", "median", 0),
         Column("for_good", "mean", 0, True, (("bookstore*", 0.0), ("*", 0.99)), at_least=True),
+        _SCORE,
     ),
     "misplaced": (
         Column("telling_images", "median", 0),
@@ -134,6 +140,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("sure_images", "worst", 0),
         Column("back_s", "median", 1),
         Column("back_s", "worst", 1),
+        _SCORE,
     ),
     "mrclam": (
         Column("median_m", "median", 3, bars=(("1 *", 0.20), ("2 *", 0.12), ("3 *", 0.125))),
@@ -141,6 +148,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("sure", "mean", 1, True),
         Column("sure_wrong", "mean", 2, True),
         Column("sure_wrong", "worst", 2, True, (("*", 0.005),)),
+        _SCORE,
     ),
     "time": (
         Column("median_ms", "median", 2),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -222,3 +224,40 @@ def test_every_case_has_columns_and_a_judge(judge: SimpleNamespace) -> None:
         cases = scenario.cases(scenario.kinds)
         assert cases and len(set(cases)) == len(cases)
         assert judge.table.COLUMNS[name]
+
+
+# -- program -----------------------------------------------------------------------------------------------------------
+
+
+def test_program_writes_figures_and_compares_with_those_of_before(
+    judge: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the runs replaced by made-up ones: kidnapped robots that are back after as many images as the seed says."""
+    import belief
+
+    def made_up(case: Any, seed: int) -> Any:
+        right = np.arange(100) >= seed
+        values = {"back_images": float(seed), "back_s": 0.2 * seed, "sure_images": 1.0, "noticed_images": 1.0}
+        claims = judge.score.Claims.of(np.where(right, 0.99, 0.2), right)
+        return judge.scenarios.Outcome(
+            case, seed, values | {"for_good": 1.0, "log_score": claims.log_score / 100}, claims, 1.0
+        )
+
+    monkeypatch.setattr(belief, "outcome", made_up)
+    figures, diagram = tmp_path / "figures.json", tmp_path / "reliability.png"
+    asked = ["belief.py", "--scenario", "kidnapped", "--only", "office", "--seeds", "11", "--jobs", "1"]
+    monkeypatch.setattr(sys, "argv", [*asked, "--json", str(figures), "--diagram", str(diagram)])
+    belief.main()
+    assert diagram.read_bytes().startswith(b"\x89PNG")
+    found = json.loads(figures.read_text())
+    (row,) = found["figures"]
+    assert row["case"] == "office line" and row["seeds"] == 11
+    assert row["back_images, median"] == 5 and row["back_images, worst"] == 10 and row["missed"] == []
+    assert [run["seed"] for run in found["runs"]] == list(range(11))
+    assert "10 !" not in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", [*asked, "--first-seed", "1", "--against", str(figures)])
+    belief.main()
+    said = capsys.readouterr().out
+    assert "6 !" in said  # the median is above its bar now
+    score = found["calibration"]["all"]["log_score"][0]
+    assert f"{score:.4f}" in said
