@@ -28,7 +28,7 @@ from typing import Any
 
 import belief_score
 import belief_table
-from belief_scenarios import SCENARIOS, Case, Outcome, outcome
+from belief_scenarios import MINUTES, SCENARIOS, Case, Outcome, outcome
 from joblib import Parallel, delayed
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -38,7 +38,8 @@ from robustness import workers
 
 def cases_of(arguments: argparse.Namespace) -> list[Case]:
     """Return the cases that are asked for, in the order of scenarios."""
-    every = [case for name in arguments.scenario for case in SCENARIOS[name].asked(name, arguments.observation)]
+    asked = (arguments.observation, arguments.minutes)
+    every = [case for name in arguments.scenario for case in SCENARIOS[name].asked(name, *asked)]
     return [case for case in every if all(word in case.about for word in arguments.only)]
 
 
@@ -126,6 +127,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="cases whose names have all these words")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="of each simulated drive of `recovery`")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one for each core")
     parser.add_argument("--json", type=Path, help="where to write all figures")
     parser.add_argument("--against", type=Path, help="figures of another state, written with --json, to compare with")

@@ -64,9 +64,13 @@ class Scenario:
     claims: bool = True
     kinds: tuple[str, ...] = ("line",)
 
-    def asked(self, name: str, kinds: Sequence[str] | None) -> list[Case]:
-        """Return the cases whose data is there. kinds: observations, its own where None."""
-        found = [Case(name, about) for about in self.cases(kinds or self.kinds)]
+    def asked(self, name: str, kinds: Sequence[str] | None, minutes: float = MINUTES) -> list[Case]:
+        """Return the cases whose data is there.
+
+        kinds: of observation, its own where None. minutes: of a simulated drive.
+        """
+        every = self.cases(kinds or self.kinds)
+        found = [Case(name, tuple(word.format(minutes=minutes) for word in about)) for about in every]
         return [case for case in found if all(is_there(word) for word in (name, *case.about) if word in drives.NAMES)]
 
 
@@ -158,9 +162,9 @@ def warned(record: Record) -> Values:
 # -- hours of tracking -------------------------------------------------------------------------------------------------
 
 
-def recovery(kind_of_world: str, kind: str, *, seed: int) -> tuple[Values, Record]:
+def recovery(kind_of_world: str, minutes: str, kind: str, *, seed: int) -> tuple[Values, Record]:
     """Some minutes of tracking in a simulated building, from a start near the truth."""
-    drive = hours_of(kind_of_world, seed, MINUTES)
+    drive = hours_of(kind_of_world, seed, float(minutes.removesuffix(" min")))
     record = run(drive, kind, seed)
     way = np.hypot(*np.diff(drive.truth[:, :2], axis=0).T)
     return {
@@ -279,7 +283,7 @@ SCENARIOS: dict[str, Scenario] = {
     ),
     "wrong": Scenario(_wrong, wrong),
     "right": Scenario(_each(LOGS, ("whole", "removed", "moved"), NEAR_OR_NOT), right),
-    "recovery": Scenario(_each(tuple(KINDS)), recovery),
+    "recovery": Scenario(_each(tuple(KINDS), ("{minutes:g} min",)), recovery),
     "kidnapped": Scenario(_each(("office", "house", "bookstore")), kidnapped),
     "misplaced": Scenario(_each(LOGS), misplaced),
     "mrclam": Scenario(lambda _: [(str(robot), "line") for robot in (1, 2, 3)], mrclam),

@@ -224,6 +224,8 @@ def test_every_case_has_columns_and_a_judge(judge: SimpleNamespace) -> None:
         cases = scenario.cases(scenario.kinds)
         assert cases and len(set(cases)) == len(cases)
         assert judge.table.COLUMNS[name]
+    (case, *_) = judge.scenarios.SCENARIOS["recovery"].asked("recovery", ["slope"], 2.5)
+    assert case.name == "shelves 2.5 min slope"
 
 
 # -- program -----------------------------------------------------------------------------------------------------------
