@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,8 @@ def measured(cases: Sequence[Case], seeds: Sequence[int], jobs: int, console: Co
         for one in Parallel(return_as="generator_unordered")(delayed(outcome)(*task) for task in tasks):
             outcomes.append(one)
             bar.advance(counted)
+            if not console.is_terminal:  # where no bar is drawn, and where a long campaign may be cut short
+                print(json.dumps(plain_run(one)), file=sys.stderr, flush=True)
     order = {task: number for number, task in enumerate(tasks)}
     return sorted(outcomes, key=lambda one: order[one.case, one.seed])
 
@@ -94,6 +97,12 @@ def reliability_table(one: belief_score.Calibration) -> Table:
     return table
 
 
+def plain_run(one: Outcome) -> dict[str, object]:
+    """Return one run as JSON can have it."""
+    about = {"scenario": one.case.scenario, "case": one.case.name, "seed": one.seed, "wall_s": round(one.wall_s, 1)}
+    return about | {name: belief_table.finite(value) for name, value in one.values.items()}
+
+
 def plain(outcomes: Sequence[Outcome], found: dict[str, belief_score.Calibration]) -> dict[str, object]:
     """Return everything as JSON can have it."""
     figures = [
@@ -101,23 +110,13 @@ def plain(outcomes: Sequence[Outcome], found: dict[str, belief_score.Calibration
         for name in dict.fromkeys(one.case.scenario for one in outcomes)
         for row in belief_table.figures_of(name, [one for one in outcomes if one.case.scenario == name])
     ]
-    runs = [
-        {
-            "scenario": one.case.scenario,
-            "case": one.case.name,
-            "seed": one.seed,
-            "wall_s": round(one.wall_s, 1),
-            **{name: belief_table.finite(value) for name, value in one.values.items()},
-        }
-        for one in outcomes
-    ]
     calibrated = {
         name: {"images": one.images, "ece": one.ece, "log_score": one.log_score, "rows": one.rows.tolist()}
         for name, one in found.items()
     }
     hours = [one for one in outcomes if one.case.scenario == "recovery"]
     rates = belief_table.rates_of(hours) if hours else []
-    return {"figures": figures, "rates": rates, "calibration": calibrated, "runs": runs}
+    return {"figures": figures, "rates": rates, "calibration": calibrated, "runs": [plain_run(one) for one in outcomes]}
 
 
 def main() -> None:
