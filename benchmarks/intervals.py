@@ -1,4 +1,4 @@
-"""95 % intervals of shares: of runs, and of frames of runs."""
+"""95 % intervals of shares, of runs and of frames of runs, and of rates of rare events."""
 
 from __future__ import annotations
 
@@ -23,3 +23,10 @@ def share_of_frames(hits: Array, frames: Array, resamples: int = 2000) -> Interv
     drawn = np.random.default_rng(0).integers(len(hits), size=(resamples, len(hits)))
     shares = hits[drawn].sum(axis=1) / frames[drawn].sum(axis=1)
     return (float(hits.sum() / frames.sum()), *(float(q) for q in np.quantile(shares, [0.025, 0.975])))
+
+
+def rate_bound(count: int, exposure: float) -> float:
+    """Return the one-sided 95 % bound of the rate of a Poisson process with `count` events in `exposure`."""
+    from scipy.special import gammaincinv
+
+    return float(gammaincinv(count + 1, 0.95)) / exposure

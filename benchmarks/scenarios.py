@@ -164,14 +164,14 @@ def with_spines(structure: Structure, spines: VerticalEdges) -> Structure:
 def normal(seed: int) -> Trial:
     """A long run in the office: the whole drive, a turn on the spot, and the way back."""
     place = place_of("office", IMAGE_SHELVES["office"])
-    return _trial(place, np.arange(len(place.truth)), seed, IMAGES)
+    return trial_of(place, np.arange(len(place.truth)), seed, IMAGES)
 
 
 def whereabouts(world: str, seed: int, frames: int = 120) -> Trial:
     """No start: a stretch of the drive, or of the way back, from anywhere on it."""
     place = place_of(world, IMAGE_SHELVES[world])
     first = np.random.default_rng([seed, _DRIVE]).integers(0, len(place.truth) - frames)
-    trial = _trial(place, np.arange(first, first + frames), seed, IMAGES)
+    trial = trial_of(place, np.arange(first, first + frames), seed, IMAGES)
     return replace(trial, start=None)
 
 
@@ -186,13 +186,13 @@ def kidnapped(seed: int, before: int = 60, after: int = 110) -> Trial:
         if 2.0 <= np.hypot(moved[0], moved[1]) <= 6.0 and abs(moved[2]) > np.deg2rad(20):
             break
     index = np.concatenate([np.arange(first, first + before), np.arange(second, second + after)])
-    return replace(_trial(place, index, seed, IMAGES, jump=before), carried=before)
+    return replace(trial_of(place, index, seed, IMAGES, jump=before), carried=before)
 
 
 def clutter(seed: int) -> Trial:
     """The office with shelves full of books on all walls: 80 edges a frame, 85 % of them of nothing on the map."""
     place = place_of("office", CLUTTER_SHELVES, both_ways=False)
-    return _trial(place, np.arange(len(place.truth)), seed, IMAGES, dense=80, false_share=0.85)
+    return trial_of(place, np.arange(len(place.truth)), seed, IMAGES, dense=80, false_share=0.85)
 
 
 def empty(seed: int) -> Trial:
@@ -212,7 +212,7 @@ def empty(seed: int) -> Trial:
         shown[row] = False
         shown[row, seen] = True
     noise = replace(IMAGES, clutter_per_frame=1.0)
-    trial = _trial(replace(place, visible=_rows(place.visible, index, shown)), index, seed, noise, wheels=HOUSE)
+    trial = trial_of(replace(place, visible=_rows(place.visible, index, shown)), index, seed, noise, wheels=HOUSE)
     return replace(trial, judged=int(bare.argmax()))
 
 
@@ -222,7 +222,7 @@ def _rows(whole: NDArray[np.bool_], index: NDArray[np.int64], rows: NDArray[np.b
     return changed
 
 
-def _trial(
+def trial_of(
     place: Place,
     index: NDArray[np.int64],
     seed: int,

@@ -46,6 +46,12 @@ def test_wilson_is_that_of_the_literature(
     assert mirrored[1:] == pytest.approx((1 - high, 1 - low), abs=6e-5)
 
 
+@pytest.mark.parametrize(("count", "bound"), [(0, 2.996), (1, 4.744), (5, 10.513)])  # chi-squared table, halved
+def test_rate_bound_is_that_of_the_literature(benchmarks: dict[str, Any], count: int, bound: float) -> None:
+    assert benchmarks["intervals"].rate_bound(count, 1.0) == pytest.approx(bound, abs=1e-3)
+    assert benchmarks["intervals"].rate_bound(count, 10.0) == pytest.approx(bound / 10, abs=1e-4)
+
+
 def test_frames_of_one_seed_count_together(benchmarks: dict[str, Any]) -> None:
     """Ten seeds, one of them bad throughout: the interval is that of ten draws, not of a thousand."""
     hits, frames = np.array([100, *[0] * 9]), np.full(10, 100)
