@@ -1,8 +1,19 @@
-"""The belief of the filter in addition to its particles: whether the robot is lost, and where else it may be.
+"""The belief: which of three hypotheses holds. Their probabilities add up to one.
 
-It combines three parts: the probability of being lost (`LostProbability`), a second cloud of particles elsewhere
-(`AlternativeHypothesis`), and the probability that an estimate is right (`confidence`). None of them changes the
-particles of a robot that is where it is believed to be.
+    P(h | edges) ∝ P(h) p(edges | h, earlier images)^ν      h: tracked, elsewhere, off the map
+
+    tracked     the robot is among the particles that are followed
+    elsewhere   it is at another place of the map: among the candidates, or where nobody has looked yet
+    off map     what the images show is not on this map
+
+ν is the novelty of the scene ([scene]). Likelihoods are stated relative to clutter alone, as earlier images predict it.
+That is all there is off the map, so the likelihood of this hypothesis is 1. That of the others is the mean over their
+particles. Of a place that nobody has looked at it is 1 too, until an image proposes poses there; their evidence then
+moves a part of this probability to the candidates.
+
+Were clutter predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image, whatever
+the images before. By Ville's inequality the odds of being on that map would then ever exceed k times their first value
+with a probability of at most 1 / k.
 """
 
 from __future__ import annotations
@@ -13,105 +24,214 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser import particles
-from localiser.filter.alternative_hypothesis import AlternativeHypothesis
-from localiser.filter.confidence import Reason, confidence_of, near_weight
+from localiser.filter.confidence import SURE, Reason, Warning, is_near, near_weight
 from localiser.geometry import Array
-from localiser.observation import Sighting
-from localiser.particles import Clusters, Estimate, Particles, find_clusters, only
-from localiser.relocalisation import SEEN_FIRST, GlobalLocalisation, LostProbability, resampled
+from localiser.observation import DetectionRate, Sighting
+from localiser.particles import Clusters, Estimate, Particles, find_clusters, log_sum, normalised
+from localiser.relocalisation import FIRST, LEAST_NOVELTY, Candidates, Clues, GlobalLocalisation
 
-STRAY_START = 0.01  # probability that a start that was stated is wrong
-ALONE = 0.98  # weight of a place from which on the others are forgotten
+Move = Callable[[Particles], Particles]
+
+LEFT, RETURNED, ENTERED = 1e-4, 1e-2, 3e-3  # between two scenes: off the map, back to the particles, to anywhere else
+OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
+FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
+ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
+WON = 1000.0  # odds against the particles from which on a place is tracked in their stead
+NO_FIT = 0.998  # probability of being off the map from which on the map is said not to fit
+UNFIT, UNFIT_SCENES = 0.9, 15.0  # or that it has had for so many scenes while a place was tracked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """lost: whether the robot is at none of the particles. alternative: where else it may be, beside the particles.
+    """tracked, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
 
-    is_global: whether the particles themselves are at several places.
+    candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: scenes for
+    which a robot that is tracked has most probably been off the map.
     """
 
-    lost: LostProbability = field(default_factory=lambda: LostProbability.of(STRAY_START))
-    alternative: AlternativeHypothesis | None = None
-    is_global: bool = False
+    tracked: float
+    elsewhere: float
+    unexplored: float
+    off_map: float
+    candidates: Candidates | None = None
+    detections: DetectionRate = field(default_factory=DetectionRate.unknown)
+    unfit: float = 0.0
 
     @classmethod
-    def anywhere(
-        cls, search: GlobalLocalisation, origin: Particles, sighting: Sighting, rng: np.random.Generator
-    ) -> tuple[Particles, Belief]:
-        """Return particles where the image fits, of a robot that may be anywhere. origin: particles at any one pose."""
-        belief = cls(LostProbability.of_anywhere(), is_global=True)
+    def stated(cls) -> Belief:
+        """Return the belief at a start that was stated."""
+        return cls(0.8, 0.0, 0.1, 0.1)
+
+    @classmethod
+    def unjudged(cls) -> Belief:
+        """Return the belief of a robot whose observation cannot tell whether it is elsewhere."""
+        return cls(0.99, 0.0, 0.01, 0.0)
+
+    @classmethod
+    def anywhere(cls) -> Belief:
+        """Return the belief of a robot of which nothing is known."""
+        return cls(0.0, 0.0, 0.8, 0.2)
+
+    # -- an image -----------------------------------------------------------------------------------------------------
+
+    def after(
+        self,
+        search: GlobalLocalisation,
+        few: Particles | None,
+        like: Particles,
+        sighting: Sighting,
+        novelty: float,
+        move: Move,
+        rng: np.random.Generator,
+    ) -> Belief:
+        """Return the belief after an image.
+
+        few: some of the tracked particles, moved by odometry alone, None where none are tracked. like: particles whose
+        constant errors hold elsewhere too. novelty: of the scene, 0 … 1. move: moves particles since the last image.
+        """
         clues = search.clues(sighting)
-        return search.fresh(origin, clues, belief.lost.inliers, len(origin), rng)[0], belief
+        belief = self._moved_on(novelty, search.parameters.carried)
+        log_tracked, detections = 0.0, self.detections.after(novelty)
+        if few is not None:
+            by_rate = clues.by_rate(few)
+            log_weight = few.log_weight + novelty * detections.log_mean(by_rate)
+            log_tracked = log_sum(log_weight) - log_sum(few.log_weight)
+            detections = detections.given(by_rate, normalised(log_weight), novelty)
+        candidates, log_elsewhere = self.candidates, 0.0
+        if candidates is not None:
+            moved = replace(candidates, particles=move(candidates.particles))
+            by_rate = clues.by_rate(moved.particles)
+            candidates, log_elsewhere = moved.weighed(by_rate, novelty, drop_blind=not clues.is_blind)
+        belief = replace(belief, candidates=candidates, detections=detections)._weighed(log_tracked, log_elsewhere)
+        belief = replace(belief, unfit=self.unfit + novelty if belief.off_map > UNFIT and self.tracked > 0 else 0.0)
+        may_be_lost = 1.0 - belief.tracked >= search.parameters.doubt
+        if may_be_lost and len(clues.view) and novelty >= LEAST_NOVELTY:
+            return belief._explored(search, like, clues, rng)
+        return belief
 
-    def followed(
-        self,
-        search: GlobalLocalisation,
-        moved: Particles,
-        sighting: Sighting,
-        novelty: float,
-        rng: np.random.Generator,
-    ) -> tuple[Particles, Belief]:
-        """Return particles at several places, moved, then weighed by an image and joined by places that it proposes."""
-        weighed, lost, _ = search.followed(moved, self.lost, search.clues(sighting), novelty, rng)
-        return weighed, replace(self, lost=lost)
+    def _moved_on(self, novelty: float, carried: float) -> Belief:
+        """Return the belief before an image. carried: probability of being carried to another place between scenes."""
+        carried, left = novelty * carried * self.tracked, novelty * LEFT * self.tracked
+        returned = novelty * RETURNED * self.off_map if self.tracked > 0 else 0.0
+        entered = novelty * ENTERED * self.off_map
+        return replace(
+            self,
+            tracked=self.tracked - carried - left + returned,
+            unexplored=self.unexplored + carried + entered,
+            off_map=self.off_map + left - returned - entered,
+        )
 
-    def compared(
-        self,
-        search: GlobalLocalisation,
-        few: Particles,
-        weighed: Particles,
-        sighting: Sighting,
-        novelty: float,
-        move: Callable[[Particles], Particles],
-        rng: np.random.Generator,
-    ) -> tuple[Particles, Belief]:
-        """Return the particles, or those of an alternative that has won, and the belief after an image.
+    def _weighed(self, log_tracked: float, log_elsewhere: float) -> Belief:
+        """Return the belief after an image with these log-likelihoods of the particles and of the candidates."""
+        top = max(log_tracked, log_elsewhere, 0.0)
+        return replace(
+            self,
+            tracked=self.tracked * float(np.exp(log_tracked - top)),
+            elsewhere=self.elsewhere * float(np.exp(log_elsewhere - top)),
+            unexplored=self.unexplored * float(np.exp(-top)),
+            off_map=self.off_map * float(np.exp(-top)),
+        )._normalised()
 
-        few: some of the particles, moved by odometry alone. weighed: all of them, weighed by the image. move: moves
-        particles since the last image.
+    def _explored(self, search: GlobalLocalisation, like: Particles, clues: Clues, rng: np.random.Generator) -> Belief:
+        """Return the belief with the poses that an image proposes among the candidates."""
+        count = search.parameters.fresh
+        if self.tracked == 0 and self.candidates is None:  # blind draws must be dense everywhere
+            count = search.most if clues.is_blind else min(search.most, FIRST)
+        proposed, log_evidence = search.proposed(like, clues, count, rng)
+        found = (1.0 - OVERLOOKED) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
+        candidates = self.candidates
+        if proposed is not None and found > 0:
+            joins = candidates is not None and self.elsewhere > 0
+            log_odds = float(np.log(found) - np.log(self.elsewhere)) if joins else 0.0
+            candidates = candidates.joined(proposed, log_odds) if joins and candidates is not None else proposed
+        return replace(
+            self, elsewhere=self.elsewhere + found, unexplored=OVERLOOKED * self.unexplored, candidates=candidates
+        )._normalised()
+
+    def beside(self, pose: Array) -> Belief:
+        """Return the belief whose candidates are elsewhere: those near the tracked `pose` (3,) count as tracked."""
+        if self.candidates is None:
+            return self
+        far = ~is_near(self.candidates.particles.poses, pose)
+        away = self.elsewhere * float(self.candidates.particles.weight[far].sum())
+        tracked = self.tracked + self.elsewhere - away
+        if away < FORGOTTEN:
+            unexplored = self.unexplored + away
+            return replace(self, tracked=tracked, elsewhere=0.0, unexplored=unexplored, candidates=None)
+        return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))
+
+    def _normalised(self) -> Belief:
+        total = self.tracked + self.elsewhere + self.unexplored + self.off_map
+        return replace(
+            self,
+            tracked=self.tracked / total,
+            elsewhere=self.elsewhere / total,
+            unexplored=self.unexplored / total,
+            off_map=self.off_map / total,
+        )
+
+    # -- what follows from it -----------------------------------------------------------------------------------------
+
+    def found(self) -> tuple[Particles, Belief] | None:
+        """Return the particles at the likeliest place, and the belief in which they are tracked; None if not yet.
+
+        A place is tracked in the particles' stead at odds of 1000 against them, if it is likelier than all else. Where
+        none are tracked, it is as soon as hardly any other candidate is left.
         """
-        clues, alternative = search.clues(sighting), self.alternative
-        by_rate = clues.by_rate(few)
-        log_evidence = self.lost.log_evidence(by_rate, few.log_weight)
-        lost = self.lost.after(by_rate, few.log_weight, novelty, search.parameters.carried)
-        if alternative is not None:
-            moved, given = move(alternative.particles), novelty * log_evidence
-            alternative = alternative.followed(search, moved, clues, novelty, given, self.lost.inliers, rng)
-        elif search.is_needed(lost, clues, novelty):
-            log_odds = self.lost.log_odds - log_evidence
-            alternative = AlternativeHypothesis.begun(search, weighed, lost.inliers, log_odds, clues, rng)
-        if alternative is not None:
-            alternative = alternative.elsewhere(particles.estimate(weighed).pose)
-        if alternative is not None and alternative.has_won:
-            return alternative.particles, Belief(alternative.lost, is_global=True)
-        return weighed, Belief(lost, alternative)
+        if self.candidates is None:
+            return None
+        cloud = self.candidates.particles
+        near = is_near(cloud.poses, find_clusters(cloud.poses, cloud.weight).mean[0])
+        share = float(cloud.weight[near].sum())
+        if self.tracked > 0 and share * self.elsewhere < max(WON * self.tracked, 0.5):
+            return None
+        if self.tracked == 0 and share < ALONE:
+            return None
+        return particles.only(cloud, near), Belief(
+            tracked=share * self.elsewhere,
+            elsewhere=(1.0 - share) * self.elsewhere,
+            unexplored=self.unexplored + self.tracked,
+            off_map=self.off_map,
+            candidates=None if near.all() else self.candidates.only(~near),
+            unfit=self.unfit,
+        )
 
-    def places(self, weighed: Particles) -> tuple[Estimate, Clusters]:
-        """Return the estimate, at the likeliest place where there are several, and all the places."""
-        clusters = find_clusters(weighed.poses, weighed.weight)
-        estimate = particles.estimate(only(weighed, clusters.label == 0) if self.is_global else weighed)
-        if self.alternative is not None:
-            others = self.alternative.particles
-            clusters = clusters.beside(find_clusters(others.poses, others.weight), self.alternative.probability)
-        return estimate, clusters
+    def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
+        """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
 
-    def confidence(self, weighed: Particles, pose: Array, sighting: Sighting) -> tuple[float, Reason]:
-        """Return the probability that the estimate `pose` (3,) is correct, and why it is low, "" where it is not."""
-        p_elsewhere = 0.0 if self.alternative is None else self.alternative.probability
-        is_empty = len(sighting.edges) == 0 and sighting.measurement is None
-        return confidence_of(weighed, pose, max(self.lost.probability, p_elsewhere), is_empty)
-
-    def resampled(
-        self, search: GlobalLocalisation | None, weighed: Particles, pose: Array, count: int, rng: np.random.Generator
-    ) -> tuple[Particles | None, Belief]:
-        """Return particles at several places, equally weighted; None where one place, that of `pose` (3,), has won.
-
-        count: the fewest particles. Those of an alternative are resampled with them.
+        It is from those tracked, else from the likeliest place among the candidates.
         """
-        alternative = self.alternative
-        if alternative is not None:
-            alternative = alternative.resampled(count, max(count, SEEN_FIRST), rng)
-        if self.is_global and search is not None and near_weight(weighed, pose) < ALONE:
-            return resampled(weighed, count, max(count, search.most), rng), replace(self, alternative=alternative)
-        return None, Belief(self.lost, alternative)
+        others = None if self.candidates is None else self.candidates.particles
+        cloud = others if tracked is None else tracked
+        assert cloud is not None
+        clusters = find_clusters(cloud.poses, cloud.weight)
+        if tracked is None:
+            return cloud, particles.estimate(particles.only(cloud, clusters.label == 0)), clusters
+        if others is not None and self.elsewhere > 0:
+            elsewhere = find_clusters(others.poses, others.weight)
+            clusters = clusters.beside(elsewhere, self.elsewhere / (self.elsewhere + self.tracked))
+        return tracked, particles.estimate(tracked), clusters
+
+    def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
+        """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
+        return (self.tracked if is_tracked else self.elsewhere) * near_weight(cloud, pose)
+
+    def reason(self, p_correct: float, sighting: Sighting) -> Reason:
+        """Return why p_correct is low, "" where it is not."""
+        if p_correct >= SURE:
+            return ""
+        if len(sighting.edges) == 0 and sighting.measurement is None:
+            return "no edges"
+        return "edges contradict the map" if self.off_map > self.elsewhere + self.unexplored else "several places fit"
+
+    @property
+    def warning(self) -> Warning:
+        """What a user should look at, "" where all is well."""
+        is_unfit = self.off_map > NO_FIT or self.unfit > UNFIT_SCENES
+        return "this map does not fit" if is_unfit else ""
+
+    def resampled(self, most: int, rng: np.random.Generator) -> Belief:
+        """Return the belief with at most so many candidates."""
+        if self.candidates is None:
+            return self
+        return replace(self, candidates=self.candidates.resampled(most, rng))

@@ -1,8 +1,4 @@
-"""The probability that an estimate is right, and the reason why it is low.
-
-An estimate is right within 0.5 m and 10°. This is the case when the truth is among the particles, and when the
-particles near the estimate are the right ones: p_correct = (1 - P(lost)) · weight of the particles near the estimate.
-"""
+"""When an estimate is correct, how probable that is, and why it is improbable."""
 
 from __future__ import annotations
 
@@ -18,20 +14,7 @@ CORRECT_M, CORRECT_RAD = 0.5, np.radians(10.0)
 SURE = 0.9  # from here on nothing needs a reason
 
 Reason = Literal["", "no edges", "edges contradict the map", "several places fit"]
-
-
-def confidence_of(particles: Particles, pose: Array, p_lost: float, is_empty: bool) -> tuple[float, Reason]:
-    """Return the probability that the estimate `pose` (3,) is correct, and why it is low, "" where it is not.
-
-    p_lost: probability that the truth is not among the particles. is_empty: whether the image showed nothing.
-    """
-    near = near_weight(particles, pose)
-    p_correct = (1.0 - p_lost) * near
-    if p_correct >= SURE:
-        return p_correct, ""
-    if is_empty:
-        return p_correct, "no edges"
-    return p_correct, "edges contradict the map" if p_lost > 1.0 - near else "several places fit"
+Warning = Literal["", "this map does not fit"]
 
 
 def near_weight(particles: Particles, pose: Array) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from localiser.edges import Edges
 from localiser.filter.attitude import Attitude
-from localiser.filter.confidence import Reason
+from localiser.filter.confidence import Reason, Warning
 from localiser.geometry import Array, Increment
 from localiser.observation import Sighting
 from localiser.particles import Clusters, Estimate, Particles
@@ -41,7 +41,7 @@ class Located:
     since the last image. odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is
     within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
     first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. sighting: what
-    particles were weighed by, edges corrected by the attitude.
+    particles were weighed by, edges corrected by the attitude. warning: what a user should look at, else "".
     """
 
     t_ns: int
@@ -56,3 +56,4 @@ class Located:
     clusters: Clusters | None = None
     attitude: Attitude | None = None
     sighting: Sighting | None = None
+    warning: Warning = ""

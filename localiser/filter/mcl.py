@@ -21,6 +21,7 @@ from localiser.filter.belief import Belief
 from localiser.filter.events import Event, Located, Odometry, Start
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
+from localiser.filter.scene import Scene
 from localiser.filter.tempering import Tempering
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
@@ -31,6 +32,7 @@ from localiser.observation import (
     InlierRate,
     Observation,
     ObservationParameters,
+    PredictsScenes,
     Sighting,
     novelty_of,
 )
@@ -88,22 +90,24 @@ class Mcl:
 class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
-    particles: hypotheses of where the robot was at `at_ns`. weighed: whether they have been weighed by any image yet.
-    inliers: the learnt inlier rate. belief: whether the robot is elsewhere. attitude: tilt and roll of the camera;
-    None: as stated. seen: the last image. pace: twist per second then, from the edges. odometry: poses since then,
-    and the last one before. waiting: sightings that odometry has not reached yet.
+    particles: hypotheses of where the robot was at `at_ns`; None while it is not tracked. weighed: whether they have
+    been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and
+    where. attitude: tilt and roll of the camera; None: as stated. seen: the last image. scene: the images that the
+    belief compares the next one with. pace: twist per second at the last image, from the edges. odometry: poses since
+    then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
     at_ns: int = 0
     weighed: bool = False
     inliers: InlierRate = field(default_factory=InlierRate.unknown)
-    belief: Belief = field(default_factory=Belief)
+    belief: Belief = field(default_factory=Belief.anywhere)
     attitude: Attitude | None = None
     seen: Sighting | None = None
     pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
+    scene: Scene = field(default_factory=Scene)
 
 
 def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -> Iterator[Located]:
@@ -114,7 +118,8 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
             if isinstance(mcl.motion, EstimatesConstantErrors):
                 cloud = mcl.motion.at_start(cloud, rng)
             state.particles = cloud
-            state.at_ns, state.weighed, state.seen, state.belief = event.t_ns, False, None, Belief()
+            state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
+            state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
         case Odometry():
             state.odometry.append(event)
         case Sighting():
@@ -136,20 +141,19 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     image.
     """
     image = _received(mcl, state, sighting)
-    if state.particles is None or state.belief.is_global:
-        weighed = _found_globally(mcl, state, image, rng)
-    else:
+    few = weighed = None
+    if state.particles is not None:
         # Predict: every particle moves by its own draw of the motion, at best where the edges say; a few move blindly.
         few = mcl.moved(only(state.particles, slice(None, None, max(len(state.particles) // FEW, 1))), image.moves, rng)
         moved = _proposed(mcl, state, state.particles, few, image, rng)
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         weighed = _weighed(mcl, state, state.particles, moved, image, rng)
-        # Compare: is the robot elsewhere? Where it is, the particles there take over.
-        weighed = _compared(mcl, state, few, weighed, image, rng)
+    # Compare: is the robot at another place, or not on this map at all?
+    weighed = _compared(mcl, state, few, weighed, image, rng)
     # Estimate: before resampling, which only adds noise.
     located = _located(state, weighed, sighting, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
-    state.particles = _resampled(mcl, state, located, rng)
+    state.particles = _resampled(mcl, state, weighed, located.ess, rng)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, sighting
     return located
 
@@ -162,7 +166,8 @@ class _Image:
     """What is known with an image before particles are weighed by it.
 
     moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now.
-    sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1.
+    sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1, of the errors
+    of its edges; scene_novelty: 0 … 1, of what it shows.
     """
 
     moves: list[Increment]
@@ -170,13 +175,14 @@ class _Image:
     odometry: Array
     sighting: Sighting
     novelty: float
+    scene_novelty: float
 
 
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
     """Return what odometry and earlier images tell of an image."""
-    if state.particles is None and mcl.search is not None:
+    if state.particles is None and state.belief.candidates is None and mcl.search is not None:
         state.at_ns = sighting.t_ns
-    elif state.particles is None or sighting.t_ns < state.at_ns:
+    elif (state.particles is None and mcl.search is None) or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
     motion, seen, edges = mcl.motion, state.seen, sighting.edges
     delay_s = motion.delay_sigma_s if isinstance(motion, EstimatesConstantErrors) else 0.0
@@ -189,28 +195,17 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
         moves = moves if increment is wheels else [increment]
 
     novelty = novelty_of(increment, mcl.correlation) if state.weighed else 1.0
+    scene_novelty, clutter = novelty, None
+    if isinstance(mcl.observation, PredictsScenes):
+        state.scene, clutter, scene_novelty = state.scene.followed(mcl.observation, motion, sighting, increment)
     if seen is not None and novelty < 1.0 and isinstance(mcl.observation, FollowsClutter):
         turn_var = float(covariance_of(motion, increment)[2, 2])
         sighting = mcl.observation.with_persistent_clutter(sighting, seen, increment, turn_var)
+    sighting = replace(sighting, clutter=clutter)
     if mcl.level is not None:
         edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(moves, increment, odometry_pose, sighting, novelty)
-
-
-def _found_globally(mcl: Mcl, state: FilterState, image: _Image, rng: np.random.Generator) -> Particles:
-    """Return weighed particles of a robot that may be at several places, or anywhere."""
-    assert mcl.search is not None
-    if state.particles is None:
-        count = mcl.search.first_count(image.sighting)
-        origin = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), count, rng)
-        if isinstance(mcl.motion, EstimatesConstantErrors):
-            origin = mcl.motion.with_constant_errors(origin)
-        weighed, state.belief = Belief.anywhere(mcl.search, origin, image.sighting, rng)
-        return weighed
-    moved = mcl.moved(state.particles, image.moves, rng)
-    weighed, state.belief = state.belief.followed(mcl.search, moved, image.sighting, image.novelty, rng)
-    return weighed
+    return _Image(moves, increment, odometry_pose, sighting, novelty, scene_novelty)
 
 
 def _proposed(
@@ -250,45 +245,69 @@ def _weighed(
 
 
 def _compared(
-    mcl: Mcl, state: FilterState, few: Particles, weighed: Particles, image: _Image, rng: np.random.Generator
-) -> Particles:
-    """Return the particles, or those of an alternative hypothesis that has won."""
+    mcl: Mcl,
+    state: FilterState,
+    few: Particles | None,
+    weighed: Particles | None,
+    image: _Image,
+    rng: np.random.Generator,
+) -> Particles | None:
+    """Return the particles that are tracked from now on; None while there are candidates only."""
     if mcl.search is None:
         return weighed
 
     def move(cloud: Particles) -> Particles:
         return mcl.moved(cloud, image.moves, rng)
 
-    weighed, state.belief = state.belief.compared(mcl.search, few, weighed, image.sighting, image.novelty, move, rng)
+    like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
+    novelty = image.scene_novelty
+    belief = state.belief.after(mcl.search, few, like, image.sighting, novelty, move, rng)
+    if weighed is not None:
+        belief = belief.beside(particles.estimate(weighed).pose)
+    elif belief.candidates is None:
+        belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.most, rng))
+    found = belief.found()
+    weighed, state.belief = found or (weighed, belief)
     return weighed
 
 
-def _located(state: FilterState, weighed: Particles, measured: Sighting, image: _Image) -> Located:
-    estimate, clusters = state.belief.places(weighed)
-    p_correct, reason = state.belief.confidence(weighed, estimate.pose, measured)
+def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Particles:
+    """Return particles with the constant errors that a robot may have of which nothing is known."""
+    if state.belief.candidates is not None:
+        return state.belief.candidates.particles
+    origin = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), mcl.parameters.start_particles, rng)
+    return mcl.motion.with_constant_errors(origin) if isinstance(mcl.motion, EstimatesConstantErrors) else origin
+
+
+def _located(state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image) -> Located:
+    belief = state.belief
+    cloud, estimate, clusters = belief.places(weighed)
+    p_correct = belief.p_correct(cloud, estimate.pose, is_tracked=weighed is not None)
     return Located(
         t_ns=measured.t_ns,
         estimate=estimate,
-        particles=weighed,
-        ess=particles.effective_sample_size(weighed.weight),
+        particles=cloud,
+        ess=particles.effective_sample_size(cloud.weight),
         edges=measured.edges,
         increment=image.increment,
         odometry=image.odometry,
         p_correct=p_correct,
-        reason=reason,
+        reason=belief.reason(p_correct, measured),
+        warning=belief.warning,
         clusters=clusters,
         attitude=state.attitude,
         sighting=image.sighting,
     )
 
 
-def _resampled(mcl: Mcl, state: FilterState, located: Located, rng: np.random.Generator) -> Particles:
-    """Return the particles that go on."""
-    weighed, count = located.particles, mcl.parameters.particles
-    several, state.belief = state.belief.resampled(mcl.search, weighed, located.estimate.pose, count, rng)
-    if several is not None:
-        return several
-    if located.ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != count:
+def _resampled(
+    mcl: Mcl, state: FilterState, weighed: Particles | None, ess: float, rng: np.random.Generator
+) -> Particles | None:
+    """Return the particles that go on; those of the candidates are resampled too."""
+    count = mcl.parameters.particles
+    if mcl.search is not None:
+        state.belief = state.belief.resampled(mcl.search.most, rng)
+    if weighed is not None and (ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != count):
         return particles.take(weighed, systematic_resample(weighed.weight, count, rng))
     return weighed
 

@@ -1,6 +1,7 @@
 """The observation: how well what was measured fits a pose, log p(sighting | particle)."""
 
 from localiser.observation.angle import Angle
+from localiser.observation.detection_rate import DETECTION_RATES, DetectionRate
 from localiser.observation.edge_observation import EdgeObservation
 from localiser.observation.endpoint_likelihood import MISSED, at_border, ends_lower_first
 from localiser.observation.endpoint_likelihood import SIGMA_PX as ENDPOINT_SIGMA_PX
@@ -14,6 +15,7 @@ from localiser.observation.protocols import (
     LocalisesGlobally,
     Matches,
     Observation,
+    PredictsScenes,
     RatesInliers,
     Sighting,
     Targets,

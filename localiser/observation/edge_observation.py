@@ -29,10 +29,12 @@ from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, in_camera
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import likelihood, polarity
 from localiser.observation.angle import Angle
+from localiser.observation.detection_rate import DETECTION_RATES
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
 from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
 from localiser.observation.protocols import Matches, Sighting, Targets
+from localiser.observation.scene_clutter import scene_clutter
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
 Indices = NDArray[np.int64]
@@ -67,12 +69,38 @@ class EdgeObservation:
         blur_rad: sigma of the compared angle that is added to every edge's own. Compiled; `by_rate_plain` is the same
         with arrays.
         """
+        return self._by_rate(particles, sighting, landmark_map, blur_rad, INLIER_RATES, of_edges=True)
+
+    def by_detection_rate(
+        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+    ) -> Array:
+        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to all edges being clutter.
+
+        The edges are a Poisson process. E of them are expected to be clutter, and each of the n landmarks in view shows
+        p edges on average. Given the number of edges,
+
+            p(edges | pose, p) ∝ Π_e [E / span + p Σ_l c_el N(q_e; q_l(pose), σ_el²)] / (E + p n)^E
+
+        So a pose that sees no landmark explains the edges as well as clutter does. blur_rad: as for `by_rate`.
+        """
+        return self._by_rate(particles, sighting, landmark_map, blur_rad, DETECTION_RATES, of_edges=False)
+
+    def _by_rate(
+        self,
+        particles: Particles,
+        sighting: Sighting,
+        landmark_map: LandmarkMap,
+        blur_rad: float,
+        rates: Array,
+        *,
+        of_edges: bool,
+    ) -> Array:
         if len(sighting.edges) == 0:
-            return np.zeros((len(INLIER_RATES), len(particles)))
+            return np.zeros((len(rates), len(particles)))
         scene = likelihood.scene_of(self.angle, self.parameters, sighting.edges, landmark_map, blur_rad)
         yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
         columns = np.vstack([particles.columns[:3], yaw])
-        return likelihood.by_rate(scene, columns, INLIER_RATES, self.parameters.threads)
+        return likelihood.by_rate(scene, columns, rates, self.parameters.threads, of_edges=of_edges)
 
     def by_rate_plain(
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
@@ -159,12 +187,26 @@ class EdgeObservation:
         self, sighting: Sighting, before: Sighting, increment: Increment, turn_var: float
     ) -> Sighting:
         """Return the sighting with the clutter density at each edge, from the edges of the image before."""
+        now, then = self.angle.bearings(sighting.edges), self.angle.bearings(before.edges)
+        span_rad = field_of_view_rad(self.camera)
+        density = clutter_density(*now, *then, self._camera_motion(increment), turn_var, span_rad)
+        return replace(sighting, edges=replace(sighting.edges, clutter=density))
+
+    def scene_clutter(
+        self, sighting: Sighting, before: Sighting | None, increment: Increment, turn_var: float
+    ) -> tuple[Array, float]:
+        """Return how dense clutter is at each edge (E,), and how many edges continue one of the image before, 0 … 1.
+
+        See `observation.scene_clutter`.
+        """
+        earlier = None if before is None else before.edges
+        return scene_clutter(self.angle, sighting.edges, earlier, self._camera_motion(increment), turn_var)
+
+    def _camera_motion(self, increment: Increment) -> Array:
+        """Return how the camera moved (3,), in its own frame before, while the robot did."""
         mount = self.camera.robot_from_level
         right, back, _ = between(mount, compose(increment.mean, mount))
-        motion = np.array([right, back, increment.mean[2]])
-        now, then = self.angle.bearings(sighting.edges), self.angle.bearings(before.edges)
-        density = clutter_density(*now, *then, motion, turn_var, field_of_view_rad(self.camera))
-        return replace(sighting, edges=replace(sighting.edges, clutter=density))
+        return np.array([right, back, increment.mean[2]])
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""

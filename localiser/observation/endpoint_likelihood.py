@@ -47,8 +47,13 @@ class Endpoints:
     peak: Array
     missed: float
 
+    @property
+    def cut(self) -> NDArray[np.bool_]:
+        """Whether (E, 2) the image's border ends an edge there."""
+        return self.room >= _UNKNOWN
 
-@lru_cache(maxsize=4)  # the same edges are asked for several times in a frame
+
+@lru_cache(maxsize=16)  # the same edges are asked for several times in a frame
 def endpoints_of(edges: Edges, camera: Camera) -> Endpoints:
     """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
     count = len(edges)

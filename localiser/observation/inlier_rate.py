@@ -9,6 +9,7 @@ mixture with a Dirichlet prior.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -30,7 +31,7 @@ class InlierRate:
     count: Array
 
     @classmethod
-    def unknown(cls) -> InlierRate:
+    def unknown(cls) -> Self:
         """Return Jeffreys' prior."""
         return cls(_PRIOR)
 
@@ -44,7 +45,7 @@ class InlierRate:
         """The inlier rate expected of the next frame."""
         return float(self.probability @ INLIER_RATES)
 
-    def after(self, independent_frames: float) -> InlierRate:
+    def after(self, independent_frames: float) -> Self:
         """Return the distribution after moving on: what was counted long ago is forgotten."""
         return replace(self, count=_PRIOR + np.exp(-independent_frames / MEMORY_FRAMES) * (self.count - _PRIOR))
 
@@ -52,7 +53,7 @@ class InlierRate:
         """Return log p(edges | pose) (N,), the rates integrated out of `by_rate` (K, N)."""
         return _log_sum(by_rate + np.log(self.probability)[:, None])
 
-    def given(self, by_rate: Array, weight: Array, independent_frames: float) -> InlierRate:
+    def given(self, by_rate: Array, weight: Array, independent_frames: float) -> Self:
         """Return the distribution after a frame with log p(edges | pose, w_k) (K, N) and particles of weight (N,).
 
         The weights are those after the same edges. A frame that is only partly new counts for that part.

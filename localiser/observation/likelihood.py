@@ -2,9 +2,9 @@
 
 It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes
 the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be
-in view from a cell are looked at. An edge that no landmark comes near costs nothing, since its factor 1 - w is common
-to all particles. The loops run as vector instructions (`likelihood_kernel`). No more particles are weighed at a time
-than the cache holds. A particle's result depends on that particle alone, whatever number of threads share the work.
+in view from a cell are looked at. An edge that no landmark comes near costs nothing. The loops run as vector
+instructions (`likelihood_kernel`). No more particles are weighed at a time than the cache holds. A particle's result
+depends on that particle alone, whatever number of threads share the work.
 """
 
 from __future__ import annotations
@@ -98,18 +98,18 @@ def scene_of(
     )
 
 
-def by_rate(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> Array:
-    """Return log p(edges | pose, w_k) (K, N) of N particles for every share, relative to all edges being clutter.
+def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_edges: bool = True) -> Array:
+    """Return log p(edges | pose, rate_k) (K, N) of N particles, relative to clutter alone.
 
-    columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's. shares: (K,)
+    columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's. rates: (K,)
     ascending, at most 8 of them.
     """
     count = columns.shape[1]
-    result = np.empty((len(shares), count))
-    base, bins = len(scene.edges) * np.log1p(-shares), bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
+    result = np.empty((len(rates), count))
+    bins = bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
 
     def weigh(part: slice) -> None:
-        result[:, part] = _weighed(scene, columns[:, part], shares, base, bins)
+        result[:, part] = _weighed(scene, columns[:, part], rates, bins, of_edges)
 
     size = min(max(-(-count // threads), _PER_THREAD), _PART)
     parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -122,11 +122,12 @@ def by_rate(scene: Scene, columns: Array, shares: Array, threads: int = 1) -> Ar
     return result
 
 
-def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins: EdgeBins) -> Array:
-    """Return `by_rate` of so few particles that all about them stays in the cache. base: (K,) to be added."""
+def _weighed(scene: Scene, columns: Array, rates: Array, edge_bins: EdgeBins, of_edges: bool) -> Array:
+    """Return `by_rate` of so few particles that all about them stays in the cache."""
     from localiser.observation import likelihood_kernel as kernel
 
     low, per_unit, shape = _cells(columns[:3])
+    odds = rates / (1.0 - rates) if of_edges else rates / len(scene.edges)
     poses = columns.T.copy()
     run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()))
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
@@ -141,7 +142,9 @@ def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins
         start,
         item,
         scene.landmarks,
-        (*(shares / (1.0 - shares)).tolist(), *[0.0] * (kernel.LANES - len(shares))),
+        (*odds.tolist(), *[0.0] * (kernel.LANES - len(rates))),
+        len(rates),
+        of_edges,
         scene.edges,
         *edge_bins,
         scene.view,
@@ -150,7 +153,6 @@ def _weighed(scene: Scene, columns: Array, shares: Array, base: Array, edge_bins
         scene.ends,
         scene.span,
         scene.is_slope,
-        base,
     )
 
 

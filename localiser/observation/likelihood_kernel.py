@@ -40,7 +40,7 @@ _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 
 # Rows of a block: camera poses; one landmark as it is seen from them; how many landmarks are. In one array, so that the
 # compiler knows that they do not overlap.
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
-_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN = range(6, 14)
+_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN, _SCALE = range(6, 15)
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY, _RARE = range(11)
 # Rows of pairs.
@@ -336,6 +336,8 @@ def log_products(
     item: Indices,
     landmarks: Array,
     odds: tuple[float, ...],
+    rates: int,
+    is_inlier_rate: bool,
     edges: Array,
     first: Counts,
     bins: tuple[float, float, float],
@@ -345,20 +347,23 @@ def log_products(
     ends: tuple[float, float, float],
     span: float,
     is_slope: bool,
-    base: Array,
 ) -> Array:
-    """Return base + log Π_e (1 + o_k d_e) (K, N) for every pose (N, 4) and odds o_k of K shares.
+    """Return the log-likelihood (K, N) of every pose (N, 4), which has n landmarks in view, relative to clutter.
 
-    odds: LANES of them, 0 beyond K. base: (K,).
-    d_e = span / n Σ_l c_el N(q_e; q_l, σ_el²) is an edge's density relative to clutter; only edges that some landmark
-    comes near have one.
+    With d_e = span Σ_l c_el N(q_e; q_l, σ_el²), an edge's density relative to clutter, which only edges have that some
+    landmark comes near, it is
+
+        log Π_e (1 + o_k d_e / n) / (1 + o_k)    for inlier rates, o_k = w_k / (1 - w_k)
+        log Π_e (1 + o_k d_e) / (1 + o_k n)      for detection rates, o_k = p_k / E
+
+    odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.
     """
-    block, pairs = np.ones((14, BLOCK)), np.ones((11, ROOM))
+    block, pairs = np.ones((15, BLOCK)), np.ones((11, ROOM))
     near, slot = np.zeros(BLOCK + 1, np.uint64), np.zeros(ROOM, np.uint64)
     near_begin, near_end = np.zeros(BLOCK, np.uint64), np.zeros(BLOCK, np.uint64)
     density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.uint64)
     factor, log_factor, mantissa = np.ones((BLOCK, LANES)), np.zeros((BLOCK, LANES)), np.ones(BLOCK * LANES)
-    result = np.empty((len(base), len(poses)))
+    result, per_density = np.empty((rates, len(poses))), span / np.sqrt(2 * np.pi)
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
             size = min(BLOCK, run[c + 1] - n)
@@ -382,19 +387,20 @@ def log_products(
             count = _add_up(pairs, number, ends, slot, density, touched, count)
 
             for m in range(BLOCK):
-                block[_SEEN, m] = span / np.sqrt(2 * np.pi) / max(block[_SEEN, m], 1.0)
+                block[_SCALE, m] = per_density / (max(block[_SEEN, m], 1.0) if is_inlier_rate else 1.0)
             factor[:], log_factor[:] = 1.0, 0.0
             for t in range(count):
                 m = touched[t] % _BLOCK
-                ratio = density[touched[t]] * block[_SEEN, m]
+                ratio = density[touched[t]] * block[_SCALE, m]
                 density[touched[t]] = 0.0
                 _multiply(factor, m, odds, ratio)
-                if factor[m, len(base) - 1] > SAFE:
+                if factor[m, rates - 1] > SAFE:
                     log_factor[m] += np.log(factor[m])
                     factor[m] = 1.0
             values = factor.ravel()
             _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
-            for k in range(len(base)):
+            for k in range(rates):
                 for m in range(size):
-                    result[k, order[n + m]] = log_factor[m, k] + base[k]
+                    seen = 1.0 if is_inlier_rate else block[_SEEN, m]
+                    result[k, order[n + m]] = log_factor[m, k] - len(edges) * np.log1p(odds[k] * seen)
     return result

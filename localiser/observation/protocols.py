@@ -30,11 +30,13 @@ class Sighting:
     """What was measured at one time.
 
     edges: of an image. measurement: an array that an observation of another kind understands, None where there is none.
+    clutter: (E,) how dense clutter is at each edge by the earlier images of the scene; None where nothing is known.
     """
 
     t_ns: int
     edges: Edges = field(default_factory=Edges.none)
     measurement: NDArray[Any] | None = None
+    clutter: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +131,21 @@ class FollowsClutter(Observation, Protocol):
 
 
 @runtime_checkable
+class PredictsScenes(Observation, Protocol):
+    """An observation that knows how well an image predicts a later one, wherever the robot is."""
+
+    def scene_clutter(
+        self, sighting: Sighting, before: Sighting | None, increment: Increment, turn_var: float
+    ) -> tuple[Array, float]:
+        """Return how dense clutter is at each edge (E,), and how many edges continue one of the image before, 0 … 1.
+
+        before: an earlier image, None where there is none. increment: how the robot has moved since. turn_var: the
+        variance of its turn (rad²). The density is relative to E edges that are spread evenly.
+        """
+        ...
+
+
+@runtime_checkable
 class Associates(Observation, Protocol):
     """An observation that can say which landmark each edge shows, for display."""
 
@@ -146,6 +163,12 @@ class LocalisesGlobally(RatesInliers, Protocol):
         """The camera that saw the edges."""
         ...
 
+    def by_detection_rate(
+        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+    ) -> Array:
+        """Return log p(sighting | particle, p_k) (K, N) for each of `DETECTION_RATES`, relative to clutter alone."""
+        ...
+
     @property
     def parameters(self) -> ObservationParameters:
         """What the observation is of, and which landmarks count as visible."""
@@ -155,7 +178,7 @@ class LocalisesGlobally(RatesInliers, Protocol):
 def likelihood_by_rate(
     observation: Observation, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
 ) -> Array:
-    """Return log p(sighting | particle, w_k) (K, N): the same for all rates where the observation knows none.
+    """Return log p(sighting | particle, p_k) (K, N): the same for all rates where the observation knows none.
 
     Raises InputError when an observation of one's own returns anything else than log-likelihoods.
     """

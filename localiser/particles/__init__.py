@@ -17,5 +17,5 @@ from localiser.particles.cloud import (
     spread,
     take,
 )
-from localiser.particles.clusters import Clusters, find_clusters, poses_per_cell
-from localiser.particles.resampling import enough_particles, multinomial_resample, systematic_resample
+from localiser.particles.clusters import CELL_M, CELL_RAD, Clusters, cells_of, find_clusters
+from localiser.particles.resampling import multinomial_resample, systematic_resample

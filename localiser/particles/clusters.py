@@ -18,6 +18,8 @@ from localiser.geometry import Array, cos_sin, wrap_angle
 
 Indices = NDArray[np.int64]
 
+CELL_M, CELL_RAD = 0.25, np.pi / 18
+
 # One of each pair of opposite neighbours: 13 of the 26.
 _NEIGHBOURS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
 
@@ -57,7 +59,7 @@ class Clusters:
 
 
 def find_clusters(
-    poses: Array, weight: Array, *, cell_m: float = 0.25, cell_rad: float = np.pi / 18, mass: float = 0.95
+    poses: Array, weight: Array, *, cell_m: float = CELL_M, cell_rad: float = CELL_RAD, mass: float = 0.95
 ) -> Clusters:
     """Return the clusters of poses (N, 3) with weight (N,), in cells of cell_m × cell_m × about cell_rad.
 
@@ -75,15 +77,9 @@ def find_clusters(
     return _summarised(np.asarray(poses, dtype=np.float64), share, part[cell_of_pose])
 
 
-def poses_per_cell(poses: Array, cell_m: float = 0.25, cell_rad: float = np.pi / 18) -> Indices:
-    """Return for each of the poses (N, 3) how many of them, itself included, lie in its cell."""
-    cells, cell_of_pose, _ = _cells(poses, cell_m, cell_rad)
-    return np.bincount(cell_of_pose, minlength=len(cells))[cell_of_pose]
-
-
-def occupied_cells(poses: Array, cell_m: float, cell_rad: float) -> int:
-    """Return in how many cells of cell_m × cell_m × about cell_rad poses (N, 3) lie."""
-    return len(_cells(poses, cell_m, cell_rad)[0]) if len(poses) else 0
+def cells_of(poses: Array, cell_m: float = CELL_M, cell_rad: float = CELL_RAD) -> Indices:
+    """Return for each of the poses (N, 3) which of the occupied cells, from 0 on, it lies in."""
+    return _cells(poses, cell_m, cell_rad)[1]
 
 
 def _cells(poses: Array, cell_m: float, cell_rad: float) -> tuple[Indices, Indices, int]:

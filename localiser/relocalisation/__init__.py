@@ -1,14 +1,14 @@
-"""Global localisation: poses proposed from the edges of one image, and whether the robot is lost."""
+"""Global localisation: poses proposed from the edges of one image, and the places that they are at."""
 
+from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.evidence import warm_up
 from localiser.relocalisation.global_localisation import (
-    SEEN_FIRST,
+    FIRST,
+    LEAST_NOVELTY,
     Clues,
     GlobalLocalisation,
     SearchParameters,
-    resampled,
 )
-from localiser.relocalisation.lost_probability import LostProbability
 from localiser.relocalisation.mixture import Proposals, Region
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.proposals import ProposalParameters, propose

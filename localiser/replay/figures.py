@@ -34,6 +34,7 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         reasons=[result.reason for result in located],
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges)
+    figures["warnings"] += _map_warnings(run)
     return figures | evaluate.timing_metrics(run.timing)
 
 
@@ -93,6 +94,18 @@ def _constants(run: Replay) -> dict[str, Any]:
     if truth is not None and run.localiser.config.increments.source == "wheel":
         fit = evaluate.fit_wheels(run.log.odometry, truth, first.t_ns, last.t_ns)
     return evaluate.bias_figures(last.estimate, fit)
+
+
+def _map_warnings(run: Replay) -> list[str]:
+    """Return what the filter said of the map, as texts for people."""
+    told = [index for index, frame in enumerate(run.frames) if frame.located.warning]
+    if not told:
+        return []
+    since_s = run.track.seconds[told[0]]
+    return [
+        f"{run.frames[told[0]].located.warning.capitalize()}: the images show other edges than it has, in {len(told)} "
+        f"of {len(run.frames)} images, for the first time after {since_s:.1f} s. Is it of this building?"
+    ]
 
 
 def _mount(run: Replay, edges: Sequence[Edges]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ class Recorder:
         self._trails: dict[str, Array] = {}
         self._map_from_odometry: Array | None = None
         self._stages: tuple[str, ...] = ()
-        self._reason = ""
+        self._reason, self._warning = "", ""
         self._log_static()
 
     def frame(self, number: int, frame: LocatedFrame) -> None:
@@ -128,6 +128,9 @@ class Recorder:
             self._reason = located.reason
             text, level = (f"perhaps lost: {self._reason}", "WARNING") if self._reason else ("sure of the pose", "INFO")
             self.message(located.t_ns, f"{text} (p = {located.p_correct:.2f})", level)
+        if located.warning != self._warning:
+            self._warning = located.warning
+            self.message(located.t_ns, self._warning or "the map fits again", "WARNING" if self._warning else "INFO")
         places = located.clusters
         if places is None or (places.weight >= SHOWN).sum() < 2:  # the estimate's own ellipse says it all
             for path in (paths.PLACES, paths.PLACE_ARROWS):

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap
+from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting
+from localiser.observation.detection_rate import DETECTION_RATES
 from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.likelihood import bins_of
 from localiser.observation.polarity import SAME
@@ -175,3 +176,22 @@ def test_a_polarity_that_only_one_side_knows_changes_no_bit(of: str) -> None:
     )
     np.testing.assert_array_equal(one, observation.by_rate(particles, Sighting(0, unknown_edges), unknown_map))
     assert (one != observation.by_rate(particles, Sighting(0, edges), landmark_map)).any()
+
+
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_detection_rates_are_a_poisson_process(kind: str) -> None:
+    """Against its equation, from what the inlier rates say: both are functions of the same densities."""
+    rng = np.random.default_rng(7)
+    observation = EdgeObservation(camera(20.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map, particles = some_map(rng, 40), cloud(rng, 200)
+    mount_sees = observation.camera_poses(particles)
+    seen = np.bincount(sight(observation.camera, mount_sees, landmark_map).pose, minlength=200)
+    for edges in (some_edges(rng, 1, True), some_edges(rng, 1, False)):
+        inlier = observation.by_rate(particles, Sighting(0, edges), landmark_map)[3]
+        rate = INLIER_RATES[3]
+        density = (np.expm1(inlier) / rate + 1.0) * np.maximum(seen, 1)  # of the one edge, relative to clutter
+        expected = [np.log1p(p * density) - np.log1p(p * seen) for p in DETECTION_RATES]
+        found = observation.by_detection_rate(particles, Sighting(0, edges), landmark_map)
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+    assert (seen == 0).any() and np.ptp(found) > 0.5
+    np.testing.assert_array_equal(found[:, seen == 0], 0.0)

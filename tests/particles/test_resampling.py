@@ -93,35 +93,7 @@ def test_agrees_with_filterpy(name, seed, monkeypatch):
     np.testing.assert_array_equal(ours, np.sort(expected))
 
 
-# -- how many particles -----------------------------------------------------------------------------------------------
-
-
-def enough_for(cells, **limits):
-    """Return how many particles a cloud needs that occupies so many cells."""
-    poses = np.column_stack([np.arange(cells) + 0.5, np.zeros((cells, 2))])
-    return resampling.enough_particles(poses, 1.0, 1.0, **limits)
-
-
-@pytest.mark.parametrize("cells", [2, 10, 100, 1000, 20_000])
-@pytest.mark.parametrize("risk", [0.01, 0.1])
-def test_particle_count_is_the_chi_squared_quantile(cells, risk):
-    stats = pytest.importorskip("scipy.stats")
-    exact = stats.chi2.ppf(1 - risk, cells - 1) / (2 * 0.05)
-    # Wilson and Hilferty's approximation: worst at one degree of freedom.
-    found = enough_for(cells, error=0.05, risk=risk)
-    assert found == pytest.approx(exact, rel=0.03 if cells == 2 else 0.005)
-
-
-def test_that_many_particles_keep_the_histogram_within_the_error():
-    """K(p̂, p) <= ε in at least a share 1 - δ of the draws, for a histogram of 40 uneven cells."""
-    rng = np.random.default_rng(3)
-    p = rng.exponential(size=40)
-    p /= p.sum()
-    count = enough_for(40, error=0.05, risk=0.1)
-    drawn = rng.multinomial(count, p, size=2000) / count
-    distance = np.sum(np.where(drawn > 0, drawn * np.log(np.maximum(drawn, 1e-300) / p), 0.0), axis=1)
-    kept = (distance <= 0.05).mean()
-    assert 0.88 < kept < 0.95  # sized for 0.9
+# -- cells -----------------------------------------------------------------------------------------------------------
 
 
 def test_cells_are_counted_once_and_close_around_the_circle():
@@ -129,21 +101,12 @@ def test_cells_are_counted_once_and_close_around_the_circle():
     poses = np.array(
         [[0.1, 0.1, 0.1], [0.2, 0.9, 0.2], [-0.1, 0.1, 0.1], [0.1, 0.1, 0.1 + 2 * np.pi], [0.1, 0.1, -0.1]]
     )
-    assert clusters.occupied_cells(poses, 1.0, quarter) == 3
-    assert clusters.occupied_cells(poses, 1.0, 2 * np.pi) == 2
-    assert clusters.occupied_cells(poses, 0.5, quarter) == 4
-    assert resampling.enough_particles(poses[:1], 1.0, quarter) == 1
-
-
-def test_a_spread_cloud_needs_more_particles_than_a_tight_one():
-    rng = np.random.default_rng(0)
-    tight, wide = rng.normal(0, [0.02, 0.02, 0.01], (2000, 3)), rng.normal(0, [2.0, 2.0, 1.0], (2000, 3))
-    needed = [resampling.enough_particles(cloud, 0.5, np.radians(10)) for cloud in (tight, wide)]
-    assert needed[0] < 250
-    assert needed[1] > 2000
+    assert clusters.cells_of(poses, 1.0, quarter).max() + 1 == 3
+    assert clusters.cells_of(poses, 1.0, 2 * np.pi).max() + 1 == 2
+    assert clusters.cells_of(poses, 0.5, quarter).max() + 1 == 4
 
 
 @pytest.mark.parametrize("cell", [(0.0, 0.1), (0.1, 0.0), (-1.0, 0.1)])
 def test_cells_without_extent_are_refused(cell):
     with pytest.raises(ValueError, match="cells"):
-        clusters.occupied_cells(np.zeros((1, 3)), *cell)
+        clusters.cells_of(np.zeros((1, 3)), *cell)

@@ -1,4 +1,4 @@
-"""A robot whose place is not known, or is known wrongly: the odds of being lost, the search, and what is said of it."""
+"""A robot whose place is not known, or is known wrongly, or is not on the map: the belief, and what is said of it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import pytest
 from proposal_room import CAMERA, room
 
 from localiser import geometry
+from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
-from localiser.filter.alternative_hypothesis import AlternativeHypothesis
-from localiser.filter.confidence import confidence_of, is_near
+from localiser.filter.belief import Belief
+from localiser.filter.confidence import is_near
 from localiser.geometry import Array, Trajectory
-from localiser.observation import INLIER_RATES, EdgeObservation, ObservationParameters
+from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, find_clusters
-from localiser.relocalisation import global_localisation as search
+from localiser.relocalisation import Candidates
 from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
-from localiser.relocalisation.lost_probability import OVERLOOKED, LostProbability
 from localiser.simulate import EdgeNoise, simulated_edges
 
 SECOND = 1_000_000_000
@@ -123,109 +123,156 @@ def test_edges_that_show_no_landmark_cost_confidence_and_are_named() -> None:
     events = [replace(event, edges=empty.pop(0)) if isinstance(event, Sighting) else event for event in driven.events]
     found = located([Start(0, driven.truth[0], np.diag([0.05, 0.05, 0.02]) ** 2), *events])
     assert found[-1].p_correct < 0.9
-    assert found[-1].reason == "edges contradict the map"
+    assert found[-1].reason in ("edges contradict the map", "several places fit")
 
 
-# -- lost probability -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_off_the_map_is_never_sure(seed: int) -> None:
+    """The mirrored room has as many landmarks, but the edges are of none of them."""
+    driven = drive(40, seed=seed)
+    mirrored = replace(ROOM, points=ROOM.points * [-1.0, 1.0])
+    elsewhere = replace(FILTER, landmark_map=mirrored, search=GlobalLocalisation.of(OBSERVATION, mirrored))
+    assert max(one.p_correct for one in located(driven.events, seed, elsewhere)) < 0.9
 
 
-def test_the_lost_probability_grows_with_edges_that_do_not_fit_and_falls_with_edges_that_do() -> None:
-    nothing, fits = np.log1p(-INLIER_RATES)[:, None] * 20, np.linspace(0, 20, len(INLIER_RATES))[:, None]
-    lost, one = LostProbability.of(1e-4), np.zeros(1)
-    for _ in range(3):
-        before, lost = lost, lost.after(nothing, one, 1.0, 1e-3)
-        assert lost.probability > before.probability
-    for _ in range(20):
-        lost = lost.after(nothing, one, 1.0, 1e-3)
-    assert lost.probability <= 0.5, "what is not on the map explains such edges as well"
-    assert lost.after(fits, one, 1.0, 1e-3).probability < 1e-3
+def test_a_map_that_does_not_fit_is_named() -> None:
+    assert Belief(0.0, 0.0005, 0.0005, 0.999).warning == "this map does not fit"
+    assert Belief(0.04, 0.01, 0.0, 0.95, unfit=20.0).warning == "this map does not fit"
+    assert Belief(0.04, 0.01, 0.0, 0.95, unfit=3.0).warning == ""
 
 
-def test_an_image_seen_before_leaves_the_lost_probability_as_it_was() -> None:
-    nothing = np.log1p(-INLIER_RATES)[:, None] * 20
-    assert LostProbability.of(0.1).after(nothing, np.zeros(1), 0.0, 1e-3).probability == pytest.approx(0.1)
+# -- the belief -------------------------------------------------------------------------------------------------------
 
 
-def test_a_place_that_fits_may_be_wrong_until_others_would_have_been_found() -> None:
-    fits = np.linspace(0, 20, len(INLIER_RATES))[:, None]
-    lost = LostProbability.of_anywhere()
-    assert lost.probability == pytest.approx(OVERLOOKED)
-    chances = []
-    for _ in range(6):
-        lost = lost.after(fits, np.zeros(1), 1.0, 0.0)
-        chances.append(lost.probability)
-    assert (np.diff(chances) < 0).all() and OVERLOOKED**7 < chances[-1] < 0.01
+def places(poses: Array, log_weight: Array | None = None) -> Candidates:
+    return Candidates.unknown(cloud(poses, log_weight))
 
 
-# -- alternative hypothesis -------------------------------------------------------------------------------------------
+def total(belief: Belief) -> float:
+    return belief.tracked + belief.elsewhere + belief.unexplored + belief.off_map
 
 
-def test_fresh_poses_keep_the_constant_errors_and_see_through_them() -> None:
+def seen(belief: Belief, sighting: Sighting, at: Array, novelty: float = 1.0) -> Belief:
+    few = cloud(np.tile(at, (50, 1)))
+    return belief.after(SEARCH, few, few, sighting, novelty, lambda moved: moved, np.random.default_rng(0))
+
+
+def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:
+    driven = drive(1)
+    sighting, truth = driven.events[1], driven.truth[0]
+    right = seen(Belief.stated(), sighting, truth)  # type: ignore[arg-type]
+    wrong = seen(Belief.stated(), sighting, truth + np.array([1.0, 0.5, 2.0]))  # type: ignore[arg-type]
+    for belief in (right, wrong, right.beside(truth)):
+        assert total(belief) == pytest.approx(1.0)
+    assert right.tracked > 0.99 and wrong.tracked < 0.5
+    assert wrong.elsewhere > 0.1 and wrong.candidates is not None, "the image proposes where else the robot may be"
+
+
+def test_an_image_of_the_same_scene_changes_nothing() -> None:
+    driven = drive(1)
+    belief = replace(Belief.stated(), tracked=0.7, off_map=0.2)
+    again = seen(belief, driven.events[1], driven.truth[0] + 1.0, novelty=0.0)  # type: ignore[arg-type]
+    assert (again.tracked, again.unexplored, again.off_map) == pytest.approx((0.7, 0.1, 0.2))
+
+
+def test_a_place_takes_over_when_nothing_else_explains_the_edges() -> None:
+    rng = np.random.default_rng(0)
+    one, many = places(rng.normal(0, 0.05, (500, 3))), places(rng.uniform(-3, 3, (500, 3)))
+    assert Belief(0.0005, 0.9, 0.0, 0.0995, one).found() is not None
+    assert Belief(0.01, 0.9, 0.0, 0.09, one).found() is None, "not yet a thousand to one"
+    assert Belief(0.0001, 0.2, 0.0, 0.7999, one).found() is None, "most probably off the map"
+    assert Belief(0.0005, 0.9, 0.0, 0.0995, many).found() is None
+    found = Belief(0.0, 0.6, 0.0, 0.4, one).found()
+    assert found is not None and found[1].tracked == pytest.approx(0.6) and len(found[0]) == 500
+
+
+def test_candidates_are_not_where_the_robot_is_tracked() -> None:
+    poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [3.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
+    belief = Belief(0.5, 0.4, 0.0, 0.1, places(poses)).beside(np.zeros(3))
+    assert belief.candidates is not None
+    np.testing.assert_array_equal(belief.candidates.particles.poses, poses[2:])
+    assert (belief.tracked, belief.elsewhere) == pytest.approx((0.7, 0.2))
+    near = Belief(0.5, 0.4, 0.0, 0.1, places(poses[:2])).beside(np.zeros(3))
+    assert near.candidates is None and near.tracked == pytest.approx(0.9)
+
+
+# -- candidates -------------------------------------------------------------------------------------------------------
+
+
+def test_proposed_poses_keep_the_constant_errors_and_see_through_them() -> None:
     """A robot whose camera is turned by 0.02 has a heading that is as much less, and is as likely."""
-    clues = SEARCH.clues(drive(1).events[1])  # type: ignore[attr-defined]
+    clues = SEARCH.clues(drive(1).events[1])  # type: ignore[arg-type]
     straight, turned = (
         Particles((*POSE, CAMERA_YAW), np.array([[0.0, 0.0, 0.0, yaw]]).T, np.zeros(1)) for yaw in (0.0, 0.02)
     )
-    (one, evidence), (other, same) = (
-        SEARCH.fresh(like, clues, LostProbability.of(0.1).inliers, 500, np.random.default_rng(0))
-        for like in (straight, turned)
+    (first, evidence), (second, same) = (
+        SEARCH.proposed(like, clues, 500, np.random.default_rng(0)) for like in (straight, turned)
     )
+    assert first is not None and second is not None
+    one, other = first.particles, second.particles
     assert (other[CAMERA_YAW] == 0.02).all() and same == evidence
     np.testing.assert_allclose(geometry.wrap_angle(one["heading"] - other["heading"]), 0.02)
     np.testing.assert_allclose(clues.by_rate(one), clues.by_rate(other), atol=1e-6)
 
 
-def test_joined_clouds_have_the_odds_that_are_asked_for() -> None:
-    both = search.joined(cloud(np.zeros((3, 3))), cloud(np.ones((5, 3)), np.arange(5.0)), np.log(0.25))
-    weight = both.weight
+def test_joined_candidates_have_the_odds_that_are_asked_for() -> None:
+    both = places(np.zeros((3, 3))).joined(places(np.ones((5, 3)), np.arange(5.0)), np.log(0.25))
+    weight = both.particles.weight
     assert weight[3:].sum() / weight[:3].sum() == pytest.approx(0.25)
     np.testing.assert_allclose(weight[4:] / weight[3:-1], np.e)
+    assert both.rates.shape == (len(DETECTION_RATES), 8)
 
 
-def test_fewer_particles_are_kept_where_they_occupy_fewer_cells() -> None:
+def test_a_place_of_little_weight_is_kept_with_its_weight() -> None:
     rng = np.random.default_rng(0)
-    wide, narrow = (rng.uniform(-size, size, (2000, 3)) for size in (3.0, 0.05))
-    counts = [len(search.resampled(cloud(poses), 100, 2000, rng)) for poses in (wide, narrow)]
-    assert counts[0] == 2000 and counts[1] < 300
+    poses = np.concatenate([rng.normal(0.1, 0.01, (1000, 3)), rng.normal(2.1, 0.01, (10, 3))])
+    log_weight = np.concatenate([np.zeros(1000), np.full(10, np.log(1e-3))])
+    before = places(poses, log_weight)
+    after = before.resampled(4000, rng)
+    away = [float(one.particles.weight[one.particles.poses[:, 0] > 1.0].sum()) for one in (before, after)]
+    assert away[1] == pytest.approx(away[0], rel=1e-6)
+    assert (after.particles.poses[:, 0] > 1.0).sum() >= 3
+    assert len(before.resampled(50, rng)) == 50
 
 
-def test_an_alternative_is_not_where_the_robot_is_believed_to_be() -> None:
-    poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [3.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
-    alternative = AlternativeHypothesis(cloud(poses), LostProbability.of_anywhere(), 1.0).elsewhere(np.zeros(3))
-    assert alternative is not None
-    np.testing.assert_array_equal(alternative.particles.poses, poses[2:])
-    assert alternative.log_odds == pytest.approx(1.0 + np.log(0.5))
-    assert AlternativeHypothesis(cloud(poses[:2]), LostProbability.of_anywhere(), 1.0).elsewhere(np.zeros(3)) is None
+def test_candidates_learn_the_detection_rate_where_they_are() -> None:
+    fits_often, fits_seldom = np.linspace(0, 20, len(DETECTION_RATES)), np.linspace(0, -20, len(DETECTION_RATES))
+    found = places(np.zeros((2, 3)))
+    for _ in range(3):
+        found, log_mean = found.weighed(np.stack([fits_often, fits_seldom], axis=1), 1.0, drop_blind=False)
+    assert found.rates[-1, 0] > 0.9 and found.rates[0, 1] > 0.9
+    np.testing.assert_allclose(found.rates.sum(axis=0), 1.0)
+    assert found.particles.weight[0] > 0.999 and log_mean > 15.0
 
 
-def test_an_alternative_wins_with_one_place_not_with_many() -> None:
-    rng = np.random.default_rng(0)
-    one, many = rng.normal(0, 0.05, (500, 3)), rng.uniform(-3, 3, (500, 3))
-    assert AlternativeHypothesis(cloud(one), LostProbability.of_anywhere(), 10.0).has_won
-    assert not AlternativeHypothesis(cloud(many), LostProbability.of_anywhere(), 10.0).has_won
-    assert not AlternativeHypothesis(cloud(one), LostProbability.of_anywhere(), 1.0).has_won
+def test_places_from_which_nothing_of_the_map_is_seen_are_given_up() -> None:
+    by_rate = np.zeros((len(DETECTION_RATES), 2))
+    by_rate[:, 1] = -0.5
+    kept, _ = places(np.zeros((2, 3))).weighed(by_rate, 1.0, drop_blind=True)
+    assert kept.particles.weight[0] < 1e-100
 
 
 # -- what is said of it -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("poses", "lost", "edges", "p_correct", "reason"),
+    ("poses", "off_map", "edges", "p_correct", "reason"),
     [
         ([[0, 0, 0], [0.1, 0, 0]], 0.0, 5, 1.0, ""),
         ([[0, 0, 0], [3, 0, 0]], 0.0, 5, 0.5, "several places fit"),
-        ([[0, 0, 0], [0, 0, np.pi]], 0.1, 5, 0.45, "several places fit"),
         ([[0, 0, 0], [0.1, 0, 0]], 0.7, 5, 0.3, "edges contradict the map"),
         ([[0, 0, 0], [0.1, 0, 0]], 0.7, 0, 0.3, "no edges"),
     ],
 )
-def test_confidence(poses: list[list[float]], lost: float, edges: int, p_correct: float, reason: str) -> None:
-    particles = cloud(np.array(poses))
-    found = confidence_of(particles, np.zeros(3), lost, edges == 0)
-    assert found == (pytest.approx(p_correct), reason)
+def test_confidence(poses: list[list[float]], off_map: float, edges: int, p_correct: float, reason: str) -> None:
+    belief = Belief(1.0 - off_map, 0.0, 0.0, off_map)
+    found = belief.p_correct(cloud(np.array(poses)), np.zeros(3), is_tracked=True)
+    sighting = Sighting(0, Edges.from_columns(*np.full((4, edges), 0.1)))
+    assert found == pytest.approx(p_correct)
+    assert belief.reason(found, sighting) == reason
 
 
-def test_clusters_of_belief_and_alternative_share_the_weight() -> None:
+def test_clusters_of_belief_and_candidates_share_the_weight() -> None:
     rng = np.random.default_rng(0)
     here, there = (find_clusters(rng.normal(at, 0.02, (200, 3)), np.ones(200), mass=1.0) for at in (0.1, 2.0))
     both: Clusters = here.beside(there, 0.7)

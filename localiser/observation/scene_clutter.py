@@ -1,0 +1,108 @@
+"""Scene clutter: what is on no map is expected where an earlier image showed it, and beside its like.
+
+The belief compares places with the hypothesis that all edges of an image are clutter. Edges predict those of later
+images, whatever they are. If clutter were independent in each image, a wrong place that fits one image by chance would
+gain by every image of the same things. So the clutter is a Poisson process with the intensity
+
+    λ(e) = s Σ_j K(e; j) + ν Λ(e)
+
+j: the edges of the earlier image, of which a fraction s is seen again. K: edge j turned with the robot and shifted by
+the parallax of an unknown distance r, as in `persistent_clutter`, and ending where j ended, shifted by the same
+parallax, by the model of `endpoint_likelihood`. ν is the expected number of new edges. They stand in groups, as books
+on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are the other edges of the image, 3° wide and
+with ends in the same rows.
+
+All hypotheses about where the robot is share this intensity. A place must predict the edges better.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from localiser.edges import Edges
+from localiser.geometry import Array, wrap_angle
+from localiser.observation.angle import Angle
+from localiser.observation.endpoint_likelihood import ROW_PX, SIGMA_PX, endpoints_of
+from localiser.observation.persistent_clutter import NEAR_M
+
+SEEN_AGAIN = 0.8  # how often an edge of the earlier image is seen again
+NEW = 0.3  # how many of the edges may be new, at least
+GROUP_RAD = np.radians(3.0)  # how far apart the edges of one group are
+SHORT = 0.3  # how often an end is not where the same edge ended before
+
+
+def scene_clutter(
+    angle: Angle, edges: Edges, before: Edges | None, motion: Array, turn_var: float
+) -> tuple[Array, float]:
+    """Return how dense clutter is at each edge (E,), and how many edges continue one of the image before, 0 … 1.
+
+    The density is relative to E edges spread evenly over the field of view, with ends as `endpoint_likelihood` has
+    them. before: None where there is no earlier image. motion: (3,) of the camera since, in its own frame then (m, m,
+    rad). turn_var: variance of its turn (rad²).
+    """
+    count = len(edges)
+    if not count:
+        return np.ones(0), 0.0
+    with_ends = bool(np.isfinite(edges.ends_px).all())
+    grouped = _grouped(angle, edges, with_ends)
+    if before is None or not len(before):
+        return grouped, 0.0
+    with_ends = with_ends and bool(np.isfinite(before.ends_px).all())
+    again = SEEN_AGAIN * _continued(angle, edges, before, motion, turn_var, with_ends).sum(axis=1)
+    new = max(count - SEEN_AGAIN * len(before), NEW * count, 1.0) * grouped
+    return (again + new) / count, float((again / (again + new)).mean())
+
+
+def _continued(angle: Angle, edges: Edges, before: Edges, motion: Array, turn_var: float, with_ends: bool) -> Array:
+    """Return K (E, B), relative to an even density."""
+    bearing, sigma = angle.bearings(edges)
+    earlier, earlier_sigma = angle.bearings(before)
+    right, back, turn = motion
+    across = right * np.cos(earlier) + back * np.sin(earlier)
+    expected = earlier + turn - across / (2 * NEAR_M)
+    variance = earlier_sigma**2 + turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
+    density = _normal(wrap_angle(bearing[:, None] - expected), variance) * angle.span_rad
+    if with_ends:
+        ahead = right * np.sin(earlier) - back * np.cos(earlier)
+        density *= _ends_alike(angle, edges, before, ahead / NEAR_M, SIGMA_PX)
+    return density
+
+
+def _grouped(angle: Angle, edges: Edges, with_ends: bool) -> Array:
+    """Return Λ (E,), relative to an even density."""
+    bearing, sigma = angle.bearings(edges)
+    density = _normal(bearing[:, None] - bearing, GROUP_RAD**2 + np.nan_to_num(sigma)[:, None] ** 2) * angle.span_rad
+    if with_ends:
+        density *= _ends_alike(angle, edges, edges, np.zeros(len(edges)), ROW_PX)
+    np.fill_diagonal(density, 0.0)
+    return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
+
+
+def _ends_alike(angle: Angle, edges: Edges, others: Edges, approach: Array, sigma_px: float) -> Array:
+    """Return how much likelier the ends of edges (E) are if they are those of others (B), (E, B).
+
+    approach: (B,) by how much of the nearest distance the camera came nearer to each of the others. An end at upright
+    height e of a thing at distance D has the slope t = (e c - s) / (c + e s), which grows by t · approach / D.
+    """
+    camera = angle.camera
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    ends, of_others = endpoints_of(edges, camera), endpoints_of(others, camera)
+    earlier = of_others.e
+    slope = (earlier * c - s) / (c + earlier * s)
+    shift = slope * approach[:, None] / (c - slope * s) ** 2
+    result = np.ones((len(edges), len(others)))
+    for end in (0, 1):
+        variance = shift[:, end] ** 2 / 12 + (sigma_px / camera.focal_px) ** 2
+        room = ends.room[:, end, None]
+        at = _normal(ends.e[:, end, None] - earlier[:, end] - shift[:, end] / 2, variance)
+        alike = SHORT * np.minimum(room * of_others.per_length, 1.0) + (1.0 - SHORT) * room * at
+        # The border ends an edge wherever the thing itself does.
+        result *= np.where(ends.cut[:, end, None], np.where(of_others.cut[:, end], 1.0, SHORT), alike)
+    return result
+
+
+def _normal(error: Array, variance: Array) -> Array:
+    """Return the normal density, 0 where something is not known."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        density = np.exp(-0.5 * error**2 / variance) / np.sqrt(2 * np.pi * variance)
+    return np.where(np.isfinite(density), density, 0.0)

@@ -1,0 +1,101 @@
+"""Candidates: weighted poses at all places, beside the one that is tracked, where the robot may be.
+
+They are particles that many places share. Each has its own distribution of the detection rate, learnt from the images
+that it has been weighed by: landmarks of another place may be seen more or less often. A place keeps particles as long
+as it may be right, however small its weight, so that a later image can still decide for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array, wrap_angle
+from localiser.observation import DetectionRate
+from localiser.particles import CELL_M, CELL_RAD, Particles, cells_of, log_sum, only, systematic_resample
+
+PER_CELL = 60  # particles in each cell of floor and heading, on average
+LEAST_WEIGHT = 1e-9  # of a cell, below which it is given up
+EVENNESS = 0.25  # power of a cell's weight by which it gets particles
+SPREAD = 0.2  # of the spread of a cell: by how much its particles are moved, so that copies part
+MEMORY_SCENES = 30.0  # scenes after which the detection rate may be another
+_NEVER = -500.0  # log-likelihood of a pose that is given up
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """particles: N of them. rates: (K, N) probability of each of `DETECTION_RATES` at each of them."""
+
+    particles: Particles
+    rates: Array
+
+    def __len__(self) -> int:
+        return len(self.particles)
+
+    @classmethod
+    def unknown(cls, particles: Particles) -> Candidates:
+        """Return candidates that no image has been compared with."""
+        return cls(particles, np.tile(DetectionRate.unknown().probability[:, None], (1, len(particles))))
+
+    def weighed(self, by_rate: Array, novelty: float, *, drop_blind: bool) -> tuple[Candidates, float]:
+        """Return the candidates after an image, and the logarithm of their mean likelihood.
+
+        by_rate: (K, N) log p(edges | particle, p_k), relative to clutter alone. novelty: of the scene, 0 … 1.
+        drop_blind: whether poses from which no landmark is in view are given up. They would mean that what the image
+        shows is not on the map.
+        """
+        prior = DetectionRate.unknown().probability[:, None]
+        rates = self.rates + (1.0 - np.exp(-novelty / MEMORY_SCENES)) * (prior - self.rates)
+        joint = novelty * by_rate + np.log(rates)
+        if drop_blind:
+            joint = np.where((by_rate == 0.0).all(axis=0), joint + _NEVER, joint)
+        log_fit = np.logaddexp.reduce(joint, axis=0)
+        particles = replace(self.particles, log_weight=self.particles.log_weight + log_fit)
+        log_mean = log_sum(particles.log_weight) - log_sum(self.particles.log_weight)
+        return Candidates(particles, np.exp(joint - log_fit)), log_mean
+
+    def joined(self, others: Candidates, log_odds: float) -> Candidates:
+        """Return both, in which the others as a whole have exp(log_odds) times the weight of these."""
+        one, other = self.particles, others.particles
+        log_weight = one.log_weight - log_sum(one.log_weight)
+        log_others = other.log_weight - log_sum(other.log_weight) + log_odds
+        columns = np.concatenate([one.columns, other.columns], axis=1)
+        particles = replace(one, columns=columns, log_weight=np.concatenate([log_weight, log_others]))
+        return Candidates(particles, np.concatenate([self.rates, others.rates], axis=1))
+
+    def only(self, chosen: NDArray[np.bool_]) -> Candidates:
+        """Return those chosen (N,)."""
+        return Candidates(only(self.particles, chosen), self.rates[:, chosen])
+
+    def resampled(self, most: int, rng: np.random.Generator) -> Candidates:
+        """Return candidates at the same places, at most so many.
+
+        A cell of weight W gets particles in proportion to W^¼, and these share W. So the result is still weighted,
+        and a place that fits a little worse than others is not lost by chance.
+        """
+        weight, poses = self.particles.weight, self.particles.poses
+        cell = cells_of(poses, CELL_M, CELL_RAD)
+        mass = np.bincount(cell, weight)
+        followed = mass > LEAST_WEIGHT
+        share = np.where(followed, mass, 0.0) ** EVENNESS
+        chance = weight * (share / share.sum() / np.maximum(mass, 1e-300))[cell]
+        index = systematic_resample(chance, min(PER_CELL * int(followed.sum()), most), rng)
+        drawn = np.bincount(cell[index], minlength=len(mass))
+        columns = self.particles.columns[:, index]
+        columns[:3] += SPREAD * _spread(poses, weight, cell)[:, cell[index]] * rng.standard_normal((3, len(index)))
+        columns[2] = wrap_angle(columns[2])
+        log_weight = np.log(mass[cell[index]] / drawn[cell[index]])
+        return Candidates(replace(self.particles, columns=columns, log_weight=log_weight), self.rates[:, index])
+
+
+def _spread(poses: Array, weight: Array, cell: NDArray[np.int64]) -> Array:
+    """Return the standard deviation (3, C) of the weighted poses (N, 3) in each cell."""
+    mass = np.maximum(np.bincount(cell, weight), 1e-300)
+    means = [np.bincount(cell, weight * column) / mass for column in poses.T]
+    variances = [
+        np.bincount(cell, weight * (column - mean[cell]) ** 2) / mass
+        for column, mean in zip(poses.T, means, strict=True)
+    ]
+    return np.sqrt(np.stack(variances))

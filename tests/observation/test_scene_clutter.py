@@ -1,0 +1,118 @@
+"""Clutter as an earlier image predicts it: against simulated things on no map, and against its own integral."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.geometry import Array, wrap_angle
+from localiser.observation import Angle
+from localiser.observation.persistent_clutter import NEAR_M
+from localiser.observation.scene_clutter import NEW, SEEN_AGAIN, scene_clutter
+
+CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
+ANGLE = Angle(CAMERA, "line")
+SPAN = ANGLE.span_rad
+SIGMA = np.radians(1.0)
+
+
+def edges_at(bearings: ArrayLike, sigma: float, ends_px: Array | None = None) -> Edges:
+    angle = np.array(bearings, dtype=float)
+    known, tilted = np.full(len(angle), sigma), np.sin(np.radians(15.0))
+    return Edges.from_columns(angle, known, np.arctan(tilted * np.tan(angle)), tilted * known, ends_px=ends_px)
+
+
+def density(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0) -> Array:
+    return scene_clutter(ANGLE, now, before, np.array(motion, dtype=float), turn_var)[0]
+
+
+def test_nothing_is_known_without_a_last_image() -> None:
+    one, none = edges_at([0.1], 0.02), edges_at([], 0.02)
+    assert density(one, none).tolist() == density(one, None).tolist() == [1.0]
+    assert density(none, one).tolist() == []
+
+
+def test_what_stands_where_it_was_is_as_dense_as_the_sigmas_say() -> None:
+    found = density(edges_at([0.25, -0.25], 0.01), edges_at([0.2, -0.3], 0.01), (0, 0, 0.05))
+    new = max(2 - 2 * SEEN_AGAIN, 1.0)
+    np.testing.assert_allclose(found, (SEEN_AGAIN * SPAN / np.sqrt(2 * np.pi * 2e-4) + new / 2) / 2, rtol=1e-6)
+
+
+def test_an_edge_where_none_was_and_without_neighbours_is_rare() -> None:
+    row = np.linspace(-0.45, -0.1, 9)
+    found = density(edges_at([*row, 0.4], 0.001), edges_at(row, 0.001))
+    assert found[-1] == pytest.approx(NEW / 10, rel=1e-3) and (found[:-1] > 5.0).all()
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)
+@given(
+    st.lists(st.floats(-0.5, 0.5), max_size=8),
+    st.floats(-0.3, 0.3),
+    st.floats(-0.3, 0.3),
+    st.floats(-0.5, 0.5),
+)
+def test_the_density_integrates_to_the_expected_number_of_edges(
+    before: list[float], right: float, back: float, turn: float
+) -> None:
+    """Over all bearings, also beyond the image: those seen again, beside the new ones, of one edge."""
+    grid, step = np.linspace(-2.5, 2.5, 401, retstep=True)
+    found = np.array([density(edges_at([b], 0.02), edges_at(before, 0.02), (right, back, turn), 1e-4)[0] for b in grid])
+    again = SEEN_AGAIN * len(before)
+    assert (found >= 1.0).all()
+    assert float((found - 1.0).sum() * step / SPAN) == pytest.approx(again, abs=0.02 * max(again, 1.0))
+
+
+@pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
+def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
+    """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
+    rng = np.random.default_rng(0)
+    sigma, turn_sigma, count = 0.02, 0.01, 20_000
+    bearing = rng.uniform(-0.5, 0.5, count)
+    range_m = 1.0 / rng.uniform(1e-3, 1.0 / NEAR_M, count)
+    right, back, turn = step
+    ahead = range_m * np.cos(bearing) + back
+    aside = range_m * np.sin(bearing) - right
+    after = np.arctan2(aside, ahead) + turn + turn_sigma * rng.standard_normal(count)
+    first, second = (true + sigma * rng.standard_normal(count) for true in (bearing, after))
+    found = [
+        density(edges_at(second[i : i + 1], sigma), edges_at(first[i : i + 1], sigma), step, turn_sigma**2)[0]
+        for i in range(2000)
+    ]
+    log_density = np.log((np.array(found) - 1.0) / SEEN_AGAIN)  # of what is seen again
+    # The best that a histogram of what really happens can do.
+    error = wrap_angle(second - first - turn)
+    share, border = np.histogram(error, 60, density=True)
+    entropy = float(np.log(SPAN * share[np.clip(np.searchsorted(border, error) - 1, 0, 59)]).mean())
+    assert log_density.mean() > entropy - 0.1
+
+
+def spines(bottoms: ArrayLike, tops: ArrayLike, bearings: ArrayLike) -> Edges:
+    columns = 319.5 + 500.0 * np.tan(np.array(bearings, dtype=float))
+    lower, upper = (np.stack([columns, np.broadcast_to(v, columns.shape)], axis=-1) for v in (bottoms, tops))
+    return edges_at(bearings, 0.002, np.stack([lower, upper], axis=1))
+
+
+def scene(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0)) -> tuple[Array, float]:
+    return scene_clutter(ANGLE, now, before, np.array(motion, dtype=float), 0.0)
+
+
+def test_the_scene_expects_an_edge_to_end_where_it_ended() -> None:
+    before = spines([300.0, 350.0], [200.0, 100.0], [-0.2, 0.2])
+    (same, again), (other, _) = (
+        scene(before, before),
+        scene(spines([330.0, 350.0], [150.0, 100.0], [-0.2, 0.2]), before),
+    )
+    assert again > 0.9
+    assert same[0] > 3.0 * other[0] and other[1] > 3.0 * other[0]
+
+
+def test_the_scene_expects_a_book_beside_books_and_not_elsewhere() -> None:
+    shelf = np.linspace(-0.3, -0.2, 8)
+    density_, again = scene(spines([300.0] * 8 + [420.0], [200.0] * 8 + [60.0], [*shelf, 0.3]), None)
+    assert again == 0.0
+    assert density_[-1] == pytest.approx(1.0 / 9) and (density_[:8] > 3.5).all()
