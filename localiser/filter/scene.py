@@ -20,6 +20,7 @@ from localiser.motion import MotionModel, covariance_of
 from localiser.observation import PredictsScenes, Sighting
 
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
+APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
 CONTINUED = 0.6  # how many edges at least continue those of the image before, unless the robot was carried
 
 
@@ -59,6 +60,8 @@ class Scene:
         if images:
             continued = continued if len(images) == 1 else clutter(images[-1])[1]
             novelty = min(max(_scenes(increment), 1.0 - continued / CONTINUED), 1.0)
+        if len(images) > 1 and _scenes(images[-2].since) < APART:
+            images = images[:-1]
         here = SeenImage(sighting, Increment.from_mean(np.zeros(3)))
         return Scene((*images, here)), density, novelty
 
