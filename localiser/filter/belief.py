@@ -6,14 +6,14 @@
     elsewhere   it is at another place of the map: among the candidates, or where nobody has looked yet
     off map     what the images show is not on this map
 
-ν is the novelty of the scene ([scene]). Likelihoods are stated relative to clutter alone, as earlier images predict it.
-That is all there is off the map, so the likelihood of this hypothesis is 1. That of the others is the mean over their
-particles. Of a place that nobody has looked at it is 1 too, until an image proposes poses there; their evidence then
-moves a part of this probability to the candidates.
+ν is the novelty of the scene (`filter.scene`). Likelihoods are stated relative to clutter alone, as earlier images
+predict it. Off the map there is nothing else, so the likelihood of this hypothesis is 1. That of the others is the mean
+over their particles. Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their
+evidence then moves a part of this probability to the candidates.
 
-Were clutter predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image, whatever
-the images before. By Ville's inequality the odds of being on that map would then ever exceed k times their first value
-with a probability of at most 1 / k.
+If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
+whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
+first value, except with a probability of at most 1 / k.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser import particles
-from localiser.filter.confidence import SURE, Reason, Warning, is_near, near_weight
+from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_weight
 from localiser.geometry import Array
 from localiser.observation import DetectionRate, Sighting
 from localiser.particles import Clusters, Estimate, Particles, find_clusters, log_sum, normalised
@@ -101,7 +101,7 @@ class Belief:
         if candidates is not None:
             moved = replace(candidates, particles=move(candidates.particles))
             by_rate = clues.by_rate(moved.particles)
-            candidates, log_elsewhere = moved.weighed(by_rate, novelty, drop_blind=not clues.is_blind)
+            candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
         belief = replace(belief, candidates=candidates, detections=detections)._weighed(log_tracked, log_elsewhere)
         belief = replace(belief, unfit=self.unfit + novelty if belief.off_map > UNFIT and self.tracked > 0 else 0.0)
         may_be_lost = 1.0 - belief.tracked >= search.parameters.doubt
@@ -225,7 +225,7 @@ class Belief:
         return "edges contradict the map" if self.off_map > self.elsewhere + self.unexplored else "several places fit"
 
     @property
-    def warning(self) -> Warning:
+    def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
         is_unfit = self.off_map > NO_FIT or self.unfit > UNFIT_SCENES
         return "this map does not fit" if is_unfit else ""

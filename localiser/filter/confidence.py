@@ -14,7 +14,7 @@ CORRECT_M, CORRECT_RAD = 0.5, np.radians(10.0)
 SURE = 0.9  # from here on nothing needs a reason
 
 Reason = Literal["", "no edges", "edges contradict the map", "several places fit"]
-Warning = Literal["", "this map does not fit"]
+MapWarning = Literal["", "this map does not fit"]
 
 
 def near_weight(particles: Particles, pose: Array) -> float:

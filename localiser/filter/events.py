@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from localiser.edges import Edges
 from localiser.filter.attitude import Attitude
-from localiser.filter.confidence import Reason, Warning
+from localiser.filter.confidence import MapWarning, Reason
 from localiser.geometry import Array, Increment
 from localiser.observation import Sighting
 from localiser.particles import Clusters, Estimate, Particles
@@ -56,4 +56,4 @@ class Located:
     clusters: Clusters | None = None
     attitude: Attitude | None = None
     sighting: Sighting | None = None
-    warning: Warning = ""
+    warning: MapWarning = ""

@@ -25,6 +25,20 @@ NEAR_M = 1.0  # things on no map are farther away
 _GATE = 3.0  # sigmas within which an edge may continue another
 
 
+def errors_of_continuing(
+    bearing: Array, sigma: Array, before: Array, before_sigma: Array, motion: Array, turn_var: float
+) -> tuple[Array, Array]:
+    """Return by how much each bearing (E,) misses that of each earlier edge (B,), moved, and its variance, (E, B).
+
+    The rest as for `clutter_density`.
+    """
+    right, back, turn = motion
+    across = right * np.cos(before) + back * np.sin(before)
+    expected = before + turn - across / (2 * NEAR_M)
+    variance = before_sigma**2 + turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
+    return np.asarray(wrap_angle(bearing[:, None] - expected)), variance
+
+
 def clutter_density(
     bearing: Array, sigma: Array, before: Array, before_sigma: Array, motion: Array, turn_var: float, span: float
 ) -> Array:
@@ -38,11 +52,8 @@ def clutter_density(
     density = np.ones(len(bearing))
     if not len(bearing) or not len(before):
         return density
-    right, back, turn = motion
-    across = right * np.cos(before) + back * np.sin(before)
-    expected = before + turn - across / (2 * NEAR_M)
-    variance = before_sigma**2 + turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
-    square = wrap_angle(bearing[:, None] - expected) ** 2 / variance
+    error, variance = errors_of_continuing(bearing, sigma, before, before_sigma, motion, turn_var)
+    square = error**2 / variance
     may = square < _GATE**2
     one = may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None]
     edge, of = np.nonzero(one)

@@ -4,11 +4,11 @@ The belief compares places with the hypothesis that all edges of an image are cl
 images, whatever they are. If clutter were independent in each image, a wrong place that fits one image by chance would
 gain by every image of the same things. So the clutter is a Poisson process with the intensity
 
-    λ(e) = s Σ_j K(e; j) + ν Λ(e)
+    λ(e) = s Σ_j K(e; j) + m Λ(e)
 
 j: the edges of the earlier image, of which a fraction s is seen again. K: edge j turned with the robot and shifted by
 the parallax of an unknown distance r, as in `persistent_clutter`, and ending where j ended, shifted by the same
-parallax, by the model of `endpoint_likelihood`. ν is the expected number of new edges. They stand in groups, as books
+parallax, by the model of `endpoint_likelihood`. m is the expected number of new edges. They stand in groups, as books
 on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are the other edges of the image, 3° wide and
 with ends in the same rows.
 
@@ -20,10 +20,10 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.edges import Edges
-from localiser.geometry import Array, wrap_angle
+from localiser.geometry import Array
 from localiser.observation.angle import Angle
 from localiser.observation.endpoint_likelihood import ROW_PX, SIGMA_PX, endpoints_of
-from localiser.observation.persistent_clutter import NEAR_M
+from localiser.observation.persistent_clutter import NEAR_M, errors_of_continuing
 
 SEEN_AGAIN = 0.8  # how often an edge of the earlier image is seen again
 NEW = 0.3  # how many of the edges may be new, at least
@@ -55,15 +55,11 @@ def scene_clutter(
 
 def _continued(angle: Angle, edges: Edges, before: Edges, motion: Array, turn_var: float, with_ends: bool) -> Array:
     """Return K (E, B), relative to an even density."""
-    bearing, sigma = angle.bearings(edges)
     earlier, earlier_sigma = angle.bearings(before)
-    right, back, turn = motion
-    across = right * np.cos(earlier) + back * np.sin(earlier)
-    expected = earlier + turn - across / (2 * NEAR_M)
-    variance = earlier_sigma**2 + turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
-    density = _normal(wrap_angle(bearing[:, None] - expected), variance) * angle.span_rad
+    error, variance = errors_of_continuing(*angle.bearings(edges), earlier, earlier_sigma, motion, turn_var)
+    density = _normal(error, variance) * angle.span_rad
     if with_ends:
-        ahead = right * np.sin(earlier) - back * np.cos(earlier)
+        ahead = motion[0] * np.sin(earlier) - motion[1] * np.cos(earlier)
         density *= _ends_alike(angle, edges, before, ahead / NEAR_M, SIGMA_PX)
     return density
 

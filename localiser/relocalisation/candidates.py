@@ -39,17 +39,17 @@ class Candidates:
         """Return candidates that no image has been compared with."""
         return cls(particles, np.tile(DetectionRate.unknown().probability[:, None], (1, len(particles))))
 
-    def weighed(self, by_rate: Array, novelty: float, *, drop_blind: bool) -> tuple[Candidates, float]:
+    def weighed(self, by_rate: Array, novelty: float, *, needs_landmarks: bool) -> tuple[Candidates, float]:
         """Return the candidates after an image, and the logarithm of their mean likelihood.
 
         by_rate: (K, N) log p(edges | particle, p_k), relative to clutter alone. novelty: of the scene, 0 … 1.
-        drop_blind: whether poses from which no landmark is in view are given up. They would mean that what the image
-        shows is not on the map.
+        needs_landmarks: whether poses from which no landmark is in view are given up. There, what the image shows is
+        not on the map.
         """
         prior = DetectionRate.unknown().probability[:, None]
         rates = self.rates + (1.0 - np.exp(-novelty / MEMORY_SCENES)) * (prior - self.rates)
         joint = novelty * by_rate + np.log(rates)
-        if drop_blind:
+        if needs_landmarks:
             joint = np.where((by_rate == 0.0).all(axis=0), joint + _NEVER, joint)
         log_fit = np.logaddexp.reduce(joint, axis=0)
         particles = replace(self.particles, log_weight=self.particles.log_weight + log_fit)

@@ -29,7 +29,7 @@ from localiser.relocalisation.proposals import FEWEST, propose
 from localiser.relocalisation.views import View, view_of
 
 LEAST_NOVELTY = 0.03  # of the scene, for poses to be proposed from an image
-FIRST = 10_000  # poses that the first image proposes
+FIRST = 10_000  # most poses that the first image proposes
 PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 POWER = 0.6  # of the likelihood: edges of an image err together, which the clutter model does not know
@@ -135,7 +135,7 @@ class GlobalLocalisation:
         if not fits.any():
             return None, -np.inf
         candidates = Candidates.unknown(self._robots(like, poses[fits], log_prior_over_q[fits], rng))
-        candidates, _ = candidates.weighed(by_rate[:, fits], 1.0, drop_blind=False)
+        candidates, _ = candidates.weighed(by_rate[:, fits], 1.0, needs_landmarks=False)
         return candidates, log_sum(candidates.particles.log_weight) - float(np.log(count))
 
     def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:

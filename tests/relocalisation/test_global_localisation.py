@@ -239,7 +239,7 @@ def test_candidates_learn_the_detection_rate_where_they_are() -> None:
     fits_often, fits_seldom = np.linspace(0, 20, len(DETECTION_RATES)), np.linspace(0, -20, len(DETECTION_RATES))
     found = places(np.zeros((2, 3)))
     for _ in range(3):
-        found, log_mean = found.weighed(np.stack([fits_often, fits_seldom], axis=1), 1.0, drop_blind=False)
+        found, log_mean = found.weighed(np.stack([fits_often, fits_seldom], axis=1), 1.0, needs_landmarks=False)
     assert found.rates[-1, 0] > 0.9 and found.rates[0, 1] > 0.9
     np.testing.assert_allclose(found.rates.sum(axis=0), 1.0)
     assert found.particles.weight[0] > 0.999 and log_mean > 15.0
@@ -248,7 +248,7 @@ def test_candidates_learn_the_detection_rate_where_they_are() -> None:
 def test_places_from_which_nothing_of_the_map_is_seen_are_given_up() -> None:
     by_rate = np.zeros((len(DETECTION_RATES), 2))
     by_rate[:, 1] = -0.5
-    kept, _ = places(np.zeros((2, 3))).weighed(by_rate, 1.0, drop_blind=True)
+    kept, _ = places(np.zeros((2, 3))).weighed(by_rate, 1.0, needs_landmarks=True)
     assert kept.particles.weight[0] < 1e-100
 
 
