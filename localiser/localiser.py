@@ -34,6 +34,7 @@ from localiser.filter import (
     LocatedFrame,
     Mcl,
     Odometry,
+    Scene,
     Sighting,
     Start,
     finish,
@@ -199,7 +200,7 @@ class Localiser:
         measured = edges if isinstance(edges, MeasuredImage) else MeasuredImage(edges)
         found = measured.edges
         of_image = bool(found.profile.size and (found.landmark_id < 0).all())  # only images show grey values
-        has_ends, started = bool(np.isfinite(found.ends_px).all()), self.state.particles is not None
+        has_ends, started = bool(np.isfinite(found.ends_px).all()), self.state.is_begun
         self._check(images=measured.image is not None or of_image, has_ends=has_ends, has_start=started)
         self._require_own(mount)
         self._require_ready(t_ns, "image")
@@ -229,7 +230,7 @@ class Localiser:
     def forget_wheels(self, t_ns: int) -> None:
         """Take the robot to stand at `t_ns` where it was believed to be: its wheels begin to count anew."""
         self.state.odometry.clear()
-        self.state.at_ns, self.state.seen = t_ns, None
+        self.state.at_ns, self.state.seen, self.state.scene = t_ns, None, Scene()
 
     # -- the state ----------------------------------------------------------------------------------------------------
 
@@ -290,7 +291,7 @@ class Localiser:
 
     def _require_ready(self, t_ns: int, name: str) -> None:
         """Raise InputError unless an image or a measurement, as `name` says, of this time can be taken."""
-        if self.state.particles is None and self._mcl.search is None:
+        if not self.state.is_begun and self._mcl.search is None:
             raise InputError("expected a start before the first measurement: it cannot be found on the whole map")
         self._begin(t_ns)
         self._require_in_order(t_ns, name)
@@ -303,7 +304,7 @@ class Localiser:
         state = self.state
         if (state.waiting and t_ns <= state.waiting[-1].t_ns) or (state.weighed and t_ns <= state.at_ns):
             raise InputError(f"expected a later time than that of the last {name}, found {t_ns} ns", field=name)
-        if state.particles is not None and t_ns < state.at_ns:
+        if state.is_begun and t_ns < state.at_ns:
             raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field=name)
 
     def _require_own(self, mount: Mount | None) -> None:

@@ -109,6 +109,11 @@ class FilterState:
     waiting: deque[Sighting] = field(default_factory=deque)
     scene: Scene = field(default_factory=Scene)
 
+    @property
+    def is_begun(self) -> bool:
+        """Whether there are particles, tracked or at candidate places: a start was stated or an image located."""
+        return self.particles is not None or self.belief.candidates is not None
+
 
 def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -> Iterator[Located]:
     """Take one event and yield what was located: nothing, or one result for every image that odometry now covers."""
@@ -180,9 +185,9 @@ class _Image:
 
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
     """Return what odometry and earlier images tell of an image."""
-    if state.particles is None and state.belief.candidates is None and mcl.search is not None:
+    if not state.is_begun and mcl.search is not None:
         state.at_ns = sighting.t_ns
-    elif (state.particles is None and mcl.search is None) or sighting.t_ns < state.at_ns:
+    elif not state.is_begun or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
     motion, seen, edges = mcl.motion, state.seen, sighting.edges
     delay_s = motion.delay_sigma_s if isinstance(motion, EstimatesConstantErrors) else 0.0

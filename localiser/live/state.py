@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
 
-from localiser import particles
 from localiser.documents import read_bytes
 from localiser.errors import OutputError
 from localiser.filter import Start
@@ -40,7 +39,7 @@ class Checkpoints:
         """Save how the run ended."""
         if self._thread is not None:
             self._thread.join()
-        if localiser is not None and localiser.state.particles is not None:
+        if localiser is not None and localiser.state.is_begun:
             self._write(localiser.save(-offset_ns))
 
     def _write(self, content: bytes) -> None:
@@ -73,6 +72,5 @@ class Resumed:
             localiser.forget_wheels(t_ns if first is None else min(first.t_ns, t_ns))
             self.text = "resumed; the wheels begin anew, so the robot is taken to be where it was"
         self.content = localiser.save()
-        assert state.particles is not None
-        found = particles.estimate(state.particles)
+        found = state.belief.places(state.particles)[1]
         return Start(state.at_ns, found.pose, found.pose_cov)
