@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +21,8 @@ from localiser.live.outputs import PosePublisher
 from localiser.live.prepare import open_camera
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
+from localiser.live.timeline import Timeline
+from localiser.localiser import Localiser as RobotLocaliser
 from localiser.storage import open_log, read_track
 from localiser.storage.bags import stamp_of, stated_size
 
@@ -344,3 +347,20 @@ def test_lines_of_json(undisturbed: Feed) -> None:
     line = json.loads(undisturbed.published[-1].line())
     assert line["t_ns"] == undisturbed.published[-1].located.t_ns
     assert [line["x"], line["z"], line["heading"]] == undisturbed.poses[-1].tolist()
+
+
+def test_a_run_that_still_looks_for_its_place_is_saved_and_resumed(tmp_path: Path) -> None:
+    """On a mirrored map no place is tracked: there are candidates only."""
+    mirrored = replace(LOG.landmark_map, points=LOG.landmark_map.points * [-1.0, 1.0])
+    settings = read_config(None, ["search.particles_most=2000", "search.fresh=300"])
+    first, again = (RobotLocaliser(mirrored, LOG.camera, settings) for _ in range(2))
+    frames = LOG.frames[:3]
+    first.odometry(frames[0].t_ns - 1, np.zeros(3))
+    first.odometry(frames[2].t_ns, np.zeros(3))
+    first.image(frames[0].t_ns, frames[0].encoded())
+    assert first.state.particles is None and first.state.is_begun
+    Checkpoints(tmp_path / "state", pytest.fail).close(first, 0)
+    start = Resumed(tmp_path / "state").begin(again, Timeline(lambda _: None), frames[1].t_ns - 1)
+    assert np.isfinite(start.mean).all() and not again.state.scene.images, "wheels that begin anew begin a new scene"
+    again.odometry(frames[2].t_ns, np.zeros(3))
+    assert len(again.image(frames[1].t_ns, frames[1].encoded())) == 1
