@@ -25,28 +25,37 @@ import numpy as np
 
 from localiser import particles
 from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_weight
+from localiser.filter.scene import Jump
 from localiser.geometry import Array
 from localiser.observation import DetectionRate, Sighting
 from localiser.particles import Clusters, Estimate, Particles, find_clusters, log_sum, normalised
-from localiser.relocalisation import FIRST, LEAST_NOVELTY, Candidates, Clues, GlobalLocalisation
+from localiser.relocalisation import Candidates, Clues, GlobalLocalisation
 
 Move = Callable[[Particles], Particles]
 
-LEFT, RETURNED, ENTERED = 1e-4, 1e-2, 3e-3  # between two scenes: off the map, back to the particles, to anywhere else
+LEFT, RETURNED, ENTERED = 1e-4, 1e-2, 1e-3  # between two scenes: off the map, back to the particles, to anywhere else
+LEFT_BLIND = 0.03  # off the map, where at least five edges are seen and none of the map's landmarks is in view
+MOST_CARRIED = 0.5  # an image may also be blurred, or a turn missed
+LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
+FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
 FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
+LIKELY = 0.1  # and its own probability
 WON = 1000.0  # odds against the particles from which on a place is tracked in their stead
-NO_FIT = 0.998  # probability of being off the map from which on the map is said not to fit
-UNFIT, UNFIT_SCENES = 0.9, 15.0  # or that it has had for so many scenes while a place was tracked
+RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
+BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
+TRACKED_UNFIT, UNFIT = (0.9, 15.0), (0.98, 22.0)  # probability of being off the map, and for how many scenes, from
+# which on the map is said not to fit: while a place is tracked, and while none is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
     """tracked, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
 
-    candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: scenes for
-    which a robot that is tracked has most probably been off the map.
+    candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: how much
+    of the time has passed, 1 for all, after which a robot off the map is told of. unproposed: scenes since an image
+    proposed poses.
     """
 
     tracked: float
@@ -56,6 +65,7 @@ class Belief:
     candidates: Candidates | None = None
     detections: DetectionRate = field(default_factory=DetectionRate.unknown)
     unfit: float = 0.0
+    unproposed: float = 1.0
 
     @classmethod
     def stated(cls) -> Belief:
@@ -70,7 +80,7 @@ class Belief:
     @classmethod
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
-        return cls(0.0, 0.0, 0.8, 0.2)
+        return cls(0.0, 0.0, 0.5, 0.5)
 
     # -- an image -----------------------------------------------------------------------------------------------------
 
@@ -80,46 +90,64 @@ class Belief:
         few: Particles | None,
         like: Particles,
         sighting: Sighting,
-        novelty: float,
+        jump: Jump,
         move: Move,
         rng: np.random.Generator,
     ) -> Belief:
         """Return the belief after an image.
 
         few: some of the tracked particles, moved by odometry alone, None where none are tracked. like: particles whose
-        constant errors hold elsewhere too. novelty: of the scene, 0 … 1. move: moves particles since the last image.
+        constant errors hold elsewhere too. jump: how new the image is. move: moves particles since the last image.
         """
-        clues = search.clues(sighting)
-        belief = self._moved_on(novelty, search.parameters.carried)
-        log_tracked, detections = 0.0, self.detections.after(novelty)
+        clues, is_tracked, carried = search.clues(sighting), few is not None, jump.carried(search.parameters.carried)
+        novelty = max(jump.novelty, carried)
+        belief = self._judged(clues, few, novelty, carried, move)
+        off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
+        belief = replace(belief, unfit=self.unfit + novelty / scenes if belief.off_map > off_map else 0.0)
+        new = min(self.unproposed + novelty, 1.0)
+        if new < LEAST_NOVELTY:
+            return replace(belief, unproposed=new)
+        if 1.0 - belief.tracked >= search.parameters.doubt and len(clues.view):
+            belief = belief._explored(search, like, clues, new, rng, is_tracked=is_tracked)
+        most = round(BESIDE * search.most) if is_tracked else search.most
+        return replace(belief, unproposed=0.0)._resampled(most, rng)
+
+    def _judged(self, clues: Clues, few: Particles | None, novelty: float, carried: float, move: Move) -> Belief:
+        """Return the belief after transitions and Bayes' rule."""
+        log_tracked, detections, belief = 0.0, self.detections.after(novelty), self._entered(novelty)
         if few is not None:
             by_rate = clues.by_rate(few)
             log_weight = few.log_weight + novelty * detections.log_mean(by_rate)
             log_tracked = log_sum(log_weight) - log_sum(few.log_weight)
             detections = detections.given(by_rate, normalised(log_weight), novelty)
+            blind = clues.blind_weight(few, by_rate)
+            belief = belief._left(novelty, min(carried, MOST_CARRIED), blind)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move(candidates.particles))
             by_rate = clues.by_rate(moved.particles)
             candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
-        belief = replace(belief, candidates=candidates, detections=detections)._weighed(log_tracked, log_elsewhere)
-        belief = replace(belief, unfit=self.unfit + novelty if belief.off_map > UNFIT and self.tracked > 0 else 0.0)
-        may_be_lost = 1.0 - belief.tracked >= search.parameters.doubt
-        if may_be_lost and len(clues.view) and novelty >= LEAST_NOVELTY:
-            return belief._explored(search, like, clues, rng)
-        return belief
+        return replace(belief, candidates=candidates, detections=detections)._weighed(log_tracked, log_elsewhere)
 
-    def _moved_on(self, novelty: float, carried: float) -> Belief:
-        """Return the belief before an image. carried: probability of being carried to another place between scenes."""
-        carried, left = novelty * carried * self.tracked, novelty * LEFT * self.tracked
-        returned = novelty * RETURNED * self.off_map if self.tracked > 0 else 0.0
-        entered = novelty * ENTERED * self.off_map
+    def _left(self, novelty: float, carried: float, blind: float) -> Belief:
+        """Return the belief before an image, of a robot that may have left the particles or returned to them.
+
+        carried: probability of having been carried to another place. blind: weight of the particles from which
+        nothing of what is seen can be on the map.
+        """
+        carried, left = carried * self.tracked, novelty * (LEFT + LEFT_BLIND * blind) * self.tracked
+        returned = novelty * RETURNED * self.off_map
         return replace(
             self,
             tracked=self.tracked - carried - left + returned,
-            unexplored=self.unexplored + carried + entered,
-            off_map=self.off_map + left - returned - entered,
+            unexplored=self.unexplored + carried,
+            off_map=self.off_map + left - returned,
         )
+
+    def _entered(self, novelty: float) -> Belief:
+        """Return the belief before an image, of a robot that may have entered the map anywhere."""
+        entered = novelty * ENTERED * self.off_map
+        return replace(self, unexplored=self.unexplored + entered, off_map=self.off_map - entered)
 
     def _weighed(self, log_tracked: float, log_elsewhere: float) -> Belief:
         """Return the belief after an image with these log-likelihoods of the particles and of the candidates."""
@@ -132,20 +160,33 @@ class Belief:
             off_map=self.off_map * float(np.exp(-top)),
         )._normalised()
 
-    def _explored(self, search: GlobalLocalisation, like: Particles, clues: Clues, rng: np.random.Generator) -> Belief:
-        """Return the belief with the poses that an image proposes among the candidates."""
-        count = search.parameters.fresh
-        if self.tracked == 0 and self.candidates is None:  # blind draws must be dense everywhere
-            count = search.most if clues.is_blind else min(search.most, FIRST)
-        proposed, log_evidence = search.proposed(like, clues, count, rng)
-        found = (1.0 - OVERLOOKED) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
+    def _explored(
+        self,
+        search: GlobalLocalisation,
+        like: Particles,
+        clues: Clues,
+        new: float,
+        rng: np.random.Generator,
+        *,
+        is_tracked: bool,
+    ) -> Belief:
+        """Return the belief with the poses that an image proposes among the candidates.
+
+        new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
+        scene in proportion to it.
+        """
+        is_first = not is_tracked and self.candidates is None
+        effort = new if is_tracked else FIRST_EFFORT if is_first else 1.0
+        proposed, log_evidence = search.proposed(like, clues, effort, rng, is_first=is_first)
+        overlooked = OVERLOOKED**new
+        found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
         candidates = self.candidates
         if proposed is not None and found > 0:
             joins = candidates is not None and self.elsewhere > 0
             log_odds = float(np.log(found) - np.log(self.elsewhere)) if joins else 0.0
             candidates = candidates.joined(proposed, log_odds) if joins and candidates is not None else proposed
         return replace(
-            self, elsewhere=self.elsewhere + found, unexplored=OVERLOOKED * self.unexplored, candidates=candidates
+            self, elsewhere=self.elsewhere + found, unexplored=overlooked * self.unexplored, candidates=candidates
         )._normalised()
 
     def beside(self, pose: Array) -> Belief:
@@ -172,7 +213,7 @@ class Belief:
 
     # -- what follows from it -----------------------------------------------------------------------------------------
 
-    def found(self) -> tuple[Particles, Belief] | None:
+    def found(self, *, is_tracked: bool) -> tuple[Particles, Belief] | None:
         """Return the particles at the likeliest place, and the belief in which they are tracked; None if not yet.
 
         A place is tracked in the particles' stead at odds of 1000 against them, if it is likelier than all else. Where
@@ -183,9 +224,9 @@ class Belief:
         cloud = self.candidates.particles
         near = is_near(cloud.poses, find_clusters(cloud.poses, cloud.weight).mean[0])
         share = float(cloud.weight[near].sum())
-        if self.tracked > 0 and share * self.elsewhere < max(WON * self.tracked, 0.5):
+        if is_tracked and share * self.elsewhere < max(WON * self.tracked, 0.5):
             return None
-        if self.tracked == 0 and share < ALONE:
+        if not is_tracked and (share < ALONE or share * self.elsewhere < LIKELY):
             return None
         return particles.only(cloud, near), Belief(
             tracked=share * self.elsewhere,
@@ -193,8 +234,18 @@ class Belief:
             unexplored=self.unexplored + self.tracked,
             off_map=self.off_map,
             candidates=None if near.all() else self.candidates.only(~near),
-            unfit=self.unfit,
+            unproposed=self.unproposed,
         )
+
+    def released(self, particles: Particles) -> Belief:
+        """Return the belief in which the particles that were tracked are candidates."""
+        rates = np.tile(self.detections.probability[:, None], (1, len(particles)))
+        own, others = Candidates(particles, rates), self.candidates
+        if others is not None and self.elsewhere > 0:
+            own = others.joined(own, float(np.log(max(self.tracked, 1e-300)) - np.log(self.elsewhere)))
+        elsewhere = self.elsewhere + self.tracked
+        unknown = DetectionRate.unknown()
+        return replace(self, tracked=0.0, elsewhere=elsewhere, candidates=own, detections=unknown)
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
@@ -227,10 +278,9 @@ class Belief:
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        is_unfit = self.off_map > NO_FIT or self.unfit > UNFIT_SCENES
-        return "this map does not fit" if is_unfit else ""
+        return "this map does not fit" if self.unfit >= 1.0 else ""
 
-    def resampled(self, most: int, rng: np.random.Generator) -> Belief:
+    def _resampled(self, most: int, rng: np.random.Generator) -> Belief:
         """Return the belief with at most so many candidates."""
         if self.candidates is None:
             return self

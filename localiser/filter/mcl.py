@@ -17,11 +17,11 @@ from pydantic import Field
 
 from localiser import particles
 from localiser.filter.attitude import Attitude, Level
-from localiser.filter.belief import Belief
+from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import Event, Located, Odometry, Start
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
-from localiser.filter.scene import Scene
+from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
@@ -172,7 +172,7 @@ class _Image:
 
     moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now.
     sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1, of the errors
-    of its edges; scene_novelty: 0 … 1, of what it shows.
+    of its edges; jump: how new what it shows is.
     """
 
     moves: list[Increment]
@@ -180,7 +180,7 @@ class _Image:
     odometry: Array
     sighting: Sighting
     novelty: float
-    scene_novelty: float
+    jump: Jump
 
 
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
@@ -200,9 +200,9 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
         moves = moves if increment is wheels else [increment]
 
     novelty = novelty_of(increment, mcl.correlation) if state.weighed else 1.0
-    scene_novelty, clutter = novelty, None
+    jump, clutter = Jump(novelty), None
     if isinstance(mcl.observation, PredictsScenes):
-        state.scene, clutter, scene_novelty = state.scene.followed(mcl.observation, motion, sighting, increment)
+        state.scene, clutter, jump = state.scene.followed(mcl.observation, motion, sighting, increment)
     if seen is not None and novelty < 1.0 and isinstance(mcl.observation, FollowsClutter):
         turn_var = float(covariance_of(motion, increment)[2, 2])
         sighting = mcl.observation.with_persistent_clutter(sighting, seen, increment, turn_var)
@@ -210,7 +210,7 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
     if mcl.level is not None:
         edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(moves, increment, odometry_pose, sighting, novelty, scene_novelty)
+    return _Image(moves, increment, odometry_pose, sighting, novelty, jump)
 
 
 def _proposed(
@@ -265,14 +265,17 @@ def _compared(
         return mcl.moved(cloud, image.moves, rng)
 
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
-    novelty = image.scene_novelty
-    belief = state.belief.after(mcl.search, few, like, image.sighting, novelty, move, rng)
+    belief = state.belief.after(mcl.search, few, like, image.sighting, image.jump, move, rng)
     if weighed is not None:
         belief = belief.beside(particles.estimate(weighed).pose)
     elif belief.candidates is None:
         belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.most, rng))
-    found = belief.found()
-    weighed, state.belief = found or (weighed, belief)
+    found = belief.found(is_tracked=weighed is not None)
+    if found is not None:
+        weighed, belief = found
+    elif weighed is not None and belief.tracked < RELEASED:
+        belief, weighed = belief.released(weighed), None
+    state.belief = belief
     return weighed
 
 
@@ -308,10 +311,8 @@ def _located(state: FilterState, weighed: Particles | None, measured: Sighting, 
 def _resampled(
     mcl: Mcl, state: FilterState, weighed: Particles | None, ess: float, rng: np.random.Generator
 ) -> Particles | None:
-    """Return the particles that go on; those of the candidates are resampled too."""
+    """Return the particles that go on."""
     count = mcl.parameters.particles
-    if mcl.search is not None:
-        state.belief = state.belief.resampled(mcl.search.most, rng)
     if weighed is not None and (ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != count):
         return particles.take(weighed, systematic_resample(weighed.weight, count, rng))
     return weighed

@@ -6,22 +6,28 @@ an earlier image predicts. The earlier image is the last one that was taken a wh
 enough to show the same things, and far enough that the parallax of a landmark of known distance tells it from clutter
 of unknown distance.
 
-Edges that the image before does not explain are new, however little the wheels have turned: the robot was carried.
+When hardly any edge continues one of the image before, the robot was carried, however little its wheels have turned.
+Then the image is wholly new.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import lgamma
 
 import numpy as np
 
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel, covariance_of
-from localiser.observation import PredictsScenes, Sighting
+from localiser.observation import EarlierImage, PredictsScenes, Sighting
 
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
-CONTINUED = 0.6  # how many edges at least continue those of the image before, unless the robot was carried
+WITH_OLDER = 2  # images a scene back that are compared with: an edge that the last of them missed is in the one before
+CONTINUED, EDGES = 0.8, 30.0  # fraction of the edges that continue one of the image before, as if seen in so many edges
+ALIKE = 6.0  # how many edges tell as much of that fraction as a whole image: edges of one object come and go together
+MEMORY = 0.98  # part of what is known of the fraction that an image leaves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,39 +37,78 @@ class SeenImage:
     sighting: Sighting
     since: Increment
 
+    def before(self, motion: MotionModel) -> EarlierImage:
+        """Return it as an observation takes it."""
+        return EarlierImage(self.sighting, self.since, float(covariance_of(motion, self.since)[2, 2]))
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """How new an image is, and whether the robot was carried since the last one.
+
+    novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges that continue | carried) / p(… | not carried).
+    """
+
+    novelty: float
+    log_ratio: float = 0.0
+
+    def carried(self, chance: float) -> float:
+        """Return the probability of having been carried, whose prior `chance` is that between two scenes."""
+        odds = chance / (1.0 - chance) * np.exp(min(self.log_ratio, 100.0))
+        return float(max(self.novelty * chance, odds / (1.0 + odds) if self.log_ratio > 0 else 0.0))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Images from the last one that is a whole scene back until now, oldest first."""
+    """Images from those that are a whole scene back until now, oldest first.
+
+    edges, continued: how many edges there were, and how many of them continued one of the image before; old ones fade.
+    """
 
     images: tuple[SeenImage, ...] = ()
+    edges: float = EDGES
+    continued: float = CONTINUED * EDGES
 
     def followed(
         self, observation: PredictsScenes, motion: MotionModel, sighting: Sighting, increment: Increment
-    ) -> tuple[Scene, Array, float]:
-        """Return the scene with an image, the density of clutter at its edges (E,), and its novelty, 0 … 1.
+    ) -> tuple[Scene, Array, Jump]:
+        """Return the scene with an image, the density of clutter at its edges (E,), and how new it is.
 
         increment: the motion since the last image.
         """
         images = tuple(SeenImage(one.sighting, one.since.then(increment)) for one in self.images)
-        back = [index for index, one in enumerate(images) if _scenes(one.since) >= 1.0]
-        images = images[back[-1] if back else 0 :]
+        back = sum(_scenes(one.since) >= 1.0 for one in images)  # the images before this index, oldest first
+        images = images[max(back - WITH_OLDER, 0) :]
 
-        def clutter(one: SeenImage | None) -> tuple[Array, float]:
-            since = increment if one is None else one.since
-            turn_var = float(covariance_of(motion, since)[2, 2])
-            before = None if one is None else one.sighting
-            return observation.scene_clutter(sighting, before, since, turn_var)
+        def clutter(chosen: Sequence[SeenImage]) -> tuple[Array, float]:
+            return observation.scene_clutter(sighting, [one.before(motion) for one in chosen])
 
-        density, continued = clutter(images[0] if images else None)
-        novelty = 1.0
+        reference = min(back, WITH_OLDER)
+        density, _ = clutter(images[max(reference, 1) - 1 :: -1] if images else [])
+        jump, edges, continued = Jump(1.0), self.edges, self.continued
         if images:
-            continued = continued if len(images) == 1 else clutter(images[-1])[1]
-            novelty = min(max(_scenes(increment), 1.0 - continued / CONTINUED), 1.0)
+            log_ratio, count = 0.0, len(sighting.edges)
+            if count and len(images[-1].sighting.edges):
+                again = clutter(images[-1:])[1] * count
+                log_ratio = _log_carried(count, again, continued / edges)
+                edges, continued = MEMORY * edges + count, MEMORY * continued + again
+            jump = Jump(min(_scenes(increment), 1.0), log_ratio)
         if len(images) > 1 and _scenes(images[-2].since) < APART:
             images = images[:-1]
         here = SeenImage(sighting, Increment.from_mean(np.zeros(3)))
-        return Scene((*images, here)), density, novelty
+        return Scene((*images, here), edges, continued), density, jump
+
+
+def _log_carried(edges: int, continued: float, usual: float) -> float:
+    """Return log p(n of E edges continue | carried) / p(n of E | not carried), both beta-binomial.
+
+    usual: fraction that continues when the robot was not carried; afterwards as many do not. At ½ and below, edges come
+    and go so often that they tell nothing.
+    """
+    a = ALIKE * max(usual, 0.5)
+    b = ALIKE - a
+    log_after = lgamma(continued + b) + lgamma(edges - continued + a)
+    return log_after - lgamma(continued + a) - lgamma(edges - continued + b)
 
 
 def _scenes(increment: Increment) -> float:

@@ -10,6 +10,7 @@ from localiser.observation.known_association import IdentifiedObservation, obser
 from localiser.observation.parameters import ObservationParameters, novelty_of
 from localiser.observation.protocols import (
     Associates,
+    EarlierImage,
     FollowsClutter,
     GuidesSteps,
     LocalisesGlobally,

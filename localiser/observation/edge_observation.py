@@ -17,6 +17,7 @@ inlier rate of `inlier_rate`, which learns their distribution and integrates the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,8 +34,8 @@ from localiser.observation.detection_rate import DETECTION_RATES
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
 from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
-from localiser.observation.protocols import Matches, Sighting, Targets
-from localiser.observation.scene_clutter import scene_clutter
+from localiser.observation.protocols import EarlierImage, Matches, Sighting, Targets
+from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
 Indices = NDArray[np.int64]
@@ -192,15 +193,13 @@ class EdgeObservation:
         density = clutter_density(*now, *then, self._camera_motion(increment), turn_var, span_rad)
         return replace(sighting, edges=replace(sighting.edges, clutter=density))
 
-    def scene_clutter(
-        self, sighting: Sighting, before: Sighting | None, increment: Increment, turn_var: float
-    ) -> tuple[Array, float]:
-        """Return how dense clutter is at each edge (E,), and how many edges continue one of the image before, 0 … 1.
+    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, float]:
+        """Return how dense clutter is at each edge (E,), and how many edges continue earlier ones, 0 … 1.
 
         See `observation.scene_clutter`.
         """
-        earlier = None if before is None else before.edges
-        return scene_clutter(self.angle, sighting.edges, earlier, self._camera_motion(increment), turn_var)
+        images = [EarlierEdges(one.sighting.edges, self._camera_motion(one.since), one.turn_var) for one in earlier]
+        return scene_clutter(self.angle, sighting.edges, images)
 
     def _camera_motion(self, increment: Increment) -> Array:
         """Return how the camera moved (3,), in its own frame before, while the robot did."""

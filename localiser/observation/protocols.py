@@ -7,6 +7,7 @@ for it with `isinstance` and runs without it where it is missing: without inlier
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -37,6 +38,15 @@ class Sighting:
     edges: Edges = field(default_factory=Edges.none)
     measurement: NDArray[Any] | None = None
     clutter: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarlierImage:
+    """An earlier image, how the robot has moved since, and the variance of its turn (rad²)."""
+
+    sighting: Sighting
+    since: Increment
+    turn_var: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,13 +144,11 @@ class FollowsClutter(Observation, Protocol):
 class PredictsScenes(Observation, Protocol):
     """An observation that knows how well an image predicts a later one, wherever the robot is."""
 
-    def scene_clutter(
-        self, sighting: Sighting, before: Sighting | None, increment: Increment, turn_var: float
-    ) -> tuple[Array, float]:
-        """Return how dense clutter is at each edge (E,), and how many edges continue one of the image before, 0 … 1.
+    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, float]:
+        """Return how dense clutter is at each edge (E,), and how many edges continue earlier ones, 0 … 1.
 
-        before: an earlier image, None where there is none. increment: how the robot has moved since. turn_var: the
-        variance of its turn (rad²). The density is relative to E edges that are spread evenly.
+        earlier: images of the same scene, the one that is believed most first; the others tell of edges that it missed.
+        The density is relative to E edges that are spread evenly.
         """
         ...
 

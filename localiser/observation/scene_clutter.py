@@ -6,21 +6,24 @@ gain by every image of the same things. So the clutter is a Poisson process with
 
     λ(e) = s Σ_j K(e; j) + m Λ(e)
 
-j: the edges of the earlier image, of which a fraction s is seen again. K: edge j turned with the robot and shifted by
-the parallax of an unknown distance r, as in `persistent_clutter`, and ending where j ended, shifted by the same
-parallax, by the model of `endpoint_likelihood`. m is the expected number of new edges. They stand in groups, as books
-on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are the other edges of the image, 3° wide and
-with ends in the same rows.
+j: the edges of the earlier image, of which a fraction s is seen again, and those of still earlier ones that it missed.
+K: edge j turned with the robot and shifted by the parallax of an unknown distance r, as in `persistent_clutter`, and
+ending where j ended, shifted by the same parallax, by the model of `endpoint_likelihood`. m is the expected number of
+new edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are
+the other edges of the image, 3° wide and with ends in the same rows.
 
 All hypotheses about where the robot is share this intensity. A place must predict the edges better.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from localiser.edges import Edges
-from localiser.geometry import Array
+from localiser.geometry import Array, between, compose
 from localiser.observation.angle import Angle
 from localiser.observation.endpoint_likelihood import ROW_PX, SIGMA_PX, endpoints_of
 from localiser.observation.persistent_clutter import NEAR_M, errors_of_continuing
@@ -28,35 +31,65 @@ from localiser.observation.persistent_clutter import NEAR_M, errors_of_continuin
 SEEN_AGAIN = 0.8  # how often an edge of the earlier image is seen again
 NEW = 0.3  # how many of the edges may be new, at least
 GROUP_RAD = np.radians(3.0)  # how far apart the edges of one group are
+STILL_THERE = 0.5  # how often an edge that later images do not show is there still
 SHORT = 0.3  # how often an end is not where the same edge ended before
 
 
-def scene_clutter(
-    angle: Angle, edges: Edges, before: Edges | None, motion: Array, turn_var: float
-) -> tuple[Array, float]:
-    """Return how dense clutter is at each edge (E,), and how many edges continue one of the image before, 0 … 1.
+@dataclass(frozen=True, slots=True, eq=False)
+class EarlierEdges:
+    """The edges of an earlier image.
+
+    motion: (3,) of the camera since, in its own frame then (m, m, rad). turn_var: variance of its turn (rad²).
+    """
+
+    edges: Edges
+    motion: Array
+    turn_var: float
+
+
+def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -> tuple[Array, float]:
+    """Return how dense clutter is at each edge (E,), and how many edges continue earlier ones, 0 … 1.
 
     The density is relative to E edges spread evenly over the field of view, with ends as `endpoint_likelihood` has
-    them. before: None where there is no earlier image. motion: (3,) of the camera since, in its own frame then (m, m,
-    rad). turn_var: variance of its turn (rad²).
+    them. earlier: images of the same scene, the one that is believed most first. The others tell of edges that it
+    missed.
     """
     count = len(edges)
     if not count:
         return np.ones(0), 0.0
-    with_ends = bool(np.isfinite(edges.ends_px).all())
-    grouped = _grouped(angle, edges, with_ends)
-    if before is None or not len(before):
+    grouped = _grouped(angle, edges)
+    images = [one for one in earlier if len(one.edges)]
+    if not images:
         return grouped, 0.0
-    with_ends = with_ends and bool(np.isfinite(before.ends_px).all())
-    again = SEEN_AGAIN * _continued(angle, edges, before, motion, turn_var, with_ends).sum(axis=1)
-    new = max(count - SEEN_AGAIN * len(before), NEW * count, 1.0) * grouped
+    again, expected = np.zeros(count), 0.0
+    for index, image in enumerate(images):
+        shown = _missed_by(angle, image, images[:index])
+        again += SEEN_AGAIN * _continued(angle, edges, image) @ shown
+        expected += SEEN_AGAIN * float(shown.sum())
+    new = max(count - expected, NEW * count, 1.0) * grouped
     return (again + new) / count, float((again / (again + new)).mean())
 
 
-def _continued(angle: Angle, edges: Edges, before: Edges, motion: Array, turn_var: float, with_ends: bool) -> Array:
+def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]) -> Array:
+    """Return how probably each edge (B,) of an image is there still and none of the others shows it; 1 without others.
+
+    An edge that another image shows is expected from there. One that none shows was missed, or is out of view.
+    """
+    missed = np.full(len(image.edges), STILL_THERE if others else 1.0)
+    for other in others:
+        since = compose(image.motion, between(other.motion, np.zeros(3)))
+        turn_var = max(image.turn_var - other.turn_var, 0.0)
+        shows = _continued(angle, other.edges, EarlierEdges(image.edges, since, turn_var)).sum(axis=0)
+        missed *= 1.0 / (1.0 + SEEN_AGAIN * shows)
+    return missed
+
+
+def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
     """Return K (E, B), relative to an even density."""
+    before, motion = image.edges, image.motion
+    with_ends = bool(np.isfinite(edges.ends_px).all() and np.isfinite(before.ends_px).all())
     earlier, earlier_sigma = angle.bearings(before)
-    error, variance = errors_of_continuing(*angle.bearings(edges), earlier, earlier_sigma, motion, turn_var)
+    error, variance = errors_of_continuing(*angle.bearings(edges), earlier, earlier_sigma, motion, image.turn_var)
     density = _normal(error, variance) * angle.span_rad
     if with_ends:
         ahead = motion[0] * np.sin(earlier) - motion[1] * np.cos(earlier)
@@ -64,11 +97,11 @@ def _continued(angle: Angle, edges: Edges, before: Edges, motion: Array, turn_va
     return density
 
 
-def _grouped(angle: Angle, edges: Edges, with_ends: bool) -> Array:
+def _grouped(angle: Angle, edges: Edges) -> Array:
     """Return Λ (E,), relative to an even density."""
     bearing, sigma = angle.bearings(edges)
     density = _normal(bearing[:, None] - bearing, GROUP_RAD**2 + np.nan_to_num(sigma)[:, None] ** 2) * angle.span_rad
-    if with_ends:
+    if np.isfinite(edges.ends_px).all():
         density *= _ends_alike(angle, edges, edges, np.zeros(len(edges)), ROW_PX)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))

@@ -3,8 +3,6 @@
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.evidence import warm_up
 from localiser.relocalisation.global_localisation import (
-    FIRST,
-    LEAST_NOVELTY,
     Clues,
     GlobalLocalisation,
     SearchParameters,

@@ -25,15 +25,14 @@ from localiser.relocalisation import evidence
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.mixture import Region
 from localiser.relocalisation.places import Places
-from localiser.relocalisation.proposals import FEWEST, propose
+from localiser.relocalisation.proposals import FEWEST, ProposalParameters, propose
 from localiser.relocalisation.views import View, view_of
 
-LEAST_NOVELTY = 0.03  # of the scene, for poses to be proposed from an image
-FIRST = 10_000  # most poses that the first image proposes
 PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
+FEWEST_POSES = 10_000  # that an image may take on however large a map
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 POWER = 0.6  # of the likelihood: edges of an image err together, which the clutter model does not know
-BLUR_RAD = np.radians(0.1)  # how far from each other the particles of one place may be
+BLUR_RAD = np.radians(0.3)  # how far from each other the particles of one place may be
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +45,10 @@ class SearchParameters:
     doubt: Annotated[
         float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
     ] = 0.005
-    fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 2000
+    fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 1000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
-    ] = 4000
+    ] = 8000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +68,13 @@ class Clues:
     def by_rate(self, particles: Particles) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
         return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
+
+    def blind_weight(self, particles: Particles, by_rate: Array) -> float:
+        """Return the weight, 0 … 1, of the particles from which the map has nothing in view though many edges are seen.
+
+        by_rate: (K, N) what `by_rate` returns of them.
+        """
+        return 0.0 if self.is_blind else float(particles.weight[(by_rate == 0.0).all(axis=0)].sum())
 
     def by_pose(self, poses: Array) -> Array:
         """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
@@ -97,7 +103,7 @@ class GlobalLocalisation:
     @property
     def most(self) -> int:
         """The most particles that an image may take, so that it takes a bounded time however large the map is."""
-        return min(self.parameters.particles_most, max(PAIRS_MOST // max(len(self.places), 1), FIRST))
+        return min(self.parameters.particles_most, max(PAIRS_MOST // max(len(self.places), 1), FEWEST_POSES))
 
     def warm_up(self) -> None:
         """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
@@ -116,20 +122,24 @@ class GlobalLocalisation:
         return Clues(view, replace(sighting, edges=edges), self.observation, self.landmark_map)
 
     def proposed(
-        self, like: Particles, clues: Clues, count: int, rng: np.random.Generator
+        self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator, *, is_first: bool = False
     ) -> tuple[Candidates | None, float]:
-        """Return at most `count` candidates drawn over the whole region, and the logarithm of their evidence.
+        """Return candidates drawn over the whole region, and the logarithm of their evidence.
 
         Poses that explain the edges no better than clutter does are left out; None where all do. like: particles whose
-        other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. Evidence: the
-        mean of p(edges | pose) over the region, relative to all edges being clutter.
+        other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort: how much
+        is tried, 1 for an image that stands for itself. is_first: whether nothing has been proposed before, so that
+        draws must be dense everywhere. Evidence: the mean of p(edges | pose) over the region, relative to all edges
+        being clutter.
         """
+        count = self.most if is_first else max(round(effort * self.parameters.fresh), 1)
         unknown = DetectionRate.unknown()
 
         def log_likelihood(poses: Array) -> Array:
             return unknown.log_mean(clues.by_pose(poses))
 
-        poses, log_prior_over_q = propose(clues.view, self.places, log_likelihood, rng).drawn(count, rng)
+        parameters = ProposalParameters().scaled(effort)
+        poses, log_prior_over_q = propose(clues.view, self.places, log_likelihood, rng, parameters).drawn(count, rng)
         by_rate = clues.by_pose(poses)
         fits = (unknown.log_mean(by_rate) > 0.0) & np.isfinite(log_prior_over_q)
         if not fits.any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -22,6 +22,7 @@ LogLikelihood = Callable[[Array], Array]
 
 FEWEST = 5  # edges; fewer may all be clutter almost anywhere, and draws that are even are as good as any
 SEARCH_BLUR_RAD = np.radians(0.4)  # how far off the bearings of a hypothesis may be
+EQUAL = 0.5  # part of the draws in which all Gaussians count alike
 SAME_M, SAME_RAD = 0.2, np.radians(6.0)  # hypotheses in one such cell are one
 
 
@@ -29,14 +30,22 @@ SAME_M, SAME_RAD = 0.2, np.radians(6.0)  # hypotheses in one such cell are one
 class ProposalParameters:
     """How hard to look for poses in one frame."""
 
-    hypotheses: Annotated[int, Field(ge=1, description="poses tried by their quick score in one frame")] = 25_000
-    refined: Annotated[int, Field(ge=1, description="of these, the best that are refined and weighed")] = 100
+    hypotheses: Annotated[int, Field(ge=1, description="poses tried by their quick score in one frame")] = 12_500
+    refined: Annotated[int, Field(ge=1, description="of these, the best that are refined and weighed")] = 50
     kept: Annotated[int, Field(ge=1, description="Gaussians that the density is made of")] = 40
-    widened: Annotated[float, Field(ge=1, description="factor on each Gaussian's sigmas, against thin tails")] = 1.5
+    widened: Annotated[float, Field(ge=1, description="factor on each Gaussian's sigmas, against thin tails")] = 1.2
     tempered: Annotated[
         float, Field(gt=0, le=1, description="power of the likelihood by which the Gaussians are mixed")
     ] = 0.5
-    even: Annotated[float, Field(gt=0, le=1, description="share of draws that are even over the region")] = 0.1
+    even: Annotated[float, Field(gt=0, le=1, description="share of draws that are even over the region")] = 0.05
+
+    def scaled(self, effort: float) -> ProposalParameters:
+        """Return parameters with this part of the work, or multiple of it."""
+
+        def part(count: int) -> int:
+            return max(round(effort * count), 1)
+
+        return replace(self, hypotheses=part(self.hypotheses), refined=part(self.refined), kept=part(self.kept))
 
 
 def propose(
@@ -49,7 +58,8 @@ def propose(
     """Return a density over robot poses that is high where the edges of an image fit the map.
 
     log_likelihood: maps robot poses (K, 3) to log p(edges | pose) (K,), up to a constant. Called once, with at most
-    `refined` poses.
+    `refined` poses. Half of the draws are from the likelier Gaussians, half from all alike, because one image tells
+    little of which of them is right.
     """
     parameters = parameters or ProposalParameters()
     if len(view) < FEWEST:
@@ -63,8 +73,9 @@ def propose(
     # Laplace: the mass of a mode is its height times its volume.
     mass = log_likelihood(poses) + 0.5 * np.linalg.slogdet(covs)[1]
     best = _distinct(poses, mass)[: parameters.kept]
-    log_weight = parameters.tempered * mass[best]
-    log_weight = log_weight - np.logaddexp.reduce(log_weight)
+    likely = parameters.tempered * mass[best]
+    weight = (1.0 - EQUAL) * np.exp(likely - np.logaddexp.reduce(likely)) + EQUAL / len(best)
+    log_weight = np.log(weight)
     return Proposals(log_weight, poses[best], covs[best] * parameters.widened**2, places.region, parameters.even)
 
 

@@ -25,8 +25,8 @@ def driven(step_m: float, images: int) -> tuple[Scene, list[float]]:
     scene, novelties = Scene(), []
     for index in range(images):
         increment = Increment.from_mean([0.0, -step_m if index else 0.0, 0.0])
-        scene, _, novelty = scene.followed(OBSERVATION, MotionParameters(), image([-0.2, 0.0, 0.3]), increment)
-        novelties.append(novelty)
+        scene, _, jump = scene.followed(OBSERVATION, MotionParameters(), image([-0.2, 0.0, 0.3]), increment)
+        novelties.append(jump.novelty)
     return scene, novelties
 
 
@@ -38,10 +38,26 @@ def test_few_images_are_kept_however_slowly_the_robot_moves(step_m: float) -> No
         assert SCENE_M <= scene.images[0].since.path_m < SCENE_M * (1 + 2 * APART)
 
 
-def test_an_image_is_as_new_as_the_way_is_long_and_wholly_new_where_nothing_continues() -> None:
-    scene, novelties = driven(0.06, 10)
+def test_an_image_is_as_new_as_the_way_is_long() -> None:
+    _, novelties = driven(0.06, 10)
     assert novelties[0] == 1.0
     np.testing.assert_allclose(novelties[1:], 0.06 / SCENE_M)
-    elsewhere = image([-0.5, 0.12, 0.45])
-    still = Increment.from_mean(np.zeros(3))
-    assert scene.followed(OBSERVATION, MotionParameters(), elsewhere, still)[2] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("bearings", "least", "most"),
+    [
+        ([-0.2, 0.0, 0.3], 3e-4, 3e-4),  # all continue: what remains is the chance of being led astray
+        ([], 3e-4, 3e-4),  # dark
+        ([0.12], 3e-4, 0.01),  # one new edge is hardly evidence
+        ([-0.2, 0.0, 0.3, 0.12, 0.45], 3e-4, 3e-4),  # two come into view
+        ([-0.5, -0.4, 0.12, 0.2, 0.45], 0.01, 0.2),
+        ([-0.5, -0.45, -0.4, -0.35, -0.3, 0.12, 0.15, 0.2, 0.4, 0.45], 0.2, 0.6),
+        ([*np.linspace(-0.6, -0.25, 15), *np.linspace(0.05, 0.25, 10), *np.linspace(0.35, 0.6, 15)], 0.5, 1.0),
+    ],
+)
+def test_a_robot_was_carried_where_many_edges_continue_none(bearings: list[float], least: float, most: float) -> None:
+    scene, _ = driven(0.06, 10)
+    whole_scene = Increment.from_mean(np.array([0.0, -SCENE_M, 0.0]))
+    found = scene.followed(OBSERVATION, MotionParameters(), image(bearings), whole_scene)[2]
+    assert least * 0.999 <= found.carried(3e-4) <= most * 1.001

@@ -14,7 +14,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.observation import Angle
 from localiser.observation.persistent_clutter import NEAR_M
-from localiser.observation.scene_clutter import NEW, SEEN_AGAIN, scene_clutter
+from localiser.observation.scene_clutter import NEW, SEEN_AGAIN, STILL_THERE, EarlierEdges, scene_clutter
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
 ANGLE = Angle(CAMERA, "line")
@@ -28,7 +28,7 @@ def edges_at(bearings: ArrayLike, sigma: float, ends_px: Array | None = None) ->
 
 
 def density(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0) -> Array:
-    return scene_clutter(ANGLE, now, before, np.array(motion, dtype=float), turn_var)[0]
+    return scene(now, before, motion, turn_var)[0]
 
 
 def test_nothing_is_known_without_a_last_image() -> None:
@@ -85,8 +85,21 @@ def spines(bottoms: ArrayLike, tops: ArrayLike, bearings: ArrayLike) -> Edges:
     return edges_at(bearings, 0.002, np.stack([lower, upper], axis=1))
 
 
-def scene(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0)) -> tuple[Array, float]:
-    return scene_clutter(ANGLE, now, before, np.array(motion, dtype=float), 0.0)
+def scene(
+    now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0
+) -> tuple[Array, float]:
+    earlier = [] if before is None else [EarlierEdges(before, np.array(motion, dtype=float), turn_var)]
+    return scene_clutter(ANGLE, now, earlier)
+
+
+def test_an_edge_that_one_image_missed_is_expected_from_an_older_one() -> None:
+    row, still = np.linspace(-0.45, -0.1, 9), (np.zeros(3), 0.0)
+    whole, without = edges_at([*row, 0.4], 0.001), edges_at(row, 0.001)
+    older, last = EarlierEdges(whole, *still), EarlierEdges(without, *still)
+    missed, continued = scene_clutter(ANGLE, whole, [last, older])
+    seen, _ = scene_clutter(ANGLE, whole, [older])
+    assert missed[-1] == pytest.approx(STILL_THERE * seen[-1], rel=0.02) and continued > 0.98
+    np.testing.assert_allclose(missed[:-1], scene_clutter(ANGLE, whole, [last])[0][:-1], rtol=0.05)
 
 
 def test_the_scene_expects_an_edge_to_end_where_it_ended() -> None:
