@@ -33,8 +33,10 @@ from localiser.relocalisation import Candidates, Clues, GlobalLocalisation
 
 Move = Callable[[Particles], Particles]
 
-LEFT, RETURNED, ENTERED = 1e-4, 1e-2, 1e-3  # between two scenes: off the map, back to the particles, to anywhere else
-LEFT_BLIND = 0.03  # off the map, where at least five edges are seen and none of the map's landmarks is in view
+LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
+ENTERED = 1e-3  # from off the map onto it
+LOST = 0.01  # in unmapped surroundings, the place
+BARE = 0.03  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.5  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
@@ -51,7 +53,7 @@ TRACKED_UNFIT, UNFIT = (0.9, 15.0), (0.98, 22.0)  # probability of being off the
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """tracked, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
+    """tracked, unmapped, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
 
     candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: how much
     of the time has passed, 1 for all, after which a robot off the map is told of. unproposed: scenes since an image
@@ -66,11 +68,12 @@ class Belief:
     detections: DetectionRate = field(default_factory=DetectionRate.unknown)
     unfit: float = 0.0
     unproposed: float = 1.0
+    unmapped: float = 0.0
 
     @classmethod
     def stated(cls) -> Belief:
         """Return the belief at a start that was stated."""
-        return cls(0.8, 0.0, 0.1, 0.1)
+        return cls(0.7, 0.0, 0.05, 0.25)
 
     @classmethod
     def unjudged(cls) -> Belief:
@@ -81,6 +84,11 @@ class Belief:
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
         return cls(0.0, 0.0, 0.5, 0.5)
+
+    @property
+    def here(self) -> float:
+        """The probability that the robot is among the particles, whether or not its surroundings are mapped."""
+        return self.tracked + self.unmapped
 
     # -- an image -----------------------------------------------------------------------------------------------------
 
@@ -105,56 +113,64 @@ class Belief:
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         belief = replace(belief, unfit=self.unfit + novelty / scenes if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
-        if new < LEAST_NOVELTY:
+        may_be_lost = 1.0 - belief.here >= search.parameters.doubt
+        if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):
             return replace(belief, unproposed=new)
-        if 1.0 - belief.tracked >= search.parameters.doubt and len(clues.view):
+        if may_be_lost:
             belief = belief._explored(search, like, clues, new, rng, is_tracked=is_tracked)
         most = round(BESIDE * search.most) if is_tracked else search.most
         return replace(belief, unproposed=0.0)._resampled(most, rng)
 
     def _judged(self, clues: Clues, few: Particles | None, novelty: float, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
-        log_tracked, detections, belief = 0.0, self.detections.after(novelty), self._entered(novelty)
+        carried = min(carried, MOST_CARRIED)
+        log_tracked, blind, detections, belief = (
+            0.0,
+            0.0,
+            self.detections.after(novelty),
+            self._moved_on(novelty, carried),
+        )
         if few is not None:
             by_rate = clues.by_rate(few)
             log_weight = few.log_weight + novelty * detections.log_mean(by_rate)
             log_tracked = log_sum(log_weight) - log_sum(few.log_weight)
             detections = detections.given(by_rate, normalised(log_weight), novelty)
             blind = clues.blind_weight(few, by_rate)
-            belief = belief._left(novelty, min(carried, MOST_CARRIED), blind)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move(candidates.particles))
             by_rate = clues.by_rate(moved.particles)
             candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
-        return replace(belief, candidates=candidates, detections=detections)._weighed(log_tracked, log_elsewhere)
+        log_bare = 0.0 if clues.is_blind else -BARE * novelty
+        belief = replace(belief, candidates=candidates, detections=detections)
+        return belief._weighed(log_tracked + blind * log_bare, log_elsewhere, log_bare)
 
-    def _left(self, novelty: float, carried: float, blind: float) -> Belief:
-        """Return the belief before an image, of a robot that may have left the particles or returned to them.
+    def _moved_on(self, novelty: float, carried: float) -> Belief:
+        """Return the belief before an image.
 
-        carried: probability of having been carried to another place. blind: weight of the particles from which
-        nothing of what is seen can be on the map.
+        The robot may be carried to another place, with that probability. The surroundings of a place that is tracked
+        may cease to be mapped. Any other place may be left for where nothing is mapped, from where it may be entered.
         """
-        carried, left = carried * self.tracked, novelty * (LEFT + LEFT_BLIND * blind) * self.tracked
-        returned = novelty * RETURNED * self.off_map
+        left, returned = novelty * LEFT * self.tracked, novelty * RETURNED * self.unmapped
+        lost, entered = novelty * LOST * self.unmapped, novelty * ENTERED * self.off_map
+        tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
+        elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
         return replace(
             self,
-            tracked=self.tracked - carried - left + returned,
-            unexplored=self.unexplored + carried,
-            off_map=self.off_map + left - returned,
+            tracked=stays * tracked,
+            unmapped=stays * unmapped,
+            elsewhere=stays * elsewhere,
+            unexplored=self.unexplored + lost + entered + carried * (tracked + unmapped + elsewhere),
+            off_map=self.off_map - entered + self.elsewhere - elsewhere,
         )
 
-    def _entered(self, novelty: float) -> Belief:
-        """Return the belief before an image, of a robot that may have entered the map anywhere."""
-        entered = novelty * ENTERED * self.off_map
-        return replace(self, unexplored=self.unexplored + entered, off_map=self.off_map - entered)
-
-    def _weighed(self, log_tracked: float, log_elsewhere: float) -> Belief:
-        """Return the belief after an image with these log-likelihoods of the particles and of the candidates."""
-        top = max(log_tracked, log_elsewhere, 0.0)
+    def _weighed(self, log_tracked: float, log_elsewhere: float, log_unmapped: float) -> Belief:
+        """Return the belief after an image with these log-likelihoods; that of what else there is is 0."""
+        top = max(log_tracked, log_elsewhere if self.elsewhere > 0 else 0.0, 0.0)
         return replace(
             self,
             tracked=self.tracked * float(np.exp(log_tracked - top)),
+            unmapped=self.unmapped * float(np.exp(log_unmapped - top)),
             elsewhere=self.elsewhere * float(np.exp(log_elsewhere - top)),
             unexplored=self.unexplored * float(np.exp(-top)),
             off_map=self.off_map * float(np.exp(-top)),
@@ -175,7 +191,7 @@ class Belief:
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
         scene in proportion to it.
         """
-        is_first = not is_tracked and self.candidates is None
+        is_first = not is_tracked and self.elsewhere == 0.0
         effort = new if is_tracked else FIRST_EFFORT if is_first else 1.0
         proposed, log_evidence = search.proposed(like, clues, effort, rng, is_first=is_first)
         overlooked = OVERLOOKED**new
@@ -202,10 +218,11 @@ class Belief:
         return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))
 
     def _normalised(self) -> Belief:
-        total = self.tracked + self.elsewhere + self.unexplored + self.off_map
+        total = self.here + self.elsewhere + self.unexplored + self.off_map
         return replace(
             self,
             tracked=self.tracked / total,
+            unmapped=self.unmapped / total,
             elsewhere=self.elsewhere / total,
             unexplored=self.unexplored / total,
             off_map=self.off_map / total,
@@ -224,28 +241,28 @@ class Belief:
         cloud = self.candidates.particles
         near = is_near(cloud.poses, find_clusters(cloud.poses, cloud.weight).mean[0])
         share = float(cloud.weight[near].sum())
-        if is_tracked and share * self.elsewhere < max(WON * self.tracked, 0.5):
+        if is_tracked and share * self.elsewhere < max(WON * self.here, 0.5):
             return None
         if not is_tracked and (share < ALONE or share * self.elsewhere < LIKELY):
             return None
         return particles.only(cloud, near), Belief(
             tracked=share * self.elsewhere,
             elsewhere=(1.0 - share) * self.elsewhere,
-            unexplored=self.unexplored + self.tracked,
+            unexplored=self.unexplored + self.here,
             off_map=self.off_map,
             candidates=None if near.all() else self.candidates.only(~near),
             unproposed=self.unproposed,
         )
 
-    def released(self, particles: Particles) -> Belief:
+    def released(self, cloud: Particles) -> Belief:
         """Return the belief in which the particles that were tracked are candidates."""
-        rates = np.tile(self.detections.probability[:, None], (1, len(particles)))
-        own, others = Candidates(particles, rates), self.candidates
+        rates = np.tile(self.detections.probability[:, None], (1, len(cloud)))
+        own, others = Candidates(cloud, rates), self.candidates
         if others is not None and self.elsewhere > 0:
-            own = others.joined(own, float(np.log(max(self.tracked, 1e-300)) - np.log(self.elsewhere)))
-        elsewhere = self.elsewhere + self.tracked
+            own = others.joined(own, float(np.log(max(self.here, 1e-300)) - np.log(self.elsewhere)))
+        elsewhere = self.elsewhere + self.here
         unknown = DetectionRate.unknown()
-        return replace(self, tracked=0.0, elsewhere=elsewhere, candidates=own, detections=unknown)
+        return replace(self, tracked=0.0, unmapped=0.0, elsewhere=elsewhere, candidates=own, detections=unknown)
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
@@ -260,12 +277,12 @@ class Belief:
             return cloud, particles.estimate(particles.only(cloud, clusters.label == 0)), clusters
         if others is not None and self.elsewhere > 0:
             elsewhere = find_clusters(others.poses, others.weight)
-            clusters = clusters.beside(elsewhere, self.elsewhere / (self.elsewhere + self.tracked))
+            clusters = clusters.beside(elsewhere, self.elsewhere / (self.elsewhere + self.here))
         return tracked, particles.estimate(tracked), clusters
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
-        return (self.tracked if is_tracked else self.elsewhere) * near_weight(cloud, pose)
+        return (self.here if is_tracked else self.elsewhere) * near_weight(cloud, pose)
 
     def reason(self, p_correct: float, sighting: Sighting) -> Reason:
         """Return why p_correct is low, "" where it is not."""

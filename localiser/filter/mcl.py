@@ -201,7 +201,7 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
 
     novelty = novelty_of(increment, mcl.correlation) if state.weighed else 1.0
     jump, clutter = Jump(novelty), None
-    if isinstance(mcl.observation, PredictsScenes):
+    if mcl.search is not None and isinstance(mcl.observation, PredictsScenes):
         state.scene, clutter, jump = state.scene.followed(mcl.observation, motion, sighting, increment)
     if seen is not None and novelty < 1.0 and isinstance(mcl.observation, FollowsClutter):
         turn_var = float(covariance_of(motion, increment)[2, 2])
@@ -273,7 +273,7 @@ def _compared(
     found = belief.found(is_tracked=weighed is not None)
     if found is not None:
         weighed, belief = found
-    elif weighed is not None and belief.tracked < RELEASED:
+    elif weighed is not None and belief.here < RELEASED:
         belief, weighed = belief.released(weighed), None
     state.belief = belief
     return weighed

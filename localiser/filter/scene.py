@@ -27,6 +27,7 @@ APART = 0.05  # scenes between the images that are kept, so that a robot that st
 WITH_OLDER = 2  # images a scene back that are compared with: an edge that the last of them missed is in the one before
 CONTINUED, EDGES = 0.8, 30.0  # fraction of the edges that continue one of the image before, as if seen in so many edges
 ALIKE = 6.0  # how many edges tell as much of that fraction as a whole image: edges of one object come and go together
+WHOLLY_NEW = 6.0  # log-ratio of having been carried from which on the images before are of another scene
 MEMORY = 0.98  # part of what is known of the fraction that an image leaves
 
 
@@ -88,15 +89,17 @@ class Scene:
         jump, edges, continued = Jump(1.0), self.edges, self.continued
         if images:
             log_ratio, count = 0.0, len(sighting.edges)
-            if count and len(images[-1].sighting.edges):
+            if count:
                 again = clutter(images[-1:])[1] * count
                 log_ratio = _log_carried(count, again, continued / edges)
                 edges, continued = MEMORY * edges + count, MEMORY * continued + again
             jump = Jump(min(_scenes(increment), 1.0), log_ratio)
         if len(images) > 1 and _scenes(images[-2].since) < APART:
             images = images[:-1]
-        here = SeenImage(sighting, Increment.from_mean(np.zeros(3)))
-        return Scene((*images, here), edges, continued), density, jump
+        if jump.log_ratio > WHOLLY_NEW:
+            images = ()
+        here = (SeenImage(sighting, Increment.from_mean(np.zeros(3))),) if len(sighting.edges) else ()
+        return Scene((*images, *here), edges, continued), density, jump
 
 
 def _log_carried(edges: int, continued: float, usual: float) -> float:

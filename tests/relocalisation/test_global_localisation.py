@@ -11,7 +11,7 @@ from proposal_room import CAMERA, room
 from localiser import geometry
 from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
-from localiser.filter.belief import Belief
+from localiser.filter.belief import BARE, Belief
 from localiser.filter.confidence import is_near
 from localiser.filter.scene import Jump
 from localiser.geometry import Array, Trajectory
@@ -160,7 +160,7 @@ def places(poses: Array, log_weight: Array | None = None) -> Candidates:
 
 
 def total(belief: Belief) -> float:
-    return belief.tracked + belief.elsewhere + belief.unexplored + belief.off_map
+    return belief.tracked + belief.unmapped + belief.elsewhere + belief.unexplored + belief.off_map
 
 
 def seen(belief: Belief, sighting: Sighting, at: Array, novelty: float = 1.0) -> Belief:
@@ -181,7 +181,7 @@ def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:
 
 def test_an_image_of_the_same_scene_changes_nothing() -> None:
     driven = drive(1)
-    belief = replace(Belief.stated(), tracked=0.7, off_map=0.2, unproposed=0.0)
+    belief = Belief(0.7, 0.0, 0.1, 0.2, unproposed=0.0)
     again = seen(belief, driven.events[1], driven.truth[0] + 1.0, novelty=0.0)  # type: ignore[arg-type]
     assert (again.tracked, again.unexplored, again.off_map) == pytest.approx((0.7, 0.1, 0.2))
 
@@ -211,13 +211,53 @@ def test_a_robot_that_sees_nothing_of_the_map_becomes_unsure() -> None:
     """From five metres outside the room, looking away, no landmark is in view; edges are."""
     sighting, away = drive(1).events[1], np.array([0.0, 40.0, np.pi])
     belief = replace(Belief.stated(), tracked=0.98, unexplored=0.01, off_map=0.01)
-    odds = []
-    for _ in range(20):
-        belief = seen(belief, sighting, away)  # type: ignore[arg-type]
-        odds.append(belief.off_map / belief.tracked)
-    assert np.diff(odds).min() > 0 and 0.5 < odds[-1] < 1.0
+    bare = seen(belief, sighting, away)  # type: ignore[arg-type]
+    odds = (bare.off_map / bare.here) / (belief.off_map / belief.here)
+    assert np.log(odds) == pytest.approx(BARE, abs=0.003)
     empty = seen(Belief.stated(), Sighting(0, Edges.from_columns(*np.full((4, 0), 0.1))), away)
-    assert empty.off_map / empty.tracked == pytest.approx(0.1 / 0.8, abs=0.01), "an image without edges says nothing"
+    assert empty.off_map / empty.here == pytest.approx(0.25 / 0.7, abs=0.01), "an image without edges says nothing"
+
+
+def test_surroundings_that_are_not_mapped_leave_the_place_known() -> None:
+    """A robot that is surely tracked, and then sees things that fit nothing for ten scenes."""
+    truth = np.array([1.0, 1.5, 0.3])
+    noise = EdgeNoise(detection_probability=0.0, clutter_per_frame=25.0)
+    still = Trajectory(np.arange(10) * SECOND, np.tile(truth, (10, 1)))
+    belief = replace(Belief.stated(), tracked=1.0 - 2e-12, unexplored=1e-12, off_map=1e-12)
+    for edges in simulated_edges(ROOM, CAMERA, still, np.random.default_rng(5), noise=noise):
+        belief = seen(belief, Sighting(0, edges), truth)
+    assert belief.unmapped > belief.tracked
+    assert belief.here > 0.8 and total(belief) == pytest.approx(1.0)
+
+
+def test_candidates_can_be_wrong_too() -> None:
+    """Without tracked particles, the robot may have been carried, or have left the map, just the same."""
+    belief = Belief(0.0, 1.0, 0.0, 0.0, places(np.random.default_rng(1).normal(0, 0.1, (200, 3))), unproposed=0.0)
+    moved = belief.after(
+        SEARCH, None, cloud(np.zeros((5, 3))), Sighting(0), Jump(1.0, 9.0), lambda one: one, np.random.default_rng(0)
+    )
+    assert moved.unexplored == pytest.approx(0.5, abs=0.01) and moved.off_map > 1e-4
+    assert total(moved) == pytest.approx(1.0)
+
+
+def test_a_robot_that_begins_in_the_dark_and_stands_is_found_when_it_sees() -> None:
+    driven, still = drive(1), []
+    for number in range(6):
+        edges = driven.events[1].edges if number else Edges.from_columns(*np.full((4, 0), 0.1))  # type: ignore[attr-defined]
+        still += [Odometry(number * SECOND, np.zeros(3)), Sighting(number * SECOND, edges)]
+    found = located(still)
+    assert is_near(found[-1].estimate.pose[None], driven.truth[0])[0]
+
+
+def test_particles_that_are_released_keep_their_odds() -> None:
+    poses = np.random.default_rng(0).normal(2.0, 0.1, (50, 3))
+    belief = Belief(4e-4, 0.8, 0.0, 0.1994, places(np.zeros((100, 3))), unmapped=2e-4)
+    found = belief.released(cloud(poses))
+    assert found.here == 0.0 and total(found) == pytest.approx(total(belief)) and found.candidates is not None
+    weight = found.candidates.particles.weight
+    assert weight[100:].sum() / weight[:100].sum() == pytest.approx(6e-4 / 0.8)
+    alone = Belief(0.0, 0.0, 0.0, 1.0).released(cloud(poses))
+    assert alone.elsewhere == 0.0 and alone.candidates is not None and len(alone.candidates) == 50
 
 
 def test_a_place_takes_over_when_nothing_else_explains_the_edges() -> None:
