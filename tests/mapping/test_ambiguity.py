@@ -78,3 +78,15 @@ def test_near_a_path_only_what_the_path_reaches_is_looked_at() -> None:
     assert "% of" in look.text()
     poses, twins = look.examples()
     assert len(poses) == len(twins)
+
+
+def test_a_post_that_only_the_twin_shows_counts_as_missed() -> None:
+    """What it costs is how often a landmark is found: from the twin it should be seen, and is not."""
+    camera, away = world("corridor").camera, np.array([20.17, 0.0])
+    more = np.array([[-0.8, -3.5]]) + away
+    alike, differs = two_alcoves(away), LandmarkMap.from_points(np.concatenate([two_alcoves(away).points, more]))
+    nats = []
+    for landmark_map in (alike, differs):
+        found = find_ambiguity(landmark_map, camera, places())
+        nats.append(found.nats[ahead(found, 0.0, 0.0)])
+    assert nats[1] - nats[0] == pytest.approx(0.8, abs=0.3)  # found in 0.8 of the cases
