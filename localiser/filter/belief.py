@@ -1,15 +1,16 @@
-"""The belief: which of three hypotheses holds. Their probabilities add up to one.
+"""The belief: which of four hypotheses holds. Their probabilities add up to one.
 
-    P(h | edges) ∝ P(h) p(edges | h, earlier images)^ν      h: tracked, elsewhere, off the map
+    P(h | edges) ∝ P(h) · mean over the particles of h of p(edges | pose, earlier images)^(0.6 ν)
 
     tracked     the robot is among the particles that are followed
+    unmapped    it is there, and what it sees is not on the map
     elsewhere   it is at another place of the map: among the candidates, or where nobody has looked yet
-    off map     what the images show is not on this map
+    off map     it is outside what is mapped, or this is the map of another building
 
 ν is the novelty of the scene (`filter.scene`). Likelihoods are stated relative to clutter alone, as earlier images
-predict it. Off the map there is nothing else, so the likelihood of this hypothesis is 1. That of the others is the mean
-over their particles. Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their
-evidence then moves a part of this probability to the candidates.
+predict it. In unmapped surroundings and off the map there is nothing else, so the likelihood of these hypotheses is 1.
+Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their evidence then moves a part
+of this probability to the candidates.
 
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
 whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
@@ -47,17 +48,17 @@ LIKELY = 0.1  # and its own probability
 WON = 1000.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
-TRACKED_UNFIT, UNFIT = (0.9, 15.0), (0.98, 22.0)  # probability of being off the map, and for how many scenes, from
-# which on the map is said not to fit: while a place is tracked, and while none is
+# From which probability of being off the map on, and after how many scenes, the map is said not to fit.
+TRACKED_UNFIT, UNFIT = (0.9, 15.0), (0.98, 22.0)  # while a place is tracked, and while none is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
     """tracked, unmapped, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
 
-    candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: how much
-    of the time has passed, 1 for all, after which a robot off the map is told of. unproposed: scenes since an image
-    proposed poses.
+    candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
+    towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were proposed, or
+    needed not be.
     """
 
     tracked: float

@@ -40,12 +40,13 @@ class SearchParameters:
     """When global localisation is tried, and with how many poses."""
 
     carried: Annotated[
-        float, Field(ge=0, lt=1, description="chance of being carried away, or led astray, between independent images")
+        float,
+        Field(ge=0, lt=1, description="chance of being carried away, or led astray, between two scenes (0.3 m or 12°)"),
     ] = 3e-4
     doubt: Annotated[
         float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
     ] = 0.005
-    fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that an image proposes")] = 1000
+    fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that the images of one scene propose")] = 1000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
     ] = 8000
