@@ -37,7 +37,8 @@ Move = Callable[[Particles], Particles]
 LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
 ENTERED = 1e-3  # from off the map onto it
 LOST = 0.01  # in unmapped surroundings, the place
-BARE = 0.03  # how much rarer scenes without any landmark are on the map than off it
+ALIKE = 1e-5  # a part of another building may look like a part of this one: to off the map, between scenes
+BARE = 0.1  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.5  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
@@ -156,13 +157,14 @@ class Belief:
         lost, entered = novelty * LOST * self.unmapped, novelty * ENTERED * self.off_map
         tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
         elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
+        alike = novelty * ALIKE * tracked
         return replace(
             self,
-            tracked=stays * tracked,
+            tracked=stays * (tracked - alike),
             unmapped=stays * unmapped,
             elsewhere=stays * elsewhere,
-            unexplored=self.unexplored + lost + entered + carried * (tracked + unmapped + elsewhere),
-            off_map=self.off_map - entered + self.elsewhere - elsewhere,
+            unexplored=self.unexplored + lost + entered + carried * (tracked - alike + unmapped + elsewhere),
+            off_map=self.off_map - entered + alike + self.elsewhere - elsewhere,
         )
 
     def _weighed(self, log_tracked: float, log_elsewhere: float, log_unmapped: float) -> Belief:
