@@ -46,7 +46,7 @@ OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true on
 FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
-WON = 1000.0  # odds against the particles from which on a place is tracked in their stead
+WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
 # From which probability of being off the map on, and after how many scenes, the map is said not to fit.
@@ -236,7 +236,7 @@ class Belief:
     def found(self, *, is_tracked: bool) -> tuple[Particles, Belief] | None:
         """Return the particles at the likeliest place, and the belief in which they are tracked; None if not yet.
 
-        A place is tracked in the particles' stead at odds of 1000 against them, if it is likelier than all else. Where
+        A place is tracked in the particles' stead at odds of 50 against them, if it is likelier than all else. Where
         none are tracked, it is as soon as hardly any other candidate is left.
         """
         if self.candidates is None:
