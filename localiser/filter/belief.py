@@ -37,7 +37,7 @@ Move = Callable[[Particles], Particles]
 LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
 ENTERED = 1e-3  # from off the map onto it
 LOST = 0.01  # in unmapped surroundings, the place
-ALIKE = 1e-5  # a part of another building may look like a part of this one: to off the map, between scenes
+MISTAKEN = 1e-5  # between scenes: from tracked to off the map, because parts of another building may look the same
 BARE = 0.1  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.5  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
@@ -58,8 +58,8 @@ class Belief:
     """tracked, unmapped, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
 
     candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
-    towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were proposed, or
-    needed not be.
+    towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
+    proposed, or since there was last no need to.
     """
 
     tracked: float
@@ -125,13 +125,8 @@ class Belief:
 
     def _judged(self, clues: Clues, few: Particles | None, novelty: float, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
-        carried = min(carried, MOST_CARRIED)
-        log_tracked, blind, detections, belief = (
-            0.0,
-            0.0,
-            self.detections.after(novelty),
-            self._moved_on(novelty, carried),
-        )
+        belief, detections = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections.after(novelty)
+        log_tracked, blind = 0.0, 0.0
         if few is not None:
             by_rate = clues.by_rate(few)
             log_weight = few.log_weight + novelty * detections.log_mean(by_rate)
@@ -157,14 +152,14 @@ class Belief:
         lost, entered = novelty * LOST * self.unmapped, novelty * ENTERED * self.off_map
         tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
         elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
-        alike = novelty * ALIKE * tracked
+        mistaken = novelty * MISTAKEN * tracked
         return replace(
             self,
-            tracked=stays * (tracked - alike),
+            tracked=stays * (tracked - mistaken),
             unmapped=stays * unmapped,
             elsewhere=stays * elsewhere,
-            unexplored=self.unexplored + lost + entered + carried * (tracked - alike + unmapped + elsewhere),
-            off_map=self.off_map - entered + alike + self.elsewhere - elsewhere,
+            unexplored=self.unexplored + lost + entered + carried * (tracked - mistaken + unmapped + elsewhere),
+            off_map=self.off_map - entered + mistaken + self.elsewhere - elsewhere,
         )
 
     def _weighed(self, log_tracked: float, log_elsewhere: float, log_unmapped: float) -> Belief:
@@ -199,14 +194,17 @@ class Belief:
         proposed, log_evidence = search.proposed(like, clues, effort, rng, is_first=is_first)
         overlooked = OVERLOOKED**new
         found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
-        candidates = self.candidates
+        belief = replace(self, unexplored=overlooked * self.unexplored)
         if proposed is not None and found > 0:
-            joins = candidates is not None and self.elsewhere > 0
-            log_odds = float(np.log(found) - np.log(self.elsewhere)) if joins else 0.0
-            candidates = candidates.joined(proposed, log_odds) if joins and candidates is not None else proposed
-        return replace(
-            self, elsewhere=self.elsewhere + found, unexplored=overlooked * self.unexplored, candidates=candidates
-        )._normalised()
+            belief = belief._with(proposed, found)
+        return belief._normalised()
+
+    def _with(self, others: Candidates, probability: float) -> Belief:
+        """Return the belief with others, of this probability, among the candidates."""
+        if self.candidates is not None and self.elsewhere > 0:
+            log_odds = float(np.log(max(probability, 1e-300)) - np.log(self.elsewhere))
+            others = self.candidates.joined(others, log_odds)
+        return replace(self, elsewhere=self.elsewhere + probability, candidates=others)
 
     def beside(self, pose: Array) -> Belief:
         """Return the belief whose candidates are elsewhere: those near the tracked `pose` (3,) count as tracked."""
@@ -259,13 +257,8 @@ class Belief:
 
     def released(self, cloud: Particles) -> Belief:
         """Return the belief in which the particles that were tracked are candidates."""
-        rates = np.tile(self.detections.probability[:, None], (1, len(cloud)))
-        own, others = Candidates(cloud, rates), self.candidates
-        if others is not None and self.elsewhere > 0:
-            own = others.joined(own, float(np.log(max(self.here, 1e-300)) - np.log(self.elsewhere)))
-        elsewhere = self.elsewhere + self.here
-        unknown = DetectionRate.unknown()
-        return replace(self, tracked=0.0, unmapped=0.0, elsewhere=elsewhere, candidates=own, detections=unknown)
+        belief = self._with(Candidates.of(cloud, self.detections), self.here)
+        return replace(belief, tracked=0.0, unmapped=0.0, detections=DetectionRate.unknown())
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.

@@ -26,7 +26,7 @@ SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
 WITH_OLDER = 2  # images a scene back that are compared with: an edge that the last of them missed is in the one before
 CONTINUED, EDGES = 0.8, 30.0  # fraction of the edges that continue one of the image before, as if seen in so many edges
-ALIKE = 6.0  # how many edges tell as much of that fraction as a whole image: edges of one object come and go together
+CONCENTRATION = 6.0  # a + b of the beta distribution of that fraction: edges of one object come and go together
 WHOLLY_NEW = 6.0  # log-ratio of having been carried from which on the images before are of another scene
 MEMORY = 0.98  # part of what is known of the fraction that an image leaves
 
@@ -78,7 +78,7 @@ class Scene:
         increment: the motion since the last image.
         """
         images = tuple(SeenImage(one.sighting, one.since.then(increment)) for one in self.images)
-        back = sum(_scenes(one.since) >= 1.0 for one in images)  # the images before this index, oldest first
+        back = sum(_scenes(one.since) >= 1.0 for one in images)  # how many are a scene back
         images = images[max(back - WITH_OLDER, 0) :]
 
         def clutter(chosen: Sequence[SeenImage]) -> tuple[Array, float]:
@@ -108,8 +108,8 @@ def _log_carried(edges: int, continued: float, usual: float) -> float:
     usual: fraction that continues when the robot was not carried; afterwards as many do not. At ½ and below, edges come
     and go so often that they tell nothing.
     """
-    a = ALIKE * max(usual, 0.5)
-    b = ALIKE - a
+    a = CONCENTRATION * max(usual, 0.5)
+    b = CONCENTRATION - a
     log_after = lgamma(continued + b) + lgamma(edges - continued + a)
     return log_after - lgamma(continued + a) - lgamma(edges - continued + b)
 

@@ -37,7 +37,12 @@ class Candidates:
     @classmethod
     def unknown(cls, particles: Particles) -> Candidates:
         """Return candidates that no image has been compared with."""
-        return cls(particles, np.tile(DetectionRate.unknown().probability[:, None], (1, len(particles))))
+        return cls.of(particles, DetectionRate.unknown())
+
+    @classmethod
+    def of(cls, particles: Particles, rate: DetectionRate) -> Candidates:
+        """Return candidates that all have the same distribution of the detection rate."""
+        return cls(particles, np.tile(rate.probability[:, None], (1, len(particles))))
 
     def weighed(self, by_rate: Array, novelty: float, *, needs_landmarks: bool) -> tuple[Candidates, float]:
         """Return the candidates after an image, and the logarithm of their mean likelihood.
