@@ -56,6 +56,13 @@ class Angle:
         bearing = geometry.bearing_from_lean(edges.lean, tilt_rad)
         return bearing, edges.lean_sigma * np.abs(geometry.bearing_per_lean(bearing, tilt_rad))
 
+    def span_at(self, bearing: Array) -> Array:
+        """Return the angle (E,) of bearings at which a density per rad of bearing is that of evenly spread clutter.
+
+        Clutter is spread evenly over the compared angle. So it is denser in bearing where a lean changes faster.
+        """
+        return self.span_rad / self.predicted(np.tan(bearing))[1]
+
     @property
     def span_rad(self) -> float:
         """Return the angle (rad) that clutter is spread over."""

@@ -89,8 +89,9 @@ def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
     before, motion = image.edges, image.motion
     with_ends = bool(np.isfinite(edges.ends_px).all() and np.isfinite(before.ends_px).all())
     earlier, earlier_sigma = angle.bearings(before)
-    error, variance = errors_of_continuing(*angle.bearings(edges), earlier, earlier_sigma, motion, image.turn_var)
-    density = _normal(error, variance) * angle.span_rad
+    bearing, sigma = angle.bearings(edges)
+    error, variance = errors_of_continuing(bearing, sigma, earlier, earlier_sigma, motion, image.turn_var)
+    density = _normal(error, variance) * angle.span_at(bearing)[:, None]
     if with_ends:
         ahead = motion[0] * np.sin(earlier) - motion[1] * np.cos(earlier)
         density *= _ends_alike(angle, edges, before, ahead / NEAR_M, SIGMA_PX)
@@ -100,7 +101,8 @@ def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
 def _grouped(angle: Angle, edges: Edges) -> Array:
     """Return Λ (E,), relative to an even density."""
     bearing, sigma = angle.bearings(edges)
-    density = _normal(bearing[:, None] - bearing, GROUP_RAD**2 + np.nan_to_num(sigma)[:, None] ** 2) * angle.span_rad
+    density = _normal(bearing[:, None] - bearing, GROUP_RAD**2 + np.nan_to_num(sigma)[:, None] ** 2)
+    density *= angle.span_at(bearing)[:, None]
     if np.isfinite(edges.ends_px).all():
         density *= _ends_alike(angle, edges, edges, np.zeros(len(edges)), ROW_PX)
     np.fill_diagonal(density, 0.0)

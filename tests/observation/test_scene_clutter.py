@@ -67,6 +67,28 @@ def test_the_density_integrates_to_the_expected_number_of_edges(
     assert float((found - 1.0).sum() * step / SPAN) == pytest.approx(again, abs=0.02 * max(again, 1.0))
 
 
+@pytest.mark.parametrize("tilt_deg", [10.0, 30.0])
+@pytest.mark.parametrize("earlier", [None, 0.0, 0.4])
+def test_by_slope_the_density_is_that_of_leans(tilt_deg: float, earlier: float | None) -> None:
+    """Evenly spread clutter is even in the compared angle, which for `slope` is the lean."""
+    tilt = np.radians(tilt_deg)
+    angle = Angle(Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(tilt, 1.0)), "slope")
+
+    def at(leans: ArrayLike) -> Edges:
+        lean = np.array(leans, dtype=float)
+        bearing, sigma = np.arctan(np.tan(lean) / np.sin(tilt)), np.full(len(lean), 0.005)
+        return Edges.from_columns(bearing, sigma, lean, sigma)
+
+    grid, step = np.linspace(-1.2, 1.2, 481, retstep=True)
+    images = [] if earlier is None else [EarlierEdges(at([earlier]), np.zeros(3), 0.0)]
+    if images:
+        found = np.array([scene_clutter(angle, at([lean]), images)[0][0] for lean in grid]) - 1.0
+        assert float(found.sum() * step / angle.span_rad) == pytest.approx(SEEN_AGAIN, rel=0.01)
+    else:  # of two edges, each is as dense as the other's group predicts, beside an even part
+        found = np.array([scene_clutter(angle, at([lean, 0.1]), [])[0][0] for lean in grid]) - 0.5
+        assert float(found.sum() * step / angle.span_rad) == pytest.approx(0.5, rel=0.02)
+
+
 @pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
 def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
     """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
