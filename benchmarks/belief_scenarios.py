@@ -276,12 +276,10 @@ def _wrong(kinds: Sequence[str]) -> list[About]:
     return [(*pair, start, kind) for pair in pairs for start in ("own", "theirs", "none") for kind in kinds] + null
 
 
-NEAR_OR_NOT = ("truth", "global")
+NEAR_OR_NOT, BOTH = ("truth", "global"), ("line", "slope")
 SCENARIOS: dict[str, Scenario] = {
-    "tracking": Scenario(
-        _each(("corridor", "house", "bookstore", "shop"), NEAR_OR_NOT), tracking, kinds=("line", "slope")
-    ),
-    "wrong": Scenario(_wrong, wrong),
+    "tracking": Scenario(_each(("corridor", "house", "bookstore", "shop"), NEAR_OR_NOT), tracking, kinds=BOTH),
+    "wrong": Scenario(_wrong, wrong, kinds=BOTH),
     "right": Scenario(_each(LOGS, ("whole", "removed", "moved"), NEAR_OR_NOT), right),
     "recovery": Scenario(_each(tuple(KINDS), ("{minutes:g} min",)), recovery),
     "kidnapped": Scenario(_each(("office", "house", "bookstore")), kidnapped),
