@@ -122,7 +122,9 @@ def plain(outcomes: Sequence[Outcome], found: dict[str, belief_score.Calibration
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenario", nargs="+", default=list(SCENARIOS), choices=list(SCENARIOS))
-    parser.add_argument("--observation", nargs="+", choices=["line", "slope"], help="default: tracking and wrong both, else line")
+    parser.add_argument(
+        "--observation", nargs="+", choices=["line", "slope"], help="default: tracking and wrong both, else line"
+    )
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="cases whose names have all these words")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=0)
