@@ -12,6 +12,9 @@ from localiser.geometry import Increment
 from localiser.landmarks import SightParameters
 
 
+LEANS_REPEAT = 2.0  # how much longer the errors of leans repeat than those of bearings
+
+
 @dataclass(frozen=True, slots=True)
 class ObservationParameters:
     """The mixture of landmarks and clutter."""
@@ -23,10 +26,10 @@ class ObservationParameters:
     landmark_sigma_m: Annotated[
         float,
         Field(ge=0, description="how far a landmark may stand from where the map has it, where that is silent (m)"),
-    ] = 0.01
+    ] = 0.006
     decorrelation_m: Annotated[
         float, Field(ge=0, description="driving after which errors of an edge are new (m); 0: always new")
-    ] = 0.07
+    ] = 0.2
     decorrelation_deg: Annotated[
         float, Field(ge=0, description="turning after which errors of an edge are new (degrees); 0: always new")
     ] = 4.0
@@ -47,12 +50,12 @@ def novelty_of(increment: Increment, parameters: ObservationParameters) -> float
     ρ = exp(-path/decorrelation_m - turned/decorrelation_rad). Such a chain tells as much about a constant as if each
     frame counted (1 - ρ)/(1 + ρ); so a robot that stands still learns nothing from seeing the same image again.
     """
-    exponent = 0.0
+    exponent, longer = 0.0, LEANS_REPEAT if parameters.kind == "slope" else 1.0
     for moved, scale in (
         (increment.path_m, parameters.decorrelation_m),
         (increment.turned_rad, np.radians(parameters.decorrelation_deg)),
     ):
         if scale == 0:
             return 1.0
-        exponent += moved / scale
+        exponent += moved / (longer * scale)
     return float(np.tanh(exponent / 2))

@@ -256,6 +256,12 @@ def test_share_of_a_frame_that_is_new() -> None:
     assert novelty_of(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
 
 
+def test_errors_of_leans_repeat_twice_as_long() -> None:
+    line, slope = (ObservationParameters(kind=kind, decorrelation_m=0.1) for kind in ("line", "slope"))
+    short, long = Increment.from_mean([0, -0.05, 0.02]), Increment.from_mean([0, -0.1, 0.04])
+    assert novelty_of(long, slope) == pytest.approx(novelty_of(short, line))
+
+
 @pytest.mark.parametrize("independent", [{"decorrelation_m": 0.0}, {"decorrelation_deg": 0.0}])
 def test_everything_is_new_when_errors_are_said_to_be_independent(independent: dict[str, float]) -> None:
     assert novelty_of(Increment.from_mean(np.zeros(3)), ObservationParameters(**independent)) == 1.0  # type: ignore[arg-type]

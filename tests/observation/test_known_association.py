@@ -59,7 +59,7 @@ def test_density_is_that_of_the_named_landmark_or_clutter(kind: str) -> None:
         if slope is None:
             step = 1e-6
             slope = (np.arctan(s * np.tan(bearing + step)) - np.arctan(s * np.tan(bearing - step))) / (2 * step)
-        var = sigma**2 + (slope * 0.01 / distance) ** 2
+        var = sigma**2 + (slope * 0.006 / distance) ** 2
         density = np.exp(-0.5 * (measured - predicted) ** 2 / var) / np.sqrt(2 * np.pi * var)
         expected = [np.log((1 - w) + w * density * span).sum() for w in INLIER_RATES]
         np.testing.assert_allclose(found[:, column], expected, rtol=1e-6, atol=1e-6)
