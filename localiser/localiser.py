@@ -37,6 +37,7 @@ from localiser.filter import (
     Scene,
     Sighting,
     Start,
+    Wheels,
     finish,
     matched,
     step,
@@ -230,7 +231,7 @@ class Localiser:
     def forget_wheels(self, t_ns: int) -> None:
         """Take the robot to stand at `t_ns` where it was believed to be: its wheels begin to count anew."""
         self.state.odometry.clear()
-        self.state.at_ns, self.state.seen, self.state.scene = t_ns, None, Scene()
+        self.state.at_ns, self.state.seen, self.state.scene, self.state.wheels = t_ns, None, Scene(), Wheels()
 
     # -- the state ----------------------------------------------------------------------------------------------------
 

@@ -7,4 +7,5 @@ from localiser.filter.frames import Image, LocatedFrame, matched
 from localiser.filter.mcl import FilterState, Mcl, MclParameters, finish, step
 from localiser.filter.optimal_proposal import warm_up
 from localiser.filter.scene import Scene
+from localiser.filter.wheels import Wheels
 from localiser.observation import Sighting

@@ -42,6 +42,7 @@ class Located:
     within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
     first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. sighting: what
     particles were weighed by, edges corrected by the attitude. warning: what a user should look at, else "".
+    wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     """
 
     t_ns: int
@@ -57,3 +58,4 @@ class Located:
     attitude: Attitude | None = None
     sighting: Sighting | None = None
     warning: MapWarning = ""
+    wheels_are_wrong: bool = False

@@ -23,10 +23,12 @@ from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering
+from localiser.filter.wheels import Evidence, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EstimatesConstantErrors, LinearisedMotion, MotionModel, MotionParameters, covariance_of
 from localiser.observation import (
+    EarlierImage,
     FollowsClutter,
     GuidesSteps,
     InlierRate,
@@ -34,6 +36,7 @@ from localiser.observation import (
     ObservationParameters,
     PredictsScenes,
     Sighting,
+    likelihood_by_rate,
     novelty_of,
 )
 from localiser.particles import Particles, only, systematic_resample
@@ -91,10 +94,10 @@ class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
     particles: hypotheses of where the robot was at `at_ns`; None while it is not tracked. weighed: whether they have
-    been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and
-    where. attitude: tilt and roll of the camera; None: as stated. seen: the last image. scene: the images that the
-    belief compares the next one with. pace: twist per second at the last image, from the edges. odometry: poses since
-    then, and the last one before. waiting: sightings that odometry has not reached yet.
+    been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and where.
+    attitude: tilt and roll of the camera; None: as stated. seen: the last image. scene: the images that the belief
+    compares the next one with. wheels: whether they are right. pace: twist per second at the last image, from the
+    edges. odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
@@ -108,6 +111,7 @@ class FilterState:
     odometry: deque[Odometry] = field(default_factory=deque)
     waiting: deque[Sighting] = field(default_factory=deque)
     scene: Scene = field(default_factory=Scene)
+    wheels: Wheels = field(default_factory=Wheels)
 
     @property
     def is_begun(self) -> bool:
@@ -124,6 +128,7 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
                 cloud = mcl.motion.at_start(cloud, rng)
             state.particles = cloud
             state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
+            state.wheels = Wheels()
             state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
         case Odometry():
             state.odometry.append(event)
@@ -145,11 +150,12 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
-    image = _received(mcl, state, sighting)
-    few = weighed = None
-    if state.particles is not None:
-        # Predict: every particle moves by its own draw of the motion, at best where the edges say; a few move blindly.
-        few = mcl.moved(only(state.particles, slice(None, None, max(len(state.particles) // FEW, 1))), image.moves, rng)
+    # Drive: how did the robot move, by odometry, unless the edges contradict it? A few particles move blindly.
+    drive, few = _checked(mcl, state, sighting, _driven(mcl, state, sighting), rng)
+    image = _received(mcl, state, sighting, drive)
+    weighed = None
+    if state.particles is not None and few is not None:
+        # Predict: every particle moves by its own draw of the motion, at best where the edges say.
         moved = _proposed(mcl, state, state.particles, few, image, rng)
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         weighed = _weighed(mcl, state, state.particles, moved, image, rng)
@@ -159,11 +165,22 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     located = _located(state, weighed, sighting, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
     state.particles = _resampled(mcl, state, weighed, located.ess, rng)
+    seconds = (sighting.t_ns - state.at_ns) / 1e9
+    state.wheels = state.wheels.located(None if weighed is None else located.estimate, seconds)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, sighting
     return located
 
 
 # -- the steps --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drive:
+    """The motion since the last image, in parts, all of it, and odometry's pose (3,) now."""
+
+    moves: list[Increment]
+    increment: Increment
+    odometry: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,22 +200,70 @@ class _Image:
     jump: Jump
 
 
-def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
-    """Return what odometry and earlier images tell of an image."""
+def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
+    """Return how the robot moved until an image, as odometry says, or vision where that was asked for."""
     if not state.is_begun and mcl.search is not None:
         state.at_ns = sighting.t_ns
     elif not state.is_begun or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
-    motion, seen, edges = mcl.motion, state.seen, sighting.edges
+    motion, seen = mcl.motion, state.seen
     delay_s = motion.delay_sigma_s if isinstance(motion, EstimatesConstantErrors) else 0.0
     moves, odometry_pose = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
     increment = wheels = reduce(Increment.then, moves)
     if mcl.odometer is not None and mcl.odometer.follows_edges:
         seconds, cov = (sighting.t_ns - state.at_ns) / 1e9, covariance_of(motion, wheels)
         before = None if seen is None else seen.edges
-        increment, state.pace = mcl.odometer.increment(wheels, cov, before, edges, seconds, state.pace)
+        increment, state.pace = mcl.odometer.increment(wheels, cov, before, sighting.edges, seconds, state.pace)
         moves = moves if increment is wheels else [increment]
+    return _Drive(moves, increment, odometry_pose)
 
+
+def _checked(
+    mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive, rng: np.random.Generator
+) -> tuple[_Drive, Particles | None]:
+    """Return how the robot moved, unlike the wheels say where the edges contradict them, and a few particles after it.
+
+    None where no particles are tracked.
+    """
+    if state.particles is None:
+        return drive, None
+    few = only(state.particles, slice(None, None, max(len(state.particles) // FEW, 1)))
+    driven, seen, seconds = mcl.moved(few, drive.moves, rng), state.seen, (sighting.t_ns - state.at_ns) / 1e9
+    odometer, observation = mcl.odometer, mcl.observation
+    if odometer is None or odometer.follows_edges or not state.weighed or seen is None or seconds <= 0:
+        return drive, driven
+    if not len(sighting.edges) or not len(seen.edges):
+        return drive, driven
+    edges = sighting.edges if state.attitude is None else state.attitude.levelled(sighting.edges, odometer.camera)
+
+    def fit(cloud: Particles) -> Array:
+        by_rate = likelihood_by_rate(observation, cloud, replace(sighting, edges=edges), mcl.landmark_map)
+        return state.inliers.log_mean(by_rate)
+
+    def continued(motion: Increment) -> float:
+        assert isinstance(observation, PredictsScenes)
+        before = EarlierImage(seen, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
+        return float(np.log(observation.scene_clutter(sighting, [before])[0]).sum())
+
+    follows = continued if isinstance(observation, PredictsScenes) else None
+    state.wheels, other = state.wheels.after(
+        Evidence(odometer.camera, seen.edges, sighting.edges, fit, follows),
+        drive.increment,
+        covariance_of(mcl.motion, drive.increment),
+        driven,
+        lambda increment: mcl.moved(few, [increment], rng),
+        odometer.parameters,
+        seconds,
+    )
+    if other is None:
+        return drive, driven
+    increment, moved = other
+    return _Drive([increment], increment, drive.odometry), moved
+
+
+def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
+    """Return what the motion and earlier images tell of an image."""
+    motion, seen, increment = mcl.motion, state.seen, drive.increment
     novelty = novelty_of(increment, mcl.correlation) if state.weighed else 1.0
     jump, clutter = Jump(novelty), None
     if mcl.search is not None and isinstance(mcl.observation, PredictsScenes):
@@ -210,7 +275,7 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Image:
     if mcl.level is not None:
         edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(moves, increment, odometry_pose, sighting, novelty, jump)
+    return _Image(drive.moves, increment, drive.odometry, sighting, novelty, jump)
 
 
 def _proposed(
@@ -302,6 +367,7 @@ def _located(state: FilterState, weighed: Particles | None, measured: Sighting, 
         p_correct=p_correct,
         reason=belief.reason(p_correct, measured),
         warning=belief.warning,
+        wheels_are_wrong=state.wheels.are_wrong,
         clusters=clusters,
         attitude=state.attitude,
         sighting=image.sighting,

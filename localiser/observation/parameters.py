@@ -11,7 +11,6 @@ from pydantic import Field
 from localiser.geometry import Increment
 from localiser.landmarks import SightParameters
 
-
 LEANS_REPEAT = 2.0  # how much longer the errors of leans repeat than those of bearings
 
 

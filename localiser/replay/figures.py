@@ -19,6 +19,8 @@ from localiser.replay.about import about
 if TYPE_CHECKING:
     from localiser.replay.run import Replay
 
+WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on that is told
+
 
 def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
     """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
@@ -34,7 +36,7 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         reasons=[result.reason for result in located],
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges)
-    figures["warnings"] += _map_warnings(run)
+    figures["warnings"] += _map_warnings(run) + _wheel_warnings(run)
     return figures | evaluate.timing_metrics(run.timing)
 
 
@@ -105,6 +107,18 @@ def _map_warnings(run: Replay) -> list[str]:
     return [
         f"{run.frames[told[0]].located.warning.capitalize()}: the images show other edges than it has, in {len(told)} "
         f"of {len(run.frames)} images, for the first time after {since_s:.1f} s. Is it of this building?"
+    ]
+
+
+def _wheel_warnings(run: Replay) -> list[str]:
+    """Return when the filter went on without the wheels, as a text for people."""
+    wrong = np.array([frame.located.wheels_are_wrong for frame in run.frames], dtype=bool)
+    if wrong.sum() < WRONG_IMAGES:
+        return []
+    first, last = run.track.seconds[np.flatnonzero(wrong)[[0, -1]]]
+    return [
+        f"The wheels contradict the images in {wrong.sum()} of {len(wrong)} images, the first after {first:.1f} s and "
+        f"the last after {last:.1f} s: do they slip, stand still or fall silent? There the edges alone were followed."
     ]
 
 

@@ -79,13 +79,20 @@ class Odometer:
     def _with_wheels(self, wheel: Increment, wheel_cov: Array, slipped: list[Belief]) -> list[Belief]:
         """Return the belief that wheels are right to within their noise, and those for when they slipped."""
         share = self.parameters.slip_share
-        # Wheels that stand still know it exactly, edges never do.
-        held = twist_gaussian(Gaussian(wheel.mean, wheel_cov + np.diag(_LEAST_SIGMA**2)))
+        held = twist_of_wheels(wheel, wheel_cov)
         as_seen = [np.array([*held.mean[:2], start[2]]) for start in slipped[0].starts[:1]]
         return [
             Belief(held, [held.mean, *as_seen], float(np.log1p(-share)), way=False),
             *(replace(belief, log_share=belief.log_share + float(np.log(share))) for belief in slipped),
         ]
+
+
+def twist_of_wheels(wheel: Increment, cov: Array) -> Gaussian:
+    """Return the twist that wheels say, whose motion has this covariance (3, 3).
+
+    Wheels that stand still know it exactly, edges never do: so the covariance is at least that of edges.
+    """
+    return twist_gaussian(Gaussian(wheel.mean, cov + np.diag(_LEAST_SIGMA**2)))
 
 
 def _by_vision(seen: Gaussian) -> Increment:

@@ -1,0 +1,131 @@
+"""Whether the wheels are right: they may stand still while the robot drives, slip, or be silent for a while.
+
+An image should fit the map from where the wheels say the robot is. Where it fits much worse than usual, another
+explanation is weighed beside it: the wheels are wrong, the robot went on at its pace (an Ornstein-Uhlenbeck process of
+its speed), and it turned as the edges say that continue from the last image. Bayes' rule compares both,
+
+    odds(wrong) = prior odds · (mean p(edges | at the pace) / mean p(edges | by the wheels))^0.6
+
+with means over particles. Wheels that stand still claim an exact motion. Then the edges of the last image must be where
+they were, whatever the map, and their density under either motion (`scene_clutter`) counts as well.
+
+While the wheels are wrong, particles move at the robot's pace, as far as that is uncertain, and the map corrects them.
+The wheels are believed again when they predict better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, Increment, between
+from localiser.particles import Estimate, Particles, log_sum, only
+from localiser.visual_odometry import Belief, Frames, Gaussian, VisualOdometryParameters, follow, twist_of_wheels
+
+POWER = 0.6  # of the likelihood: edges of an image err together
+STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
+UNUSUAL = 0.5  # part of the usual log-likelihood below which the other explanation is weighed
+MEMORY = 0.9  # part of what is usual that an image leaves
+FEW = 64  # particles that tell how well the wheels predict an image
+STANDS_M, STANDS_RAD = 0.01, np.radians(0.5)  # what wheels that stand still may show
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What an image says of how the robot moved.
+
+    camera, before, after: whose edges, those of the last image and of this one. fit: returns the log-likelihood (N,) of
+    the image at particles. continued: returns the log-density of its edges, as those of the last image predict them
+    after a motion; None where the observation cannot.
+    """
+
+    camera: Camera
+    before: Edges
+    after: Edges
+    fit: Callable[[Particles], Array]
+    continued: Callable[[Increment], float] | None
+
+    def by_map(self, cloud: Particles) -> float:
+        """Return the logarithm of the mean likelihood of the image over particles."""
+        return float(log_sum(cloud.log_weight + self.fit(cloud)) - log_sum(cloud.log_weight))
+
+    def by_last_image(self, increment: Increment) -> float:
+        """Return the log-density of the edges after a motion, 0 where nothing can be said."""
+        return 0.0 if self.continued is None else self.continued(increment)
+
+    def turned(self, prior: Gaussian) -> tuple[Increment, float]:
+        """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
+        twist, log_ratio = prior, 0.0
+        if len(self.before) and len(self.after):
+            frames = Frames.of(self.before, self.after, self.camera)
+            starts = [prior.mean, *frames.likely_motions(prior)]
+            twist = follow(frames, [Belief(prior, starts, way=False)]).twist
+            miss_rad, var = twist.mean[2] - prior.mean[2], prior.cov[2, 2]
+            log_ratio = min(0.5 * float(np.log(twist.cov[2, 2] / var) - miss_rad**2 / var), 0.0)
+        path_m = float(np.sqrt(np.square(twist.mean[:2]).sum() + np.trace(twist.cov[:2, :2])))
+        turned_rad = float(np.sqrt(twist.mean[2] ** 2 + twist.cov[2, 2]))
+        return Increment(twist.mean, twist.cov, path_m, turned_rad), log_ratio
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wheels:
+    """What is known of the wheels.
+
+    wrong: probability that they were wrong at the last image. usual: (2,) mean log-likelihood of images whose motion
+    they told: by the map, and by the image before. pose: (3,) estimate at the last image, None where none was tracked.
+    pace: twist per second then, None where not known.
+    """
+
+    wrong: float = 0.0
+    usual: Array = field(default_factory=lambda: np.zeros(2))
+    pose: Array | None = None
+    pace: Gaussian | None = None
+
+    @property
+    def are_wrong(self) -> bool:
+        """Whether they are more likely wrong than right."""
+        return self.wrong > 0.5
+
+    def after(
+        self,
+        evidence: Evidence,
+        increment: Increment,
+        cov: Array,
+        driven: Particles,
+        move: Callable[[Increment], Particles],
+        parameters: VisualOdometryParameters,
+        seconds: float,
+    ) -> tuple[Wheels, tuple[Increment, Particles] | None]:
+        """Return what is known after an image, and how the robot moved if the wheels are wrong.
+
+        increment, cov: what the wheels say, and its covariance (3, 3); driven: some particles moved by it. move: moves
+        the same particles by another motion. seconds: since the last image. The motion comes with particles moved by
+        it.
+        """
+        stands = increment.path_m < STANDS_M and increment.turned_rad < STANDS_RAD
+        by_map = evidence.by_map(only(driven, slice(None, None, max(len(driven) // FEW, 1))))
+        right = np.array([by_map, evidence.by_last_image(increment)])
+        fits = (right >= UNUSUAL * self.usual)[: 2 if stands else 1].all()
+        if self.pace is None or (self.wrong < parameters.slip_share and fits):
+            return replace(self, wrong=0.0, usual=MEMORY * self.usual + (1.0 - MEMORY) * right), None
+        paced, log_paced = evidence.turned(parameters.twist(self.pace, seconds))
+        moved = move(paced)
+        log_ratio = evidence.by_map(moved) - by_map
+        if stands:
+            held, log_held = evidence.turned(twist_of_wheels(increment, cov))
+            log_ratio += evidence.by_last_image(paced) + log_paced - evidence.by_last_image(held) - log_held
+        prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
+        log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + POWER * log_ratio, -50.0, 50.0))
+        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))))
+        return wheels, (paced, moved) if wheels.are_wrong else None
+
+    def located(self, estimate: Estimate | None, seconds: float) -> Wheels:
+        """Return what is known once the robot has been located, `seconds` after the last image; None: it was not."""
+        if estimate is None or self.pose is None or seconds <= 0:
+            return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
+        twist = between(self.pose, estimate.pose) / seconds
+        return replace(self, pose=estimate.pose, pace=Gaussian(twist, estimate.pose_cov / seconds**2))

@@ -1,0 +1,74 @@
+"""Wheels that stand still, slip or fall silent on the shipped drive: the edges are followed, and it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from short_log import CORRIDOR
+
+from localiser import Localiser
+from localiser.config import read_config
+from localiser.edges import Edges, find_edges
+from localiser.filter import LocatedFrame, Odometry, Start
+from localiser.geometry import between, compose, wrap_angle
+from localiser.replay.start import start_of
+from localiser.storage import ImageEvent, Log, open_log
+
+BEGIN_S, END_S = 12.0, 15.0
+
+
+def events_with(log: Log, start: Start, fault: str) -> Iterator[Any]:
+    """Yield the events of a log whose wheels have a fault for 3 s."""
+    before: Odometry | None = None
+    pose, first_ns = np.zeros(3), log.odometry.t_ns[0]
+    for event in log.events(start, anywhere=False):
+        if isinstance(event, Odometry):
+            is_faulty = BEGIN_S <= (event.t_ns - first_ns) / 1e9 < END_S
+            step = np.zeros(3) if before is None else between(before.pose, event.pose)
+            factor = {"stand still": 0.0, "count double": 2.0}.get(fault, 1.0) if is_faulty else 1.0
+            pose, before = compose(pose, factor * step), event
+            if fault != "fall silent" or not is_faulty:
+                yield Odometry(event.t_ns, pose)
+        else:
+            yield event
+
+
+@pytest.fixture(scope="module")
+def drive() -> tuple[Log, dict[int, Edges]]:
+    """The shipped log and the edges of its images."""
+    log = open_log(CORRIDOR)
+    parameters = read_config(None, (), log.settings).edges
+    frames = (frame for frame in log.frames if isinstance(frame, ImageEvent))
+    return log, {frame.t_ns: find_edges(frame.load(), log.camera, parameters) for frame in frames}
+
+
+@pytest.mark.parametrize("fault", ["none", "stand still", "count double", "fall silent"])
+def test_wheels_that_err_for_three_seconds(drive: tuple[Log, dict[int, Edges]], fault: str) -> None:
+    log, edges = drive
+    localiser = Localiser(log.landmark_map, log.camera, read_config(None, (), log.settings))
+    start = start_of(log, "truth", localiser.rng)
+    assert start is not None and log.groundtruth is not None
+    frames: list[LocatedFrame] = localiser.start(start.mean, start.cov, start.t_ns)
+    for event in events_with(log, start, fault):
+        if isinstance(event, Odometry):
+            frames += localiser.odometry(event.t_ns, event.pose)
+        elif not isinstance(event, Start):
+            frames += localiser.edges(event.t_ns, edges[event.t_ns])
+    frames += localiser.finish()
+
+    truth = log.groundtruth.sampled([frame.located.t_ns for frame in frames]).poses
+    error = np.array([frame.located.estimate.pose for frame in frames]) - truth
+    error_m, error_rad = np.hypot(*error[:, :2].T), np.abs(wrap_angle(error[:, 2]))
+    sure = np.array([frame.located.p_correct > 0.9 for frame in frames])
+    told = np.array([frame.located.wheels_are_wrong for frame in frames])
+    seconds = (np.array([frame.located.t_ns for frame in frames]) - log.odometry.t_ns[0]) / 1e9
+    faulty = (seconds >= BEGIN_S) & (seconds < END_S)
+    assert not (sure & ((error_m > 0.5) | (error_rad > np.radians(10.0)))).any()
+    assert error_m.max() < 0.25 and error_m[seconds > END_S + 1.0].max() < 0.05
+    if fault == "none":
+        assert not told.any()
+    elif fault != "fall silent":  # then the way between is interpolated, and may be right
+        assert told[faulty].mean() > 0.7 and told[seconds < BEGIN_S].sum() == 0
