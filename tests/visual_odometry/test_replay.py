@@ -39,7 +39,7 @@ def worst_error_m(source: str) -> float:
 
 
 @pytest.mark.parametrize("source", ["both", "wheel"])
-def test_a_slip_does_not_lose_the_robot(source: Source) -> None:
+def test_a_slip_does_not_lose_the_robot(source: str) -> None:
     assert worst_error_m(source) < 0.05
 
 
