@@ -29,6 +29,8 @@ def evaluate_run(run: Path | str | Track, truth: Path | str | Trajectory | None 
         return _judged(_track(path), truth, path.stem)
     folder = storage.find_run(path)
     recorded = storage.read_json(folder / "metrics.json")
+    if (folder / "timing.json").is_file():
+        recorded |= storage.read_json(folder / "timing.json")
     if truth is None:
         return recorded
     return _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), recorded)

@@ -37,7 +37,7 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges)
     figures["warnings"] += _map_warnings(run) + _wheel_warnings(run)
-    return figures | evaluate.timing_metrics(run.timing)
+    return figures
 
 
 def track_of(frames: Sequence[LocatedFrame]) -> Track:

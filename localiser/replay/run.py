@@ -227,7 +227,7 @@ class FolderRun:
         return next((sink for sink in self.sinks if isinstance(sink, LiveView)), None)
 
     def run(self, progress: Callable[[], None]) -> dict[str, Any]:
-        """Replay the log, call `progress` after every frame, and return the metrics.
+        """Replay the log, call `progress` after every frame, and return the metrics and what a frame took.
 
         Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
         """
@@ -265,12 +265,17 @@ class FolderRun:
         )
 
     def _write_figures(self, complete: bool) -> dict[str, Any]:
-        """Write `metrics.json`, `timing.json` and `report.png` of what was located, and return the metrics."""
+        """Write `metrics.json`, `timing.json` and `report.png` of what was located; return the figures of both files.
+
+        What a frame took differs from run to run; the file of the metrics does not.
+        """
         run, folder = self.replay, self.folder
         bound = bound_of(run)
         figures = run_metrics(run, bound) | {"complete": complete}
         folder.write_json("metrics.json", figures)
-        folder.write_json("timing.json", evaluate.timing_metrics(run.timing))
+        timing = evaluate.timing_metrics(run.timing)
+        folder.write_json("timing.json", timing)
+        figures |= timing
         landmark_map = run.localiser.landmark_map
         report = folder.path / "report.png"
         write_report(report, run.track, figures, truth=truth_of(run), landmark_map=landmark_map, bound=bound)
