@@ -6,5 +6,6 @@ from localiser.evaluate.consistency import fraction_inside, nees, nees_band
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
 from localiser.evaluate.report import write_report
+from localiser.evaluate.residuals import residual_sums
 from localiser.evaluate.table import errors_table
 from localiser.evaluate.wheels import bias_figures, fit_wheels

@@ -19,6 +19,7 @@ class Track:
     t_ns: (T,) strictly increasing. poses: (T, 3) x, z, heading in the map. covs: (T, 3, 3) of the poses.
     odometry: (T, 3) poses in the odometry's own frame. edges, matched: (T,) number of edges measured, and of those
     that were matched with a landmark. p_correct: (T,) probability of being within 0.5 m and 10°, as the filter has it.
+    residuals: (T, 3) how far matched edges are from their landmarks, see `residual_sums`.
     """
 
     t_ns: NDArray[np.int64]
@@ -28,6 +29,7 @@ class Track:
     edges: Array
     matched: Array
     p_correct: Array
+    residuals: Array
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -43,6 +45,7 @@ class Track:
         edges: ArrayLike | None = None,
         matched: ArrayLike | None = None,
         p_correct: ArrayLike | None = None,
+        residuals: ArrayLike | None = None,
     ) -> Track:
         """Return a track with what is given; the rest is unknown."""
         count = len(np.asarray(t_ns))
@@ -58,6 +61,7 @@ class Track:
             column(edges),
             column(matched),
             column(p_correct),
+            column(residuals, 3),
         )
 
     @property

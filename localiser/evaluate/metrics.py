@@ -2,7 +2,8 @@
 
 In addition to the errors of all images there are three groups: `seen_2s`, images with an edge at most 2 s ago;
 `after_pause_10s`, images within 10 s after a pause of more than 3 s without edges; `steady`, those of the first group
-that are not in the second. `pauses` lists each pause. Unknown figures are null.
+that are not in the second. `pauses` lists each pause. `own_figures` has those that need no truth. Unknown figures are
+null.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import rms_position
 from localiser.evaluate.consistency import fraction_inside
+from localiser.evaluate.own_figures import found_index, own_figures
 from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
 from localiser.geometry import Array, Trajectory
@@ -35,13 +37,14 @@ def metrics(
     bound: Array | None = None,
     sighted: NDArray[np.bool_] | None = None,
     reasons: Sequence[str] = (),
+    distance_scale: float = 0.0,
 ) -> dict[str, Any]:
     """Return the figures of a run; those that need the truth are None without it.
 
     about: what the run was made from; see `ABOUT`. bound: (T, 3, 3) posterior Cramér-Rao bound of the poses, for logs
     with true associations. sighted: (T,) whether a landmark was seen; by default, whether there was any edge (always,
-    where edges are not known). reasons: (T,) why p_correct was low, "" where it was not. Raises InputError when truth
-    and run share no time.
+    where edges are not known). reasons: (T,) why p_correct was low, "" where it was not. distance_scale: see
+    `own_figures`. Raises InputError when truth and run share no time.
     """
     errors = errors_against(track, truth) if truth is not None else None
     return {
@@ -55,6 +58,7 @@ def metrics(
         "nees_inside_95": _figure(fraction_inside(errors.nees)) if errors else None,
         **_limit(errors, bound),
         "edges_per_frame": _figure(mean(track.edges)),
+        **own_figures(track, distance_scale),
         "confidence": _confidence(track, errors, reasons),
         **_by_sightings(track, errors, track.sighted if sighted is None else sighted),
     }
@@ -119,7 +123,7 @@ def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> 
     p_correct > 0.9, `sure_and_wrong`: with p_correct > 0.9 and not within 0.5 m and 10°.
     """
     sure = track.p_correct > SURE
-    found = int(np.argmax(sure)) if sure.any() else None
+    found = found_index(track)
     known, wrong = np.zeros(len(track), dtype=bool), np.zeros(len(track), dtype=bool)
     if errors is not None:
         known = np.isfinite(errors.position_m)

@@ -213,15 +213,22 @@ class EdgeObservation:
         seen = sight(self.camera, self.camera.pose_in_map(pose[None]), landmark_map, self.parameters.sight)
         matches = Matches.none(len(edges), len(landmark_map))
         matches.visible[seen.landmark] = True
-        if len(edges) and len(seen.pose):
-            pair, edge, density = self._near(edges, landmark_map, seen)
-            likelier = density / len(seen.pose) > 1.0 / self.angle.span_rad  # than clutter, at an inlier rate of ½
-            # Ascending, so that the last write to an edge is its best landmark.
-            ascending = np.flatnonzero(likelier)[np.argsort(density[likelier], kind="stable")]
-            pair, edge = pair[ascending], edge[ascending]
-            matches.landmark[edge] = seen.landmark[pair]
-            matches.residual[edge] = self.angle.measured(edges)[0][edge] - self.angle.predicted(seen.tangent[pair])[0]
-        return matches
+        if not len(edges) or not len(seen.pose):
+            return matches
+        pair, edge, density = self._near(edges, landmark_map, seen)
+        odds = density * self.angle.span_rad / len(seen.pose)  # against clutter, at an inlier rate of ½
+        # Ascending, so that the last write to an edge is its best landmark.
+        likelier = np.flatnonzero(odds > 1.0)
+        ascending = likelier[np.argsort(odds[likelier], kind="stable")]
+        pair, edge, odds = pair[ascending], edge[ascending], odds[ascending]
+
+        predicted, position_var = self._predicted(seen, landmark_map)
+        measured, measured_var = self.angle.measured(edges)
+        residual, sigma = measured[edge] - predicted[pair], np.sqrt(measured_var[edge] + position_var[pair])
+        # The odds fall as exp(-z²/2), and were 1 at the gate.
+        gate = np.sqrt((residual / sigma) ** 2 + 2 * np.log(odds))
+        matches.landmark[edge], matches.residual[edge] = seen.landmark[pair], residual
+        return replace(matches, sigma=_placed(sigma, edge, len(edges)), gate=_placed(gate, edge, len(edges)))
 
     # -- pairs of an edge and a landmark ----------------------------------------------------------------------------
 
@@ -274,3 +281,10 @@ class EdgeObservation:
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
         predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
         return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
+
+
+def _placed(values: Array, edge: Indices, count: int) -> Array:
+    """Return (E,) with the values at these edges, the last where there are several, and nan elsewhere."""
+    result = np.full(count, np.nan)
+    result[edge] = values
+    return result

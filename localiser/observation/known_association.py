@@ -53,10 +53,11 @@ class IdentifiedObservation(EdgeObservation):
         """Return the landmark that each edge is said to belong to."""
         visible = EdgeObservation.associate(self, pose, sighting, landmark_map).visible
         landmark = sighting.edges.landmark_id
-        residual = np.full(len(landmark), np.nan)
+        residual, sigma = np.full((2, len(landmark)), np.nan)
         one = Particles(POSE, np.asarray(pose, dtype=np.float64)[:, None], np.zeros(1))
-        residual[landmark >= 0] = self._residuals(one, sighting.edges, landmark_map)[0][0]
-        return Matches(landmark, residual, visible)
+        residuals, variance = self._residuals(one, sighting.edges, landmark_map)
+        residual[landmark >= 0], sigma[landmark >= 0] = residuals[0], np.sqrt(variance[0])
+        return Matches(landmark, residual, visible, sigma, np.where(landmark >= 0, np.inf, np.nan))
 
     def _residuals(self, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> tuple[Array, Array]:
         """Return measured minus predicted angle and its variance (N, I), of the I edges of a known landmark.

@@ -68,17 +68,22 @@ class Matches:
     """Which landmark each edge belongs to, seen from one pose.
 
     landmark: (E,) index into the map, -1 for clutter. residual: (E,) measured minus predicted, rad, nan for clutter.
-    visible: (L,) whether the landmark is inside the field of view.
+    visible: (L,) whether the landmark is inside the field of view. sigma: (E,) of the residual, rad, the pose taken as
+    exact. gate: (E,) from how many sigmas on the edge would have counted as clutter. Both are nan for clutter, and None
+    where the observation does not tell.
     """
 
     landmark: NDArray[np.int64]
     residual: Array
     visible: NDArray[np.bool_]
+    sigma: Array | None = None
+    gate: Array | None = None
 
     @classmethod
     def none(cls, edges: int, landmarks: int) -> Matches:
         """Return that no edge belongs to any landmark."""
-        return cls(np.full(edges, -1), np.full(edges, np.nan), np.zeros(landmarks, dtype=bool))
+        unknown = np.full((3, edges), np.nan)
+        return cls(np.full(edges, -1), unknown[0], np.zeros(landmarks, dtype=bool), unknown[1], unknown[2])
 
 
 @runtime_checkable

@@ -11,6 +11,20 @@ from localiser.errors import InputError
 from localiser.evaluate import Track
 from localiser.geometry import Trajectory
 
+NOT_IN_A_TRACK = (
+    "edges_matched",
+    "residuals",
+    "distance_m",
+    "speed_mean_m_s",
+    "biases",
+    "warnings",
+    "complete",
+    "frame_ms_median",
+    "frame_ms_p95",
+    "stage_ms",
+)
+"""What a run wrote of itself that no truth changes and that its trajectory file does not hold."""
+
 
 def evaluate_run(run: Path | str | Track, truth: Path | str | Trajectory | None = None) -> dict[str, Any]:
     """Return the metrics of a run against the truth.
@@ -33,7 +47,8 @@ def evaluate_run(run: Path | str | Track, truth: Path | str | Trajectory | None 
         recorded |= storage.read_json(folder / "timing.json")
     if truth is None:
         return recorded
-    return _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), recorded)
+    judged = _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), recorded)
+    return judged | {key: recorded[key] for key in NOT_IN_A_TRACK if key in recorded}
 
 
 def _judged(

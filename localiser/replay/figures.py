@@ -14,6 +14,8 @@ from localiser.edges import Edges
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array, Trajectory
+from localiser.observation import Matches
+from localiser.particles import Estimate
 from localiser.replay.about import about
 
 if TYPE_CHECKING:
@@ -34,6 +36,7 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         bound=bound,
         sighted=_sighted(edges),
         reasons=[result.reason for result in located],
+        distance_scale=_learnt(located[-1].estimate, "distance_scale"),
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges)
     figures["warnings"] += _map_warnings(run) + _wheel_warnings(run)
@@ -51,6 +54,7 @@ def track_of(frames: Sequence[LocatedFrame]) -> Track:
         edges=[len(result.edges) for result in located],
         matched=[int((frame.matches.landmark >= 0).sum()) for frame in frames],
         p_correct=[result.p_correct for result in located],
+        residuals=np.array([_residual_sums(frame.matches) for frame in frames]).reshape(-1, 3),
     )
 
 
@@ -87,6 +91,15 @@ def _sighted(all_edges: Sequence[Edges]) -> NDArray[np.bool_] | None:
     """Return whether (T,) a landmark was seen, where the log tells which; None where it does not."""
     sighted = np.array([(edges.landmark_id >= 0).any() for edges in all_edges])
     return sighted if sighted.any() else None
+
+
+def _residual_sums(matches: Matches) -> Array:
+    return evaluate.residual_sums(matches.residual, matches.sigma, matches.gate)
+
+
+def _learnt(estimate: Estimate, name: str) -> float:
+    """Return the estimated constant, 0 where it is none of the motion model's."""
+    return float(estimate.mean[estimate.names.index(name)]) if name in estimate.names else 0.0
 
 
 def _constants(run: Replay) -> dict[str, Any]:

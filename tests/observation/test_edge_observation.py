@@ -272,3 +272,21 @@ def test_many_short_steps_tell_as_much_as_the_path_they_make() -> None:
     parameters = ObservationParameters(decorrelation_m=0.1)
     sums = [n * novelty_of(Increment.from_mean([0, -1.0 / n, 0]), parameters) for n in (100, 1000, 10_000)]
     np.testing.assert_allclose(sums, 5.0, rtol=0.01)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sigma_and_gate_say_where_an_edge_becomes_clutter(kind: str) -> None:
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    rng = np.random.default_rng(5)
+    landmark_map, edges = some_map(rng, cov_m=0.05), some_edges(rng, 60, common=True)
+    matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map)
+    assert matches.sigma is not None and matches.gate is not None
+    matched = matches.landmark >= 0
+    assert matched.any() and np.isnan(matches.sigma[~matched]).all() and np.isnan(matches.gate[~matched]).all()
+    assert (np.abs(matches.residual[matched]) < matches.gate[matched] * matches.sigma[matched]).all()
+
+    densities = landmark_densities(observation, POSE_TRUE, edges, landmark_map)
+    for edge in np.flatnonzero(matched):
+        z = matches.residual[edge] / matches.sigma[edge]
+        odds = np.nanmax(densities[edge]) / clutter_density(kind) / matches.visible.sum()
+        assert odds * np.exp((z**2 - matches.gate[edge] ** 2) / 2) == pytest.approx(1.0)

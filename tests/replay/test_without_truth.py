@@ -1,0 +1,122 @@
+"""A run without truth tells the same of itself as one with it, and the truth agrees with what it tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from short_log import CORRIDOR
+
+from localiser import open_log, replay_log
+from localiser.evaluate.own_figures import own_figures
+from localiser.evaluate.residuals import residual_figures, residual_sums
+from localiser.filter import SURE, LocatedFrame, Sighting
+from localiser.observation import observation_of
+from localiser.replay import Replay
+
+ERRORS = {
+    "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
+    "odometry_position_rmse_m", "nees_mean", "nees_inside_95",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run() -> Replay:
+    """The shipped log, as its user has it who knows no truth."""
+    return replay_log(replace(open_log(CORRIDOR), groundtruth=None), seed=0)
+
+
+class Sightings:
+    """A sink that keeps what particles were weighed by."""
+
+    def __init__(self) -> None:
+        self.taken: list[Sighting] = []
+
+    def frame(self, frame: LocatedFrame) -> None:
+        assert frame.located.sighting is not None
+        self.taken.append(frame.located.sighting)
+
+    def close(self, complete: bool) -> None:
+        assert complete
+
+
+@pytest.fixture(scope="module")
+def sightings() -> Sightings:
+    return Sightings()
+
+
+@pytest.fixture(scope="module")
+def known(sightings: Sightings) -> Replay:
+    return replay_log(open_log(CORRIDOR), seed=0, sinks=[sightings])
+
+
+@pytest.fixture(scope="module")
+def figures(run: Replay) -> dict[str, Any]:
+    return run.metrics
+
+
+def test_it_tells_the_same_of_itself_and_nothing_of_errors(run: Replay, known: Replay, figures: dict[str, Any]) -> None:
+    with_truth = known.metrics
+    own = own_figures(run.track)
+    assert all(figures[key] is not None for key in own)
+    assert {key: figures[key] for key in own} == {key: with_truth[key] for key in own}
+    assert {key for key in figures if figures[key] is None and with_truth[key] is not None} == ERRORS
+    for key in ("p_correct_mean", "p_correct_min", "sure", "found_s", "reasons"):
+        assert figures["confidence"][key] == with_truth["confidence"][key]
+    assert figures["warnings"] == with_truth["warnings"]
+
+
+def test_errors_are_as_large_as_it_expects(known: Replay, figures: dict[str, Any]) -> None:
+    truth = known.log.groundtruth
+    assert truth is not None
+    error = known.track.poses - truth.sampled(known.track.t_ns).poses
+    distance_m, turn_deg = np.hypot(*error[:, :2].T), np.degrees(np.abs(error[:, 2]))
+    assert (distance_m < 3 * known.track.position_sigma_m).mean() > 0.99
+    assert 0.3 * distance_m.max() < figures["position_3sigma_median_m"] <= figures["position_3sigma_max_m"]
+    assert np.median(turn_deg) < figures["heading_3sigma_median_deg"] <= figures["heading_3sigma_max_deg"]
+    assert figures["position_3sigma_max_m"] == pytest.approx(3 * known.track.position_sigma_m.max(), abs=1e-6)
+
+
+def test_it_is_found_and_sure_where_it_is_right(known: Replay, figures: dict[str, Any]) -> None:
+    confidence = known.metrics["confidence"]
+    assert figures["confidence"]["found_s"] == 0.0
+    assert figures["confidence"]["sure"] == (known.track.p_correct > SURE).mean() == 1.0
+    assert confidence["correct"] == 1.0 and confidence["sure_and_wrong"] == 0.0
+
+
+def test_distance_and_speed_are_the_true_ones(known: Replay, figures: dict[str, Any]) -> None:
+    truth, times = known.log.groundtruth, known.track.t_ns
+    assert truth is not None
+    driven_m = np.hypot(*np.diff(truth.sampled(times).poses[:, :2], axis=0).T).sum()
+    wheels_m = np.hypot(*np.diff(known.track.odometry[:, :2], axis=0).T).sum()
+    assert figures["distance_m"] == pytest.approx(driven_m, rel=0.01)
+    assert abs(wheels_m - driven_m) > abs(figures["distance_m"] - driven_m), "the learnt scale helps"
+    assert figures["duration_s"] == pytest.approx((times[-1] - times[0]) / 1e9)
+    assert figures["speed_mean_m_s"] == pytest.approx(driven_m / figures["duration_s"], rel=0.01)
+
+
+def test_matches_and_residuals_are_those_from_the_true_poses(
+    known: Replay, sightings: Sightings, figures: dict[str, Any]
+) -> None:
+    truth, landmark_map = known.log.groundtruth, known.localiser.landmark_map
+    assert truth is not None
+    observation = observation_of(known.log.camera, known.localiser.config.observation)
+    matches = [observation.associate(truth.at(sighting.t_ns), sighting, landmark_map) for sighting in sightings.taken]
+    matched, measured = sum((one.landmark >= 0).sum() for one in matches), sum(len(one.landmark) for one in matches)
+    by_truth = residual_figures(np.array([residual_sums(one.residual, one.sigma, one.gate) for one in matches]))
+    assert figures["edges_matched"] == pytest.approx(matched / measured, abs=0.01)
+    assert figures["residuals"]["consistency"] == pytest.approx(by_truth["consistency"], rel=0.2)
+    assert figures["residuals"]["consistency"] < 1.0, "the stated sigmas are on the safe side"
+
+
+def test_learnt_constants_agree_with_the_truth(known: Replay, figures: dict[str, Any]) -> None:
+    for name, learnt in known.metrics["biases"].items():
+        assert figures["biases"][name] == {key: learnt[key] for key in ("value", "sigma")}
+        if "least_squares" in learnt:
+            assert abs(learnt["value"] - learnt["least_squares"]) < 3 * learnt["sigma"]
+    mount = known.log.camera.mount
+    for name, stated_rad in (("tilt", mount.tilt_rad), ("roll", mount.roll_rad)):
+        found, sigma = figures[f"{name}_found_deg"], figures[f"{name}_found_sigma_deg"]
+        assert abs(found - np.degrees(stated_rad)) < 4 * sigma
