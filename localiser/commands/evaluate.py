@@ -1,4 +1,4 @@
-"""`localiser evaluate`: compare runs with the truth."""
+"""`localiser evaluate`: what runs know of themselves, and their errors against the truth."""
 
 from __future__ import annotations
 
@@ -24,12 +24,19 @@ def evaluate(
         Path | None, typer.Option(metavar="FILE", help="True poses (TUM, or CSV t_ns,x,z,heading).")
     ] = None,
 ) -> None:
-    """Compare runs with the truth in one table; of runs that differ by their seed alone, median and worst too."""
-    from localiser.evaluate import errors_table
+    """Show what runs know of themselves and, where the truth is known, their errors.
+
+    Of runs that differ by their seed alone, median and worst too; identical runs count once.
+    """
+    from localiser.evaluate import RunTables, without_twins
     from localiser.replay import evaluate_run
 
-    figures = {name: evaluate_run(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
-    show(errors_table(figures))
+    figures, twins = without_twins(
+        {name: evaluate_run(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
+    )
+    show(RunTables(figures))
+    for name, twin in twins.items():
+        typer.secho(f"{name} is identical to {twin} and is counted once.", fg="yellow", err=True)
     for name, found in figures.items():
         if found.get("complete") is False:
             typer.secho(
@@ -40,4 +47,7 @@ def evaluate(
 def _names(runs: list[Path]) -> list[str]:
     """Return short names of the runs, whole paths where short ones would be the same."""
     short = ["/".join(run.parts[-2:]) for run in runs]
-    return short if len(set(short)) == len(runs) else [str(run) for run in runs]
+    if len(set(short)) == len(runs):
+        return short
+    whole = [str(run) for run in runs]
+    return [name if name not in whole[:place] else f"{name} again" for place, name in enumerate(whole)]

@@ -119,11 +119,15 @@ def _wait_for(viewer: LiveView) -> None:
         viewer.wait()
 
 
-def _show_run(figures: dict[str, object], folder: Path, rrd: bool) -> None:
-    from localiser.evaluate import errors_table
+def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
+    from rich.text import Text
 
-    show(errors_table({folder.name: figures}))
-    typer.echo(_how_sure(figures["confidence"]))
+    from localiser.evaluate import RunTables, learnt_constants
+
+    show(RunTables({folder.name: figures}))
+    show(Text(_how_sure(figures["confidence"])))
+    if constants := learnt_constants(figures):
+        show(Text(f"Learnt: {', '.join(constants)}."))
     recording = "run.rrd for `rerun`, " if rrd else ""
     typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
 

@@ -3,9 +3,11 @@
 from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
 from localiser.evaluate.consistency import fraction_inside, nees, nees_band
+from localiser.evaluate.constants import learnt_constants
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.metrics import metrics, timing_metrics
 from localiser.evaluate.report import write_report
 from localiser.evaluate.residuals import residual_sums
-from localiser.evaluate.table import errors_table
+from localiser.evaluate.table import RunTables
+from localiser.evaluate.twins import without_twins
 from localiser.evaluate.wheels import bias_figures, fit_wheels

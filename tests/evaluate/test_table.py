@@ -1,4 +1,4 @@
-"""The table of errors."""
+"""The tables of runs: figures, medians, and widths."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from localiser.evaluate.table import errors_table, summaries
+from localiser.evaluate.table import RunTables, summaries
 
 
 def run(log: str, observation: str, seed: int, rmse: float | None, edges: float = 10.0) -> dict[str, Any]:
@@ -20,14 +20,14 @@ def run(log: str, observation: str, seed: int, rmse: float | None, edges: float 
 def rendered(runs: dict[str, dict[str, Any]], width: int = 160) -> list[str]:
     console = Console(width=width, color_system=None)
     with console.capture() as capture:
-        console.print(errors_table(runs))
+        console.print(RunTables(runs))
     return [" ".join(line.split()) for line in capture.get().splitlines() if line.strip()]
 
 
 def test_one_run_has_no_summary() -> None:
     lines = rendered({"results/house/1": run("house", "line", 0, 0.0416)})
-    assert lines[1] == "log house, observation line, seed 0"
-    assert lines[-1] == "results/house/1 0.042 0.030 3.0 10.0"
+    assert lines[0] == "log house, observation line, seed 0"
+    assert lines[-1] == "results/house/1 0.042 0.030 3.0"
     assert not any(line.startswith(("median", "worst")) for line in lines)
 
 
@@ -45,8 +45,8 @@ def test_what_differs_has_a_column_and_fits_a_terminal() -> None:
         "position_max_m": 1.5, "position_end_m": 1.5, "heading_rmse_deg": 10.5, "odometry_position_rmse_m": 1.5,
     }  # fmt: skip
     lines = rendered({"corridor/1": full, "corridor/latest": full | {"observation": "slope", "seed": 1}}, width=100)
-    assert lines[-2] == "corridor/1 line 0 0.020 0.030 1.500 1.500 10.50 1.500 3.0 10.0"
-    assert lines[-1] == "corridor/latest slope 1 0.020 0.030 1.500 1.500 10.50 1.500 3.0 10.0"
+    assert lines[-2] == "corridor/1 line 0 0.020 0.030 1.500 1.500 10.50 1.500 3.0"
+    assert lines[-1] == "corridor/latest slope 1 0.020 0.030 1.500 1.500 10.50 1.500 3.0"
 
 
 def test_runs_by_other_odometry_are_of_another_kind() -> None:
@@ -82,5 +82,59 @@ def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:
     assert known["worst"]["efficiency"] is None
 
 
-def test_fewest_edges_are_the_worst() -> None:
-    assert summaries([run("h", "l", s, 0.1, edges) for s, edges in enumerate((5, 50))])["worst"]["edges_per_frame"] == 5
+def test_fewest_matches_are_the_worst() -> None:
+    runs = [run("h", "l", 0, 0.1) | {"edges_matched": share} for share in (0.05, 0.5)]
+    assert summaries(runs)["worst"]["edges_matched"] == pytest.approx(5.0), "per cent"
+
+
+OWN: dict[str, Any] = {
+    "edges_per_frame": 13.2, "edges_matched": 0.664, "distance_m": 123.5, "speed_mean_m_s": 0.5,
+    "confidence": {"found_s": 120.5, "sure": 0.98, "sure_and_wrong": None}, "residuals": {"consistency": 0.55},
+    "position_3sigma_median_m": 0.03, "position_3sigma_max_m": 9.1, "heading_3sigma_median_deg": 10.25,
+    "pauses": [{"start_s": 3.0}, {"start_s": 9.0}], "frame_ms_median": 121.2,
+}  # fmt: skip
+FULL: dict[str, Any] = {
+    "log": "corridor", "association": "unknown", "odometry": "wheel", "start": "stated", "map": "corridor e1f5ad",
+    "inputs": "854caa", "particles": 2000, "seed": 0, "observation": "line", "position_rmse_m": 0.02,
+    "position_median_m": 0.02, "position_max_m": 10.5, "position_end_m": 10.5, "heading_rmse_deg": 10.5,
+    "odometry_position_rmse_m": 10.5, "nees_mean": 100.5, "efficiency": 1.02, **OWN,
+    "confidence": {"found_s": 120.5, "sure": 0.98, "sure_and_wrong": 0.001},
+}  # fmt: skip
+
+
+def test_without_truth_it_tells_what_the_run_knows_of_itself() -> None:
+    lines = rendered({"1": {"log": "mine", **OWN}}, width=80)
+    assert lines[:2] == ["log mine", "What the run knows of itself"]
+    assert lines[-1] == "1 120.5 98 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121"
+    assert not any("truth" in line for line in lines)
+
+
+def test_with_truth_it_tells_the_same_and_the_errors() -> None:
+    lines = rendered({"1": FULL}, width=80)
+    assert "1 120.5 98 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121" in lines
+    assert lines[-1] == "1 0.020 0.020 10.500 10.500 10.50 10.500 0.1 100.5 1.02"
+
+
+@pytest.mark.parametrize("width", [80, 120, 160])
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_tables_fit_the_terminal_and_break_no_word(width: int, count: int) -> None:
+    kinds = [
+        {"observation": kind, "map": name}
+        for name in ("corridor e1f5ad", "office abcdef")
+        for kind in ("line", "slope")
+    ]
+    runs = {
+        f"results/of/a/long/experiment/{n}/corridor/latest": FULL | kinds[n % 4] | {"seed": n // 4}
+        for n in range(count)
+    }
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(RunTables(runs))
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= width
+    words = set(capture.get().split())
+    assert not any("…" in word for word in words)
+    assert {"match", "found", "heading", "median", "bound", "0.55", "9.100", "1.02"} <= words
+    if count > 1:
+        parts = {part for word in words for part in word.split("/")}
+        assert {"slope", "corridor", "experiment", "latest"} <= parts, "names and settings are whole words"
