@@ -1,4 +1,4 @@
-"""Draw the panels of the report: the path on the map, errors inside their band, edges a frame.
+"""Draw the panels of the report: the path on the map, errors inside their band, edges, confidence, residuals.
 
 Colours are those of Okabe and Ito, which people with any colour vision can tell apart; lines differ in style as well.
 """
@@ -12,6 +12,8 @@ import numpy as np
 from localiser.evaluate.accuracy import Errors, Track, dead_reckoning
 from localiser.evaluate.bound import position_bound
 from localiser.evaluate.pauses import find_pauses
+from localiser.evaluate.residuals import consistency, consistency_band
+from localiser.filter import SURE
 from localiser.geometry import Array, Trajectory, forward
 from localiser.landmarks import LandmarkMap
 
@@ -35,15 +37,17 @@ def draw_map(
     truth: Trajectory | None,
     landmark_map: LandmarkMap | None,
     odometry_label: str = "odometry",
+    landmark_use: Array | None = None,
 ) -> None:
     """Draw landmarks, truth, odometry and estimate as seen from above: x to the right, map -z up, equal scales.
 
-    The truth is drawn whole from the first image to the last; odometry starts at it, or at the estimate.
+    The truth is drawn whole from the first image to the last; odometry starts at it, or at the estimate. landmark_use:
+    (L, 2) in how many images each landmark was in view, and in how many it was matched.
     """
     odometry = errors.odometry if errors else dead_reckoning(track.odometry, track.poses[0])
     paths = [track.poses, odometry]
     if landmark_map is not None:
-        axes.plot(*landmark_map.points.T, ".", color=LANDMARK, markersize=4, zorder=1, label="landmark")
+        _draw_landmarks(axes, landmark_map, landmark_use)
     if np.isfinite(odometry).any():
         axes.plot(*odometry[:, :2].T, "--", color=ODOMETRY, linewidth=1.8, zorder=2, label=odometry_label)
     if truth is not None:
@@ -57,8 +61,26 @@ def draw_map(
     _set_equal_limits(axes, framed(paths, landmark_map))
     axes.set(xlabel="x (m)", ylabel="z (m), heading 0 faces up")
     axes.grid(color=FAINT, linewidth=0.8)
-    _legend_above(axes)
+    _legend_above(axes, columns=4)
     axes.set_title("Path on the map")
+
+
+def _draw_landmarks(axes: Axes, landmark_map: LandmarkMap, landmark_use: Array | None) -> None:
+    """Draw the landmarks, by whether they were matched, in view only, or never in view."""
+    points = landmark_map.points
+    if landmark_use is None:
+        axes.plot(*points.T, ".", color=LANDMARK, markersize=4, zorder=1, label="landmark")
+        return
+    in_view, matched = (landmark_use > 0).T
+    style: dict[str, Any] = {"linestyle": "none", "zorder": 1}
+    kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
+        ("never in view", ~in_view & ~matched, {"marker": "o", "markersize": 3.5, "mfc": "none", "mec": LANDMARK}),
+        ("never matched", in_view & ~matched, {"marker": "x", "markersize": 5.5, "mec": WARNING, "mew": 1.3}),
+        ("matched", matched, {"marker": "o", "markersize": 4, "mfc": MATCHED, "mec": "none"}),
+    )
+    for label, chosen, kind in kinds:
+        if chosen.any():
+            axes.plot(*points[chosen].T, label=label, **kind, **style)
 
 
 def framed(paths: list[Array], landmark_map: LandmarkMap | None) -> Array:
@@ -116,6 +138,34 @@ def draw_edges(axes: Axes, track: Track) -> None:
         axes.fill([], [], color=FAINT, alpha=0.7, label="pause")
     axes.set(ylabel="edges a frame", ylim=(0, 1.12 * max(float(np.nanmax(track.edges, initial=0)), 1)))
     _finish(axes, track, "Edges")
+
+
+def draw_confidence(axes: Axes, track: Track) -> None:
+    """Draw the probability that the estimate is right, and from where on the run counts as sure."""
+    axes.axhline(SURE, color=MUTED, linewidth=1, linestyle="--", label=f"sure: > {SURE:g}")
+    axes.plot(track.seconds, track.p_correct, color=ESTIMATE, linewidth=1.4, label="p_correct")
+    unsure = track.p_correct <= SURE
+    if unsure.any():
+        height, across = np.full(int(unsure.sum()), 0.03), axes.get_xaxis_transform()
+        axes.plot(track.seconds[unsure], height, "|", color=WARNING, markersize=7, transform=across, label="not sure")
+    axes.set(ylabel="probability", ylim=(0, 1.04))
+    _finish(axes, track, "Probability of being right")
+
+
+def draw_residuals(axes: Axes, track: Track) -> None:
+    """Draw how far matched edges are from their landmarks, squared, over what their sigmas make expect."""
+    seconds, known = track.seconds, np.isfinite(track.residuals).all(axis=1)
+    top = 3.0
+    if known.any():
+        low, high = np.full((2, len(track)), np.nan)
+        low[known], high[known] = consistency_band(track.residuals[known])
+        value = consistency(track.residuals)
+        axes.fill_between(seconds, low, high, color=BAND, alpha=0.25, linewidth=0, label="95 % band")
+        axes.axhline(1, color=MUTED, linewidth=0.8)
+        axes.plot(seconds, value, ".", color=ESTIMATE, markersize=3.5, label="an image")
+        top = max(top, 1.1 * float(np.quantile(value[known], 0.99)))
+    axes.set(ylabel="χ² / expected", ylim=(0, top))
+    _finish(axes, track, "Residuals of matched edges")
 
 
 def _set_equal_limits(axes: Axes, box: Array) -> None:
@@ -182,8 +232,9 @@ def _finish(axes: Axes, track: Track, title: str) -> None:
     for pause in find_pauses(track.t_ns, track.sighted):
         start, end = (np.array([pause.start_ns, pause.end_ns]) - track.t_ns[0]) / 1e9
         axes.axvspan(start, end, color=FAINT, alpha=0.7, linewidth=0, zorder=0)
-    _legend_above(axes)
+    if axes.get_legend_handles_labels()[0]:
+        _legend_above(axes)
 
 
-def _legend_above(axes: Axes) -> None:
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, handlelength=1.5, columnspacing=1.2)
+def _legend_above(axes: Axes, columns: int = 6) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, handlelength=1.5, columnspacing=1.2)

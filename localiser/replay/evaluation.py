@@ -17,6 +17,7 @@ NOT_IN_A_TRACK = (
     "distance_m",
     "speed_mean_m_s",
     "biases",
+    "landmarks",
     "warnings",
     "complete",
     "frame_ms_median",

@@ -40,7 +40,19 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges)
     figures["warnings"] += _map_warnings(run) + _wheel_warnings(run)
-    return figures
+    in_view, matched = (landmark_use(run) > 0).T
+    counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
+    return figures | {"landmarks": counts}
+
+
+def landmark_use(run: Replay) -> Array:
+    """Return (L, 2) in how many images each landmark of the map was in view, and in how many it was matched."""
+    use = np.zeros((len(run.localiser.landmark_map), 2))
+    for frame in run.frames:
+        landmark = frame.matches.landmark
+        use[:, 0] += frame.matches.visible
+        use[np.unique(landmark[landmark >= 0]), 1] += 1
+    return use
 
 
 def track_of(frames: Sequence[LocatedFrame]) -> Track:

@@ -24,7 +24,7 @@ from localiser.localiser import Localiser, check_settings
 from localiser.motion import MotionModel
 from localiser.observation import Observation
 from localiser.replay.about import described, identity_of
-from localiser.replay.figures import bound_of, run_metrics, track_of, truth_of
+from localiser.replay.figures import bound_of, landmark_use, run_metrics, track_of, truth_of
 from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
 from localiser.replay.start import has_start, start_of
 from localiser.replay.stop import asked_to_stop
@@ -278,5 +278,11 @@ class FolderRun:
         figures |= timing
         landmark_map = run.localiser.landmark_map
         report = folder.path / "report.png"
-        write_report(report, run.track, figures, truth=truth_of(run), landmark_map=landmark_map, bound=bound)
+        known = {
+            "truth": truth_of(run),
+            "landmark_map": landmark_map,
+            "bound": bound,
+            "landmark_use": landmark_use(run),
+        }
+        write_report(report, run.track, figures, **known)
         return figures

@@ -46,7 +46,7 @@ def test_same_run_same_bytes_of_the_promised_size(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     image = cv2.imread(str(tmp_path / "a.png"))
     assert image is not None
-    assert image.shape == (1000, 1600, 3)
+    assert image.shape == (1200, 1600, 3)
     assert b"Software" not in (tmp_path / "a.png").read_bytes()[:400]
 
 
@@ -104,7 +104,7 @@ def test_band_is_shown_whole_unless_it_flattens_the_rest(widening: float, whole:
     track, covs = given["track"], given["track"].covs.copy()
     covs[10:13] *= widening**2  # fewer than the twentieth part of the images
     wide = Track.from_poses(track.t_ns, track.poses, covs=covs, edges=track.edges)
-    _, position, heading, _ = draw_report(wide, given["figures"], truth=given["truth"]).axes
+    _, position, heading, *_ = draw_report(wide, given["figures"], truth=given["truth"]).axes
     assert (position.get_ylim()[1] > 3 * wide.position_sigma_m.max()) == whole
     assert (heading.get_ylim()[1] > np.degrees(3 * wide.heading_sigma_rad.max())) == whole
     error_m = np.hypot(*(wide.poses - given["truth"].poses)[:, :2].T)
@@ -117,6 +117,7 @@ def test_without_truth_map_and_edges_uncertainty_is_drawn(tmp_path: Path) -> Non
     figure = draw_report(bare, metrics(bare, None, log="bare"))
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
         "Path on the map", "Position uncertainty, no truth", "Heading uncertainty, no truth", "Edges",
+        "Probability of being right", "Residuals of matched edges",
     ]  # fmt: skip
     write_report(tmp_path / "bare.png", bare, metrics(bare, None, log="bare"))
     assert (tmp_path / "bare.png").stat().st_size > 20_000
@@ -142,3 +143,40 @@ def test_nothing_is_drawn_across_a_time_without_images() -> None:
     error = np.asarray(curve.get_ydata())
     assert np.flatnonzero(np.isnan(error)).tolist() == [30]
     assert np.isfinite(error).sum() == 60
+
+
+def test_without_truth_what_the_run_knows_of_itself_is_at_the_top() -> None:
+    given = run()
+    own = {
+        "position_3sigma_median_m": 0.0312, "edges_matched": 0.664, "distance_m": 18.07,
+        "residuals": {"consistency": 0.547}, "confidence": {"found_s": None, "sure": 0.0}, "pauses": [],
+        "biases": {"veer": {"value": 0.01, "sigma": 0.005}}, "warnings": ["This map does not fit."],
+        "landmarks": {"known": 40, "in_view": 30, "matched": 20},
+    }  # fmt: skip
+    figure = draw_report(given["track"], {"log": "mine", **own})
+    texts = {text.get_text() for text in figure.texts}
+    assert {"0.031 m", "66 %", "18.1 m", "0.55", "never", "Warning: This map does not fit."} <= texts
+    assert {"Learnt: veer +0.57 ± 0.29°/m.", "Of 40 landmarks, 30 were in view and 20 matched."} <= texts
+    assert not any("RMSE" in text for text in texts)
+
+
+def test_map_shows_what_was_matched_and_what_was_never_seen() -> None:
+    given = run()
+    use = np.zeros((40, 2))
+    use[:30, 0], use[:20, 1] = 5, 2
+    on_map = draw_report(**given, landmark_use=use).axes[0]
+    drawn = {line.get_label(): len(np.asarray(line.get_xdata())) for line in on_map.get_lines()}
+    assert (drawn["matched"], drawn["never matched"], drawn["never in view"]) == (20, 10, 10)
+
+
+def test_residuals_and_confidence_are_drawn_as_they_are() -> None:
+    track = run()["track"]
+    sums = np.tile([6.0, 12.0, 24.0], (90, 1))
+    sums[5] = np.nan
+    p_correct = np.linspace(0, 1, 90)
+    known = Track.from_poses(track.t_ns, track.poses, p_correct=p_correct, residuals=sums)
+    *_, confidence, residuals = draw_report(known, {"log": "l"}).axes
+    curve = next(line for line in confidence.get_lines() if line.get_label() == "p_correct")
+    np.testing.assert_array_equal(curve.get_ydata(), p_correct)
+    dots = next(line for line in residuals.get_lines() if line.get_label() == "an image")
+    np.testing.assert_array_equal(np.asarray(dots.get_ydata()), np.where(np.isnan(sums[:, 0]), np.nan, 0.5))
