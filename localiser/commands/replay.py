@@ -129,7 +129,7 @@ def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
     if constants := learnt_constants(figures):
         show(Text(f"Learnt: {', '.join(constants)}."))
     recording = "run.rrd for `rerun`, " if rrd else ""
-    typer.echo(f"Results in {folder}: report.png to look at, {recording}metrics.json for machines.")
+    typer.echo(f"Results in {folder}: report.html to look at, {recording}metrics.json for machines.")
 
 
 def _how_sure(confidence: Any) -> str:

@@ -129,7 +129,9 @@ def draw_report(
         errors = errors_against(track, truth) if truth is not None else None
         width, height = np.diff(panels.framed([track.poses], landmark_map), axis=1)[:, 0]
         wide = bool(width > WIDE * height)
-        on_map, position, heading, edges, confidence, residuals = _lay_out(figure, wide=wide)
+        on_map, position, heading, edges, confidence, residuals = _lay_out(
+            figure, wide=wide, headed=0.84 if errors is None else 0.795
+        )
         panels.draw_map(on_map, track, errors, truth, landmark_map, _odometry_label(figures), landmark_use)
         panels.draw_position_error(position, track, errors, bound)
         panels.draw_heading_error(heading, track, errors)
@@ -165,9 +167,9 @@ def _broken_at_gaps(track: Track, bound: Array | None) -> tuple[Track, Array | N
     return Track(t_ns, **broken), None if bound is None else np.insert(bound, after, np.nan, axis=0)
 
 
-def _lay_out(figure: Figure, *, wide: bool) -> list[Axes]:
-    """Return the panels: map, position, heading, edges, confidence, residuals."""
-    frame = {"left": 0.05, "right": 0.975, "bottom": 0.115, "top": 0.795, "hspace": 0.36}
+def _lay_out(figure: Figure, *, wide: bool, headed: float) -> list[Axes]:
+    """Return the panels below the header: map, position, heading, edges, confidence, residuals."""
+    frame = {"left": 0.05, "right": 0.975, "bottom": 0.115, "top": headed, "hspace": 0.36}
     if wide:
         grid = figure.add_gridspec(3, 6, height_ratios=(1.25, 1, 1), wspace=0.75, **frame)
         places = (grid[0, :], grid[1, :2], grid[1, 2:4], grid[2, :3], grid[1, 4:], grid[2, 3:])

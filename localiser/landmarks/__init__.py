@@ -1,5 +1,6 @@
 """The landmark map, its index by place, and how a landmark is seen from a pose."""
 
+from localiser.landmarks.image_lines import landmark_ends, predicted_lines
 from localiser.landmarks.index import CELL_M, HEADINGS, LandmarkIndex, in_view_of_cells
 from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality
 from localiser.landmarks.visibility import (

@@ -265,7 +265,7 @@ class FolderRun:
         )
 
     def _write_figures(self, complete: bool) -> dict[str, Any]:
-        """Write `metrics.json`, `timing.json` and `report.png` of what was located; return the figures of both files.
+        """Write metrics, timing and the report of what was located, and return the figures of both files.
 
         What a frame took differs from run to run; the file of the metrics does not.
         """
@@ -285,4 +285,17 @@ class FolderRun:
             "landmark_use": landmark_use(run),
         }
         write_report(report, run.track, figures, **known)
+        folder.write_text("report.html", self._page(figures, report))
         return figures
+
+    def _page(self, figures: dict[str, Any], report: Path) -> str:
+        """Return the report as a page, with the worst moments of the run."""
+        run = self.replay
+        return evaluate.report_page(
+            run.track,
+            figures,
+            next((sink.moments for sink in self.sinks if isinstance(sink, evaluate.WorstMoments)), []),
+            camera=run.log.camera,
+            landmark_map=run.localiser.landmark_map,
+            picture=report.read_bytes() if report.is_file() else b"",
+        )

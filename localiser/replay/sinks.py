@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from localiser import particles
+from localiser.evaluate import WorstMoments
 from localiser.filter import LocatedFrame
 from localiser.storage import TrackWriter
 from localiser.view import Context, LiveView, RrdFile
@@ -36,6 +37,7 @@ class Outputs:
 
 SINKS: list[Callable[[Outputs, Path, Context], Sink | None]] = [
     lambda outputs, folder, context: TrackWriter(folder),
+    lambda outputs, folder, context: WorstMoments(),
     lambda outputs, folder, context: RrdFile(folder / "run.rrd", context) if outputs.rrd else None,
     lambda outputs, folder, context: LiveView(outputs.view, context) if outputs.view != "none" else None,
 ]

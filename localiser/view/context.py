@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
-from localiser.landmarks import LandmarkMap
+from localiser.landmarks import LandmarkMap, landmark_ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,12 +28,5 @@ class Context:
 
     @property
     def landmark_ends(self) -> Array:
-        """Bottom and top (L, 2, 3) of each landmark in the map; from the floor to twice the camera's height if unknown.
-
-        A height that is not known has to be drawn somehow: this spans the part that the camera looks at.
-        """
-        landmarks = self.landmark_map
-        bottom = np.where(np.isnan(landmarks.bottom_m), 0.0, landmarks.bottom_m)
-        top = np.where(np.isnan(landmarks.top_m), bottom + 2 * self.camera.mount.height_m, landmarks.top_m)
-        x, z = landmarks.points.T
-        return np.stack([np.stack([x, bottom, z], axis=-1), np.stack([x, top, z], axis=-1)], axis=1)
+        """Bottom and top (L, 2, 3) of each landmark in the map; see `landmarks.landmark_ends`."""
+        return landmark_ends(self.landmark_map, self.camera)

@@ -16,6 +16,7 @@ from localiser import geometry
 from localiser.errors import OutputError
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
+from localiser.landmarks import predicted_lines
 from localiser.view import image as image_view
 from localiser.view import palette, paths, world
 from localiser.view.context import Context
@@ -162,7 +163,7 @@ class Recorder:
         # Without an image the last one would stay on the screen under the new edges.
         log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else image_view.picture(frame.image))
         pose = frame.located.estimate.pose
-        shown, lines = image_view.predicted_lines(self._context.camera, pose, self._ends, matches.visible)
+        shown, lines = predicted_lines(self._context.camera, pose, self._ends, matches.visible)
         log(paths.REJECTED, image_view.rejected(edges))
         log(paths.PREDICTED, image_view.predicted(lines))
         log(paths.EDGES, image_view.vertical_edges(edges, matches.landmark >= 0))

@@ -61,8 +61,8 @@ def logged_frames(run: Path) -> int:
 def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     run = localiser.replay(log, tmp_path / "out", rrd=True, report=True, few=False)
     assert {file.name for file in run.iterdir()} == {
-        "config.yaml", "groundtruth.tum", "metrics.json", "report.png", "run.rrd", "run.yaml", "timing.json",
-        "trajectory.csv", "trajectory.tum",
+        "config.yaml", "groundtruth.tum", "metrics.json", "report.html", "report.png", "run.rrd", "run.yaml",
+        "timing.json", "trajectory.csv", "trajectory.tum",
     }  # fmt: skip
 
     rows = rows_of(run)

@@ -21,11 +21,11 @@ from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
 from localiser.filter import Image, Located, LocatedFrame
 from localiser.geometry import Array, Increment, Trajectory, compose, forward, robot_from_map
-from localiser.landmarks import LandmarkMap
+from localiser.landmarks import LandmarkMap, predicted_lines
 from localiser.observation import Matches
 from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
 from localiser.view import Context, LiveView, RrdFile, live, palette, paths
-from localiser.view.image import joins, predicted_lines
+from localiser.view.image import joins
 from localiser.view.world import CHI2_95_2D, MOST_PARTICLES, camera_pose, ellipse_points
 
 FRAMES, STEP_NS = 5, 200_000_000
