@@ -5,16 +5,18 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role, with_options
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from localiser.filter import Start
     from localiser.live import LiveOptions
     from localiser.storage import Log
@@ -32,6 +34,8 @@ live_app = typer.Typer(
 
 `localiser live --map maps/house.yaml --image 0 --camera camera.yaml`""",
 )
+
+STATUS_EVERY_S = 0.25
 
 
 Connect = Annotated[
@@ -207,25 +211,49 @@ def _free_endpoint() -> str:
 
 
 def _run(options: LiveOptions, seconds: float | None) -> None:
-    """Run until the time is over, Ctrl-C or SIGTERM; then say what it came to."""
-    from localiser.live import opened
+    """Run until the time is over, Ctrl-C or SIGTERM, with a line that says how it goes; then say what it came to."""
+    from rich.console import Console
+
+    from localiser.live import end_table, opened, status_line
     from localiser.replay import asked_to_stop
 
+    console = Console(stderr=True)
+    shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
     with asked_to_stop() as stop, opened(options, _say) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
-        run.run(lambda: stop.is_set() or time.monotonic() >= end)
-        _say_figures(run)
+        with _status(console, lambda: status_line(run.monitor), shown=console.is_terminal and not shared) as refresh:
+
+            def ended() -> bool:
+                refresh()
+                return stop.is_set() or time.monotonic() >= end
+
+            run.run(ended)
+        console.print(end_table(run))
+
+
+@contextmanager
+def _status(console: Console, text: Callable[[], str], *, shown: bool) -> Iterator[Callable[[], None]]:
+    """Keep one line at the end of the terminal; yields what to call often, which draws it a few times a second.
+
+    Messages that are written meanwhile go above it.
+    """
+    if not shown:
+        yield lambda: None
+        return
+    from rich.live import Live
+    from rich.text import Text
+
+    drawn = 0.0
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+
+        def refresh() -> None:
+            nonlocal drawn
+            if time.monotonic() - drawn >= STATUS_EVERY_S:
+                drawn = time.monotonic()
+                live.update(Text(text(), no_wrap=True, overflow="ellipsis"), refresh=True)
+
+        yield refresh
 
 
 def _say(text: str, level: str) -> None:
     typer.secho(text, err=True, fg="yellow" if level == "WARNING" else None)
-
-
-def _say_figures(run: Any) -> None:
-    figures = run.monitor.figures()
-    typer.echo("  ".join(f"{name} {value:.4g}" for name, value in figures.items()), err=True)
-    left_out = {**run.timeline.skipped, **{f"{role} dropped": n for role, n in run.inbox.dropped.items()}}
-    if run.timeline.late_odometry:
-        left_out["odometry"] = run.timeline.late_odometry
-    if left_out:
-        typer.echo("left out: " + ", ".join(f"{why} {n}" for why, n in left_out.items()), err=True)

@@ -93,8 +93,9 @@ def replay(
         run = FolderRun.open(ready, Outputs(out, rrd, view))
     if run.viewer is not None and run.viewer.address:
         typer.echo(f"Watch at {run.viewer.address}", err=True)
-    if start is None and ready.start is None and not quiet:
-        typer.echo("The log states no start: the robot is looked for on the whole map.", err=True)
+    if ready.start is None and not quiet:
+        why = "The log states no start: the" if start is None else "The"
+        typer.echo(f"{why} robot is looked for on the whole map.", err=True)
     with progress("Localising", len(recorded.frames), quiet) as advance:
         times_ns = [frame.t_ns for frame in recorded.frames]
         figures = run.run(advance if speed is None else paced(advance, times_ns, speed))

@@ -4,3 +4,4 @@ from localiser.live.inbound import TOPICS, CameraFinder, message_of, type_of
 from localiser.live.prepare import LiveOptions, opened
 from localiser.live.send_pose import send_pose
 from localiser.live.stand_in import Passage, StandIn
+from localiser.live.status import end_table, status_line

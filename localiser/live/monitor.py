@@ -9,11 +9,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from localiser.filter import SURE, LocatedFrame
+
 AGAIN_S = 10.0
 """How long a message of one kind is not repeated."""
 
 SILENT_S = 1.0
+_NO_WARNINGS = ("located", "sure", "edges", "matched")
 MOST_FIGURES = 100_000
+RECENT = 20  # images whose rate is that of now
 
 
 @dataclass(slots=True, eq=False)
@@ -25,9 +29,13 @@ class Monitor:
     latency_ms: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FIGURES))
     work_ms: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FIGURES))
     error_m: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FIGURES))
+    newest: LocatedFrame | None = None
+    _times: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     _said: dict[str, float] = field(default_factory=dict)
     _heard: dict[str, float] = field(default_factory=dict)
     _silent: dict[str, float] = field(default_factory=dict)
+    _awaited: dict[str, float] = field(default_factory=dict)
+    _told: set[str] = field(default_factory=set)
     _first: float = 0.0
     _last: float = 0.0
 
@@ -38,6 +46,15 @@ class Monitor:
         if now - self._said.get(kind, -AGAIN_S) >= AGAIN_S:
             self._said[kind] = now
             self.say(text, "WARNING")
+
+    def wait(self, kind: str, text: str) -> None:
+        """Say what is waited for; it is wrong only when it lasts."""
+        now = time.monotonic()
+        if kind not in self._awaited:
+            self._awaited[kind] = now
+            self.inform(text)
+        elif now - self._awaited[kind] >= AGAIN_S:
+            self.warn(kind, text)
 
     def inform(self, text: str) -> None:
         """Say something that is as it should be."""
@@ -51,24 +68,54 @@ class Monitor:
         self._heard[role] = now
 
     def watch(self, expected: tuple[str, ...]) -> None:
-        """Say which of the sources have gone silent."""
+        """Say which of the sources have gone silent, and which are still awaited."""
         now = time.monotonic()
         for role in expected:
-            since = self._heard.setdefault(role, now)
+            if role not in self._heard:
+                if now - self._awaited.setdefault(role, now) > SILENT_S and role not in self._told:
+                    self._told.add(role)
+                    self.inform(f"{role}: waiting for the first message")
+                continue
+            since = self._heard[role]
             if role not in self._silent and now - since > SILENT_S:
                 self._silent[role] = since
                 self.counts[f"{role} silent"] += 1
                 self.say(f"{role}: nothing for {SILENT_S:g} s; waiting for it to come back", "WARNING")
 
-    def located(self, latency_ms: float, work_ms: float, error_m: float | None) -> None:
-        """Count an image that was located."""
-        self.counts["located"] += 1
+    def located(self, frame: LocatedFrame, latency_ms: float, work_ms: float, error_m: float | None) -> None:
+        """Count an image that was located; say when the robot is found, and when the map stops to fit."""
+        located, landmark = frame.located, frame.matches.landmark
+        sure = located.p_correct > SURE
+        self.counts.update(located=1, sure=sure, edges=len(landmark), matched=int((landmark >= 0).sum()))
+        if sure and self.counts["sure"] == 1:
+            x, z, heading = located.estimate.pose
+            self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°")
+        if located.warning:
+            self.warn("map", located.warning)
         now = time.monotonic()
         self._first, self._last = self._first or now, now
+        self._times.append(now)
+        self.newest = frame
         self.latency_ms.append(latency_ms)
         self.work_ms.append(work_ms)
         if error_m is not None:
             self.error_m.append(error_m)
+
+    @property
+    def wrong(self) -> dict[str, int]:
+        """What was wrong, and how often."""
+        return {kind: count for kind, count in self.counts.items() if kind not in _NO_WARNINGS}
+
+    @property
+    def warnings(self) -> int:
+        """How often something was wrong."""
+        return sum(self.wrong.values())
+
+    @property
+    def rate_now_hz(self) -> float:
+        """Images a second of late, 0 while there are too few."""
+        span = self._times[-1] - self._times[0] if self._times else 0.0
+        return (len(self._times) - 1) / span if span > 0 else 0.0
 
     def figures(self) -> dict[str, float]:
         """Return what a run comes to."""
@@ -78,6 +125,10 @@ class Monitor:
         for name, values in (("latency", self.latency_ms), ("edges_and_filter", self.work_ms)):
             if values:
                 figures[f"{name}_median_ms"], figures[f"{name}_99_ms"] = np.percentile(values, [50, 99]).tolist()
+        if self.counts["located"]:
+            figures["sure"] = self.counts["sure"] / self.counts["located"]
+        if self.counts["edges"]:
+            figures["edges_matched"] = self.counts["matched"] / self.counts["edges"]
         if self.error_m:
             figures["error_rmse_m"] = float(np.sqrt(np.mean(np.square(self.error_m))))
             figures["error_worst_m"] = max(self.error_m)

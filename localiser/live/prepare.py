@@ -96,7 +96,9 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
             stack.callback(lines.close)
             publish.append(lambda published: lines.put(published.line()))
         stack.callback(lambda: close_all(viewers, complete=True))
+        say("getting ready; the first run compiles its loops, which takes up to a minute", "INFO")
         warm_up(landmark_map, options.config)
+        say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"])
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         if options.checkpoint is not None:

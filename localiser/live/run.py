@@ -123,7 +123,7 @@ class LiveRun:
         if t_ns is None:
             return
         if self.finder.camera is None:
-            self.monitor.warn("no camera", f"images wait for the camera: {self.finder.problem}")
+            self.monitor.wait("no camera", f"images wait for the camera: {self.finder.problem}")
             return
         self._begin(t_ns)
         frame = Frame(number, t_ns, stamp_of(message), arrival.at_ns, message)
@@ -287,7 +287,7 @@ class LiveRun:
             if content is not None and self.recording is not None:
                 self.recording.write(POSE_TOPIC, POSE, time.time_ns(), content)
         work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]
-        self.monitor.located(published.latency_ms, work_ms, published.error_m)
+        self.monitor.located(found, published.latency_ms, work_ms, published.error_m)
 
     def _true_pose(self, t_ns: int) -> Array | None:
         if len(self._truth) < 2 or not self._truth[0][0] <= t_ns <= self._truth[-1][0]:

@@ -1,0 +1,77 @@
+"""What a live run says while it runs, and the table at its end."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from unittest.mock import patch
+
+import pytest
+from live_feed import Feed, camera, drive
+from rich.console import Console
+
+from localiser.live import end_table, status_line
+from localiser.live.monitor import Monitor
+
+
+@pytest.fixture
+def said() -> list[tuple[str, str]]:
+    return []
+
+
+@pytest.fixture
+def monitor(said: list[tuple[str, str]]) -> Monitor:
+    return Monitor(lambda text, level: said.append((text, level)))
+
+
+def at(seconds: float) -> AbstractContextManager[object]:
+    return patch("localiser.live.monitor.time.monotonic", return_value=seconds)
+
+
+def test_nothing_alarming_while_the_first_message_is_awaited(monitor: Monitor, said: list[tuple[str, str]]) -> None:
+    for seconds in (100.0, 100.5, 102.0, 150.0):
+        with at(seconds):
+            monitor.watch(("image",))
+    assert said == [("image: waiting for the first message", "INFO")]
+    assert monitor.warnings == 0
+
+
+def test_a_source_that_was_heard_and_falls_silent_is_a_warning(monitor: Monitor, said: list[tuple[str, str]]) -> None:
+    with at(100.0):
+        monitor.heard("image")
+    with at(102.0):
+        monitor.watch(("image",))
+    with at(103.0):
+        monitor.heard("image")
+    assert [level for _, level in said] == ["WARNING", "INFO"]
+    assert said[1][0] == "image: back after 3.0 s"
+    assert monitor.wrong == {"image silent": 1}
+
+
+def test_what_is_waited_for_is_wrong_only_when_it_lasts(monitor: Monitor, said: list[tuple[str, str]]) -> None:
+    for seconds in (100.0, 105.0, 111.0):
+        with at(seconds):
+            monitor.wait("no camera", "images wait for the camera")
+    assert [level for _, level in said] == ["INFO", "WARNING"]
+
+
+def test_the_line_says_where_the_robot_is_and_the_table_what_the_run_came_to() -> None:
+    feed = Feed()
+    assert status_line(feed.run.monitor) == "waiting for the first image"
+    feed([*camera(), *drive(8)])
+    monitor, last = feed.run.monitor, feed.published[-1].located
+    line = status_line(monitor)
+    x, z, _ = last.estimate.pose
+    assert line.startswith(f"{x:.2f}, {z:.2f} ± ")
+    assert f"sure {last.p_correct:.2f}" in line and line.endswith(f"/{len(last.edges)}") and "warning" not in line
+    assert len(line) <= 80
+    assert any(text.startswith("sure of the pose: x = ") for text in feed.said)
+
+    monitor.warn("bad image", "left out an image")
+    assert f"sure {last.p_correct:.2f}  1 warning  " in status_line(monitor)
+    console = Console(width=80, color_system=None)
+    with console.capture() as capture:
+        console.print(end_table(feed.run))
+    rows = [" ".join(row.split()) for row in capture.get().splitlines()]
+    assert f"images located {len(feed.published)}" in rows
+    assert {"images sure 100 %", "warning: bad image 1"} <= set(rows)
+    feed.close()
