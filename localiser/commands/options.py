@@ -59,11 +59,16 @@ def with_options(overrides: list[str] | None, **options: object) -> list[str]:
 
 
 def show(renderable: object) -> None:
-    """Print a table or a text on standard output."""
+    """Print a table or a text on standard output; of a table that is too wide, columns go on below."""
     from rich.console import Console
+    from rich.table import Table
+
+    from localiser.commands.fitted import fitted
 
     # A pipe has no width: then a table is as wide as it wants.
-    Console(width=None if sys.stdout.isatty() else 160).print(renderable)
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    for part in fitted(renderable, console) if isinstance(renderable, Table) else (renderable,):
+        console.print(part)
 
 
 @contextmanager
