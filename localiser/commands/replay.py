@@ -139,5 +139,5 @@ def _how_sure(confidence: Any) -> str:
     why = f"; else: {', '.join(reasons)}" if reasons else ""
     found = "never" if confidence["found_s"] is None else f"after {confidence['found_s']:.1f} s"
     return (
-        f"Sure of the pose (p_correct > 0.9) first {found}, in {100 * (confidence['sure'] or 0):.0f} % of images{why}."
+        f"Sure of the pose (p_correct > 0.9) first {found}, in {100 * (confidence['sure'] or 0):.1f} % of images{why}."
     )

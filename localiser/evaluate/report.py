@@ -72,7 +72,7 @@ class KeyFigure(NamedTuple):
 # What a run knows of itself; then, where the truth is known, its errors.
 OWN_FIGURES = (
     KeyFigure("found after", "confidence.found_s", "{:.1f} s"),
-    KeyFigure("images sure", "confidence.sure", "{:.0f} %", 100.0),
+    KeyFigure("images sure", "confidence.sure", "{:.1f} %", 100.0),
     KeyFigure("edges matched", "edges_matched", "{:.0f} %", 100.0),
     KeyFigure("residuals (right: 1)", "residuals.consistency", "{:.2f}"),
     KeyFigure("3σ, median", "position_3sigma_median_m", "{:.3f} m"),

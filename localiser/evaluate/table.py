@@ -51,7 +51,7 @@ class Column(NamedTuple):
 # In the order of reading: is it found, is it sure, by what, how exactly, how far, how fast.
 OWN = (
     Column("found\n(s)", "confidence.found_s", ".1f"),
-    Column("sure\n(%)", "confidence.sure", ".0f", min, 100.0),
+    Column("sure\n(%)", "confidence.sure", ".1f", min, 100.0),
     Column("match\n(%)", "edges_matched", ".0f", min, 100.0),
     Column("resid.\nχ²", "residuals.consistency", ".2f"),
     Column("3σ\n(m)", "position_3sigma_median_m", ".3f"),

@@ -105,13 +105,13 @@ FULL: dict[str, Any] = {
 def test_without_truth_it_tells_what_the_run_knows_of_itself() -> None:
     lines = rendered({"1": {"log": "mine", **OWN}}, width=80)
     assert lines[:2] == ["log mine", "What the run knows of itself"]
-    assert lines[-1] == "1 120.5 98 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121"
+    assert lines[-1] == "1 120.5 98.0 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121"
     assert not any("truth" in line for line in lines)
 
 
 def test_with_truth_it_tells_the_same_and_the_errors() -> None:
     lines = rendered({"1": FULL}, width=80)
-    assert "1 120.5 98 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121" in lines
+    assert "1 120.5 98.0 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121" in lines
     assert lines[-1] == "1 0.020 0.020 10.500 10.500 10.50 10.500 0.1 100.5 1.02"
 
 
