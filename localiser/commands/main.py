@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import convert, evaluate, paper, replay, simulate
+from localiser.commands import batch, convert, evaluate, paper, replay, simulate
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
@@ -60,6 +60,7 @@ def _root(
 
 
 app.command(epilog=replay.EPILOG)(replay.replay)
+app.command(epilog=batch.EPILOG)(batch.batch)
 app.command(epilog=evaluate.EPILOG)(evaluate.evaluate)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=convert.EPILOG)(convert.convert)

@@ -207,19 +207,20 @@ def replay_log(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderRun:
-    """A replay whose results go into a folder of its own."""
+    """A replay whose results go into a folder of its own. report: whether its report is drawn."""
 
     replay: Replay
     folder: RunFolder
     sinks: Sequence[Sink]
+    report: bool = True
 
     @classmethod
-    def open(cls, replay: Replay, outputs: Outputs) -> FolderRun:
-        """Make the folder and open the sinks. Raises OutputError when results cannot be written."""
+    def open(cls, replay: Replay, outputs: Outputs, folder: RunFolder | None = None) -> FolderRun:
+        """Make the folder, unless there is one, and open the sinks. Raises OutputError."""
         log, landmark_map = replay.log, replay.localiser.landmark_map
-        folder = RunFolder.create(outputs.results, log.name)
+        folder = folder or RunFolder.create(outputs.results, log.name)
         context = Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-        return cls(replay, folder, sinks_of(outputs, folder.path, context))
+        return cls(replay, folder, sinks_of(outputs, folder.path, context), outputs.report)
 
     @property
     def viewer(self) -> LiveView | None:
@@ -265,7 +266,7 @@ class FolderRun:
         )
 
     def _write_figures(self, complete: bool) -> dict[str, Any]:
-        """Write metrics, timing and the report of what was located, and return the figures of both files.
+        """Write metrics, timing and, if wanted, the report of what was located, and return the figures of both files.
 
         What a frame took differs from run to run; the file of the metrics does not.
         """
@@ -276,6 +277,8 @@ class FolderRun:
         timing = evaluate.timing_metrics(run.timing)
         folder.write_json("timing.json", timing)
         figures |= timing
+        if not self.report:
+            return figures
         landmark_map = run.localiser.landmark_map
         report = folder.path / "report.png"
         known = {

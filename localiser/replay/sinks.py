@@ -28,11 +28,15 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """What a replay writes and shows. results: folder of all results. rrd: whether to record. view: a live viewer."""
+    """What a replay writes and shows.
+
+    results: folder of all results. rrd: whether to record. view: a live viewer. report: whether to draw report.png.
+    """
 
     results: Path
     rrd: bool = True
     view: Literal["native", "web", "none"] = "none"
+    report: bool = True
 
 
 SINKS: list[Callable[[Outputs, Path, Context], Sink | None]] = [

@@ -36,7 +36,7 @@ def test_version_is_printed_by_the_module_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["replay"], ["simulate"], ["evaluate"], ["config", "show"], ["config", "schema"]], ids=" ".join
+    "command", [[], ["replay"], ["simulate"], ["evaluate"], ["batch"], ["config", "show"], ["config", "schema"]], ids=" ".join
 )
 def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
     result = localiser(*command, "--help")
