@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 
 from localiser.commands.options import show
+from localiser.errors import InputError
 
 EPILOG = """Examples:
 
 `localiser evaluate results/corridor/latest`
 
-`localiser evaluate mine.tum --truth groundtruth.tum`"""
+`localiser evaluate mine.tum --truth groundtruth.tum`
+
+`localiser evaluate results/corridor/* --csv > figures.csv`"""
 
 
 def evaluate(
@@ -23,18 +26,28 @@ def evaluate(
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True poses (TUM, or CSV t_ns,x,z,heading).")
     ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print all figures as JSON, by run, and no table.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print all figures as CSV, a row a run, and no table.")] = False,
 ) -> None:
     """Show what runs know of themselves and, where the truth is known, their errors.
 
     Of runs that differ by their seed alone, median and worst too; identical runs count once.
     """
-    from localiser.evaluate import RunTables, without_twins
+    from localiser.evaluate import RunTables, flat_figures, without_twins
     from localiser.replay import evaluate_run
+    from localiser.storage import csv_text, json_text
 
+    if as_json and as_csv:
+        raise InputError("expected --json or --csv, found both", field="--csv")
     figures, twins = without_twins(
         {name: evaluate_run(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
     )
-    show(RunTables(figures))
+    if as_json:
+        typer.echo(json_text(figures), nl=False)
+    elif as_csv:
+        typer.echo(csv_text([{"run": name} | flat_figures(found) for name, found in figures.items()]), nl=False)
+    else:
+        show(RunTables(figures))
     for name, twin in twins.items():
         typer.secho(f"{name} is identical to {twin} and is counted once.", fg="yellow", err=True)
     for name, found in figures.items():

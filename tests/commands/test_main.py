@@ -36,7 +36,9 @@ def test_version_is_printed_by_the_module_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["replay"], ["simulate"], ["evaluate"], ["batch"], ["config", "show"], ["config", "schema"]], ids=" ".join
+    "command",
+    [[], ["replay"], ["simulate"], ["evaluate"], ["batch"], ["config", "show"], ["config", "schema"]],
+    ids=" ".join,
 )
 def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
     result = localiser(*command, "--help")
@@ -92,6 +94,17 @@ def test_evaluate_reads_what_replay_wrote(localiser: Localiser, log: Path, tmp_p
 
     latest = localiser("evaluate", tmp_path / "out" / "corridor")
     assert f"{rmse[1]:.3f}" in latest.out
+
+
+def test_evaluate_prints_all_figures_for_programs(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    run = localiser.replay(log, tmp_path / "out")
+    figures = json.loads((run / "metrics.json").read_text())
+    assert json.loads(localiser("evaluate", run, "--json").out) == {"corridor/1": figures}
+    (row,) = csv.DictReader(localiser("evaluate", run, "--csv").out.splitlines())
+    assert row["run"] == "corridor/1" and row["nees_mean"] == str(figures["nees_mean"])
+    assert row["confidence.sure"] == str(figures["confidence"]["sure"])
+    both = localiser("evaluate", run, "--csv", "--json")
+    assert (both.exit_code, both.out) == (2, "") and "expected --json or --csv, found both" in both.err
 
 
 def test_runs_of_the_same_name_keep_a_row_each(localiser: Localiser, log: Path, tmp_path: Path) -> None:
