@@ -1,4 +1,4 @@
-"""Read and write trajectories: CSV in our frame, TUM (`t x y z qx qy qz qw`) in the ROS frame."""
+"""Read and write trajectories: CSV in our frame or the ROS frame, TUM (`t x y z qx qy qz qw`) in the ROS frame."""
 
 from __future__ import annotations
 
@@ -8,17 +8,51 @@ from pathlib import Path
 import numpy as np
 
 from localiser import geometry
+from localiser.documents import read_text, shown
+from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.storage.files import write_text
-from localiser.storage.tables import Column, integer, number, plain, read_columns, read_table
+from localiser.storage.tables import MAX_TABLE_BYTES, Column, integer, number, plain, read_columns, read_table
 
 POSE_COLUMNS = (Column("t_ns", integer), Column("x", number), Column("z", number), Column("heading", number))
 
+_ROS = (Column("x", number), Column("y", number), Column("yaw", number))
+
 _NS = 1_000_000_000
+_LEAST_DIGITS_OF_NS = 13  # seconds since 1970 have ten before the point
+
+
+_FORMS = (
+    "expected the header t_ns,x,z,heading (our frame), or t,x,y,yaw or t_ns,x,y,yaw (ROS: x forward, y left, yaw "
+    "anticlockwise), or lines of TUM (t x y z qx qy qz qw)"
+)
+_FORMULA = "from axes as ROS has them, our x = x, z = -y, heading = yaw - π/2; metres, radians"
 
 
 def read_poses(path: Path) -> Trajectory:
-    """Return the trajectory in a CSV table `t_ns,x,z,heading`, at least one row. Raises InputError."""
+    """Return the poses in our frame of a file, at least one; its header says which of three forms it has.
+
+    CSV `t_ns,x,z,heading` in our frame; CSV `t,x,y,yaw` in the ROS frame, with seconds, or `t_ns,x,y,yaw`; TUM, which
+    has no header. Whole numbers of at least 10¹² in the column `t` are nanoseconds. Raises InputError.
+    """
+    header = next((line.strip() for line in read_text(path, MAX_TABLE_BYTES).splitlines() if line.strip()), "")
+    names = {name.strip() for name in header.split(",")}
+    if header and (header.startswith("#") or ("," not in header and len(header.split()) == len(_TUM_COLUMNS))):
+        return read_tum(path)
+    if len(names) == len(_ROS) + 1 and names.issuperset(column.name for column in _ROS) and names & {"t", "t_ns"}:
+        return _read_ros(path, "t" if "t" in names else "t_ns")
+    if header and len(names & {"t_ns", "z", "heading"}) < 2:
+        raise InputError(f"{_FORMS}, found {shown(header)}. {_FORMULA}", path=path, line=1)
+    return _read_ours(path)
+
+
+def _read_ros(path: Path, time: str) -> Trajectory:
+    table = read_table(path, (Column(time, integer if time == "t_ns" else _seconds_or_ns), *_ROS), rows_at_least=1)
+    table.require_time_order(time, strictly=True)
+    return Trajectory(table.integers(time), geometry.pose_from_ros(table.numbers("x", "y", "yaw")))
+
+
+def _read_ours(path: Path) -> Trajectory:
     table = read_table(path, POSE_COLUMNS, rows_at_least=1)
     table.require_time_order(strictly=True)
     return Trajectory(table.integers("t_ns"), table.numbers("x", "z", "heading"))
@@ -51,6 +85,16 @@ def seconds(t_ns: int) -> str:
     """Return a time as decimal seconds with all nine digits; a float would lose some of them."""
     whole, rest = divmod(abs(t_ns), _NS)
     return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"
+
+
+def _seconds_or_ns(text: str) -> int:
+    """Return a time in seconds, or in whole nanoseconds where it is too large for seconds, as ns. Raises ValueError."""
+    if text.strip().isdigit() and len(text.strip()) >= _LEAST_DIGITS_OF_NS:
+        return integer(text)
+    try:
+        return nanoseconds(text)
+    except ValueError:
+        raise ValueError("a time in seconds, or in whole nanoseconds from 10¹² on") from None
 
 
 def nanoseconds(text: str) -> int:

@@ -101,3 +101,59 @@ def test_poses_need_a_row(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("t_ns,x,z,heading\n")
     with pytest.raises(InputError, match="expected at least 1 rows"):
         read_poses(tmp_path / "t.csv")
+
+
+# -- forms told by the header -----------------------------------------------------------------------------------------
+
+
+ROS = "{t},x,y,yaw\n{times[0]},1,2,1.5707963267948966\n{times[1]},1,3,0\n"
+# Ahead of the robot is our -z: facing ROS +y is heading 0, and y = 2 is z = -2.
+POSES = [[1.0, -2.0, 0.0], [1.0, -3.0, -np.pi / 2]]
+
+
+@pytest.mark.parametrize(
+    ("t", "times"),
+    [
+        ("t", ("1700000000.25", "1700000000.5")),
+        ("t", ("1700000000250000000", "1700000000500000000")),
+        ("t_ns", ("1700000000250000000", "1700000000500000000")),
+    ],
+)
+def test_ros_axes_are_told_by_the_header(tmp_path: Path, t: str, times: tuple[str, str]) -> None:
+    file = tmp_path / "odometry.csv"
+    file.write_text(ROS.format(t=t, times=times))
+    assert_close(read_poses(file), Trajectory(np.array([1700000000250000000, 1700000000500000000]), np.array(POSES)))
+    assert "x,y,yaw" in file.read_text()
+    file.write_text("yaw,y,x,t\n0,2,1,0\n0,3,1,2.5\n")  # in any order; seconds from the start
+    np.testing.assert_array_equal(read_poses(file).t_ns, [0, 2_500_000_000])
+
+
+@pytest.mark.parametrize("comment", ["", "# time x y z qx qy qz qw\n"])
+def test_tum_is_told_by_its_lines(tmp_path: Path, comment: str) -> None:
+    write_tum(TRUTH, tmp_path / "plain.tum")
+    (tmp_path / "odometry.csv").write_text(comment + (tmp_path / "plain.tum").read_text())
+    assert_close(read_poses(tmp_path / "odometry.csv"), TRUTH)
+
+
+@pytest.mark.parametrize("header", ["time,px,py,theta", "t,x,y,theta", "t,x,y", "0.1,0,0,0", "stamp x y yaw"])
+def test_an_unknown_header_is_told_with_the_formula_between_the_frames(tmp_path: Path, header: str) -> None:
+    (tmp_path / "odometry.csv").write_text(f"{header}\n0,0,0,0\n")
+    with pytest.raises(InputError) as refused:
+        read_poses(tmp_path / "odometry.csv")
+    told = str(refused.value)
+    assert told.startswith(f"{tmp_path / 'odometry.csv'}:1: expected the header t_ns,x,z,heading")
+    assert header in told and "x = x, z = -y, heading = yaw - π/2" in told
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("1.5,0,0,0\n1.5,0,0,0\n", "odometry.csv:3: t: expected a time after 1500000000"),
+        ("soon,0,0,0\n", "odometry.csv:2: t: expected a time in seconds, or in whole nanoseconds"),
+        ("1.5,0,left,0\n", "odometry.csv:2: y: expected a number, found 'left'"),
+    ],
+)
+def test_a_bad_cell_with_ros_axes_is_told_by_line(tmp_path: Path, rows: str, said: str) -> None:
+    (tmp_path / "odometry.csv").write_text(f"t,x,y,yaw\n{rows}")
+    with pytest.raises(InputError, match=said):
+        read_poses(tmp_path / "odometry.csv")
