@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +26,7 @@ EPILOG = """Examples:
 
 `localiser convert logs/corridor corridor_bag --to sqlite3`
 
-`localiser convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml`"""
+`localiser convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml --every 0.2s`"""
 FOLDER = "folder"
 
 
@@ -42,7 +44,8 @@ def convert(
     topics: Topics = None,
     camera: BagCamera = None,
     odometry: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Odometry of a video: CSV t_ns,x,z,heading.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Odometry of a video: CSV t,x,y,yaw or t_ns,x,z,heading, or TUM."),
     ] = None,
     start_ns: Annotated[
         int | None,
@@ -51,23 +54,33 @@ def convert(
             help="When a video's first frame was taken, by the odometry's clock; by default with its first pose.",
         ),
     ] = None,
+    every: Annotated[
+        str | None, typer.Option(metavar="SECONDS", help="Keep an image each such time only, such as 0.2s.")
+    ] = None,
+    png: Annotated[bool, typer.Option("--png", help="Frames of a video become PNG, not JPEG: larger, exact.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Turn a recorded LOG into another format: ROS bag to log folder, log folder to ROS bag, bag to bag.
 
     Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --odometry and --camera.
+    The log gets the name of OUT.
     """
-    from localiser.storage import open_log, read_video, write_bag
+    from localiser.storage import open_log, read_video, thinned, write_bag
 
+    every_s = None if every is None else _seconds(every)
     if odometry is not None:
         if camera is None or topics:
             raise InputError("expected a video with --camera FILE and without --topic", field="--odometry")
-        log = read_video(source, odometry, camera, start_ns)
-    elif start_ns is not None:
-        raise InputError("is for a video with --odometry FILE", field="--start-ns")
+        log = read_video(source, odometry, camera, start_ns, lossless=png)
+    elif start_ns is not None or png:
+        raise InputError("is for a video with --odometry FILE", field="--png" if png else "--start-ns")
     else:
         log = open_log(source, topics=topics_by_role(topics), camera=camera)
     target = _target_of(out, log, to)
+    path = out.resolve()
+    log = replace(log, name=path.name if target == FOLDER else path.stem)
+    if every_s is not None:
+        log = thinned(log, every_s)
     with progress("Converting", len(log.frames), quiet) as advance:
         if target == FOLDER:
             _to_folder(log, out, advance)
@@ -75,6 +88,14 @@ def convert(
             write_bag(out, log, target, advance)
     if not quiet:
         typer.echo(f"{len(log.frames)} frames and {len(log.odometry)} odometry poses in {out} ({target})")
+
+
+def _seconds(text: str) -> float:
+    """Return the seconds of `0.2s` or `0.2`. Raises InputError."""
+    found = re.fullmatch(r"(\d{1,6}(?:\.\d{1,9})?|\.\d{1,9})\s*s?", text.strip(), re.ASCII)
+    if found is None or float(found[1]) == 0:
+        raise InputError(f"expected seconds above 0, such as 0.2s, found {text!r}", field="--every")
+    return float(found[1])
 
 
 def _target_of(out: Path, log: Log, asked: str | None) -> str:

@@ -147,7 +147,12 @@ def prepare(
     if landmark_map is None:
         landmark_map = read_map(map_file) if map_file else log.landmark_map
     if landmark_map is None:
-        raise InputError("the log has no map; expected --map MAP", path=log.path, field="map")
+        raise InputError(
+            f"the log has no map; expected --map MAP. `localiser map build {log.path} --poses slam -o map.yaml` makes "
+            "one of the log itself, `localiser map plan` of a floor plan",
+            path=log.path,
+            field="map",
+        )
     try:
         check_settings(
             config,

@@ -16,7 +16,7 @@ from localiser.storage.images import (
     measure,
     read_image,
 )
-from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions
+from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions, thinned
 from localiser.storage.maps import read_map, write_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import fingerprint

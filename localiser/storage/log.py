@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -102,6 +102,15 @@ class LogReader(Protocol):
 
     def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; images are read later, one by one. Raises InputError."""
+
+
+def thinned(log: Log, every_s: float) -> Log:
+    """Return the log with the first frame, and of the others those at least `every_s` (to 1 %) after the one before."""
+    least_ns, kept = 0.99 * every_s * 1e9, [log.frames[0]]
+    for frame in log.frames[1:]:
+        if frame.t_ns - kept[-1].t_ns >= least_ns:
+            kept.append(frame)
+    return require_overlap(replace(log, frames=kept))
 
 
 def require_overlap(log: Log) -> Log:

@@ -19,16 +19,17 @@ from localiser.storage.log import Log, require_overlap
 from localiser.storage.trajectories import read_poses
 
 
-def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = None) -> Log:
+def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = None, *, lossless: bool = False) -> Log:
     """Return the log of a video; its frames are counted now and decoded later.
 
-    odometry: CSV `t_ns,x,z,heading`. camera: camera file with the mount. start_ns: when the first frame was taken, by
-    the clock of the odometry; by default with the first pose. Raises InputError.
+    odometry: see `read_poses`. camera: camera file with the mount. start_ns: when the first frame was taken, by the
+    clock of the odometry; by default with the first pose. lossless: whether frames become PNG, which is larger than
+    JPEG. Raises InputError.
     """
     poses = read_poses(odometry)
     known = read_camera(camera)
     first_ns = int(poses.t_ns[0]) if start_ns is None else start_ns
-    video = _Video(path, (known.width, known.height))
+    video = _Video(path, (known.width, known.height), ".png" if lossless else ".jpg")
     frames = [
         image_event(
             first_ns + t_ns,
@@ -71,18 +72,22 @@ def _times_ns(path: Path, camera: Camera) -> list[int]:
     return [t_ns - times[0] for t_ns in times]
 
 
+JPEG_QUALITY = 90
+
+
 @dataclass(slots=True, eq=False)
 class _Video:
     """Decodes frames of a video: in order each once, in any other order from the start again."""
 
     path: Path
     size: tuple[int, int]
+    suffix: str
     _capture: Any = None
     _next: int = 0
     _last: tuple[int, bytes] = field(default=(-1, b""))
 
     def file(self, index: int) -> bytes:
-        """Return a frame as a PNG file, which loses nothing more."""
+        """Return a frame as an image file."""
         if self._last[0] != index:
             if self._capture is None or index < self._next:
                 self._capture, self._next = _open(self.path), 0
@@ -92,5 +97,5 @@ class _Video:
             if not done or image.shape[1::-1] != self.size:
                 raise InputError("expected a frame that can be decoded", path=self.path, field=f"frame {index}")
             self._next = index + 1
-            self._last = (index, encode_image(np.asarray(image, dtype=np.uint8), ".png", 100))
+            self._last = (index, encode_image(np.asarray(image, dtype=np.uint8), self.suffix, JPEG_QUALITY))
         return self._last[1]

@@ -11,6 +11,8 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from small_bag import Recorder, bag
 from small_log import write_small_log
 
+from localiser.storage import open_log
+
 
 def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -28,7 +30,9 @@ def test_a_chain_of_conversions_changes_nothing_after_the_first_step(
     for start, end in pairwise(chain):
         option = ("--to", "sqlite3") if end.name == "d" else ()
         assert localiser("convert", start, end, *option).exit_code == 0
-    assert files(tmp_path / "e") == files(first)
+    last = files(tmp_path / "e")
+    last["log.yaml"] = last["log.yaml"].replace(b"name: e\n", b"name: first\n")
+    assert last == files(first)
     before = files(source)
     for name, data in files(first).items():
         if name.startswith("images"):
@@ -123,3 +127,28 @@ def test_the_bag_of_house_has_the_figures_of_its_first_20_s(
         figures.append(json.loads((run / "metrics.json").read_text()))
     assert figures[0]["frames"] == figures[1]["frames"] == 101
     assert figures[1]["position_rmse_m"] == pytest.approx(figures[0]["position_rmse_m"], abs=2e-3)
+
+
+@pytest.mark.parametrize("name", ["kitchen", "kitchen.mcap"])
+def test_a_log_gets_the_name_of_what_it_is_converted_to(localiser: Localiser, tmp_path: Path, name: str) -> None:
+    source = write_small_log(tmp_path / "log")
+    assert (
+        localiser("convert", source, tmp_path / name, "--to", "folder" if name == "kitchen" else "mcap").exit_code == 0
+    )
+    assert open_log(tmp_path / name).name == "kitchen"
+
+
+@pytest.mark.parametrize(
+    ("every", "kept_s"), [("0.1s", [0.0, 0.1]), ("0.05", [0.0, 0.1, 0.17]), (".17s", [0.0, 0.17]), ("10s", [0.0])]
+)
+def test_images_are_kept_at_intervals(localiser: Localiser, tmp_path: Path, every: str, kept_s: list[float]) -> None:
+    source = write_small_log(tmp_path / "log")
+    assert localiser("convert", source, tmp_path / "out", "--to", "folder", "--every", every).exit_code == 0
+    assert [frame.t_ns / 1e9 for frame in open_log(tmp_path / "out").frames] == kept_s
+
+
+@pytest.mark.parametrize("every", ["0", "0s", "-1", "fast", "nan", "1e3", ""])
+def test_what_is_no_interval_is_refused(localiser: Localiser, tmp_path: Path, every: str) -> None:
+    source = write_small_log(tmp_path / "log")
+    result = localiser("convert", source, tmp_path / "out", f"--every={every}")
+    assert result.exit_code == 2 and "--every: expected seconds above 0, such as 0.2s" in result.err
