@@ -62,18 +62,20 @@ def convert(
 ) -> None:
     """Turn a recorded LOG into another format: ROS bag to log folder, log folder to ROS bag, bag to bag.
 
-    Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --odometry and --camera.
-    The log gets the name of OUT.
+    Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --camera and, where
+    there is any, --odometry; without it a replay takes the motion from the images. The log gets the name of OUT.
     """
-    from localiser.storage import open_log, read_video, thinned, write_bag
+    from localiser.storage import is_video, open_log, read_video, thinned, write_bag
 
     every_s = None if every is None else _seconds(every)
-    if odometry is not None:
+    if odometry is not None or is_video(source):
         if camera is None or topics:
-            raise InputError("expected a video with --camera FILE and without --topic", field="--odometry")
+            raise InputError(
+                "expected a video with --camera FILE and without --topic", field="--odometry" if odometry else "LOG"
+            )
         log = read_video(source, odometry, camera, start_ns, lossless=png)
     elif start_ns is not None or png:
-        raise InputError("is for a video with --odometry FILE", field="--png" if png else "--start-ns")
+        raise InputError("is for a video", field="--png" if png else "--start-ns")
     else:
         log = open_log(source, topics=topics_by_role(topics), camera=camera)
     target = _target_of(out, log, to)

@@ -14,7 +14,7 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.live.sources import Network
-from localiser.storage import ImageEvent, Log
+from localiser.storage import ImageEvent, Log, require_odometry
 from localiser.storage.bags import MAP, ODOM, Messages
 
 IMAGE, INFO = "/camera/image_raw/compressed", "/camera/camera_info"
@@ -38,6 +38,7 @@ class Passage:
         """Return the whole log; odometry_hz: rate to which its odometry is interpolated. Raises InputError."""
         if not log.has_images:
             raise InputError("expected a log with images, found edges", path=log.path)
+        require_odometry(log, "a stand-in robot")
         first, last = int(log.odometry.t_ns[0]), int(log.odometry.t_ns[-1])
         if odometry_hz is None:
             return cls(log, first, last - first, log.odometry)

@@ -68,6 +68,12 @@ def known_poses(log: RecordedLog, poses: str) -> Trajectory:
         raise InputError(
             f"expected {TRUTH}, {ODOMETRY}, {SLAM} or the path of a trajectory, found {poses!r}", field="--poses"
         )
+    if not len(log.odometry):
+        raise InputError(
+            f"the log has no odometry, which {ODOMETRY} and {SLAM} need; expected --poses {TRUTH} or a trajectory",
+            path=log.path,
+            field="--poses",
+        )
     if log.start is None:
         return log.odometry
     first = log.odometry.at(log.start.t_ns)

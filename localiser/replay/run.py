@@ -28,7 +28,16 @@ from localiser.replay.figures import bound_of, landmark_use, run_metrics, track_
 from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
 from localiser.replay.start import has_start, start_of
 from localiser.replay.stop import asked_to_stop
-from localiser.storage import ImageEvent, Log, RunFolder, camera_error, checkpoint_of, open_log, read_map
+from localiser.storage import (
+    ImageEvent,
+    Log,
+    RunFolder,
+    camera_error,
+    checkpoint_of,
+    open_log,
+    read_map,
+    require_odometry,
+)
 from localiser.view import Context, LiveView
 
 SIGINT_EXIT_CODE = 130
@@ -153,6 +162,8 @@ def prepare(
             path=log.path,
             field="map",
         )
+    if config.increments.source != "vision":
+        require_odometry(log, f"`increments.source: {config.increments.source}`")
     try:
         check_settings(
             config,

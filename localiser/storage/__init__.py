@@ -16,7 +16,7 @@ from localiser.storage.images import (
     measure,
     read_image,
 )
-from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions, thinned
+from localiser.storage.log import Event, Frame, Log, LogReader, ReadOptions, require_odometry, thinned
 from localiser.storage.maps import read_map, write_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import fingerprint
@@ -25,5 +25,5 @@ from localiser.storage.run_tables import CHOICE, csv_text, read_runs, write_runs
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
 from localiser.storage.tracks import TrackWriter, read_track
 from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum
-from localiser.storage.video import read_video
+from localiser.storage.video import is_video, read_video
 from localiser.storage.worlds import read_world, simulate_log

@@ -24,7 +24,7 @@ from localiser.storage.cameras import FileModel, degrees, named, read_camera, wr
 from localiser.storage.edge_tables import read_edges, write_edges
 from localiser.storage.files import inside, output_errors, require_new, write_bytes, write_text
 from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of, whole_image
-from localiser.storage.log import Frame, Log, ReadOptions, require_overlap
+from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import read_map, write_map
 from localiser.storage.tables import Column, integer, read_table, text
 from localiser.storage.trajectories import read_poses, write_poses
@@ -55,7 +55,7 @@ class LogFile(BaseModel):
     format: Literal["localiser-log/1"]
     name: Annotated[str, Field(min_length=1, max_length=200)]
     camera: FileName
-    odometry: FileName
+    odometry: FileName | None = None
     images: FileName | None = None
     edges: FileName | None = None
     groundtruth: FileName | None = None
@@ -84,14 +84,14 @@ class FolderReader:
             return read(named(document, folder, key, name)) if name else None
 
         camera = read_camera(named(document, folder, "camera", file.camera))
-        odometry = read_poses(named(document, folder, "odometry", file.odometry))
+        odometry = part("odometry", read_poses) or NO_ODOMETRY
         if bool(file.images) == bool(file.edges):
             key, found = ("edges", "both") if file.images else ("images", "neither")
             raise document.error((key,), f"expected images or edges, found {found}")
         images = part("images", lambda table: _images(table, folder, camera))
         edges = part("edges", lambda table: read_edges(table, camera))
         frames: Sequence[Frame] = images or edges or []
-        first_ns = min(int(odometry.t_ns[0]), frames[0].t_ns)
+        first_ns = min([frames[0].t_ns, *odometry.t_ns[:1].tolist()])
         log = Log(
             name=file.name,
             path=folder,
@@ -101,7 +101,8 @@ class FolderReader:
             landmark_map=part("map", read_map),
             start=start_from_file(file.start, first_ns) if file.start else None,
             groundtruth=part("groundtruth", read_poses),
-            settings={f"motion.{name}": value for name, value in (file.motion or {}).items()},
+            settings=(VISION_ALONE if odometry is NO_ODOMETRY else {})
+            | {f"motion.{name}": value for name, value in (file.motion or {}).items()},
         )
         return require_overlap(log)
 
@@ -188,7 +189,7 @@ def write_log(
 
     try:
         part("camera", "camera.yaml", write_camera, camera)
-        part("odometry", "odometry.csv", write_poses, odometry)
+        part("odometry", "odometry.csv", write_poses, odometry if len(odometry) else None)
         part("groundtruth", "groundtruth.csv", write_poses, groundtruth)
         part("map", "map.yaml", write_map, landmark_map)
         part(

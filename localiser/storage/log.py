@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from localiser.camera import Camera
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
@@ -17,6 +19,10 @@ from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent
 
 Frame = ImageEvent | Sighting
+NO_ODOMETRY = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+"""The odometry of a log that has images alone, such as a video."""
+VISION_ALONE = {"increments.source": "vision"}
+"""What such a log asks for: how the robot moved is taken from its images."""
 Event = Start | Odometry | ImageEvent | Sighting
 
 
@@ -24,8 +30,9 @@ Event = Start | Odometry | ImageEvent | Sighting
 class Log:
     """What a robot recorded.
 
-    odometry: poses in the odometry's own frame. frames: images, or edges that were measured already, in the order of
-    time. landmark_map, start, groundtruth (in the map frame): where the log has them. path: what was read.
+    odometry: poses in the odometry's own frame; none where nothing but images was recorded. frames: images, or edges
+    that were measured already, in the order of time. landmark_map, start, groundtruth (in the map frame): where the log
+    has them. path: what was read.
     settings: what it says about the robot, as settings of the configuration by name, such as `motion.alpha1`.
     restarts: where the robot was said to be later on. resumed: the state that a live run went on from, in place of its
     start, as the content of a checkpoint; empty for any other log.
@@ -46,12 +53,12 @@ class Log:
     @property
     def start_ns(self) -> int:
         """The time of the first event."""
-        return min(int(self.odometry.t_ns[0]), self.frames[0].t_ns)
+        return min([self.frames[0].t_ns, *map(int, self.odometry.t_ns[:1])])
 
     @property
     def duration_s(self) -> float:
         """From the first to the last event."""
-        return (max(int(self.odometry.t_ns[-1]), self.frames[-1].t_ns) - self.start_ns) / 1e9
+        return (max([self.frames[-1].t_ns, *map(int, self.odometry.t_ns[-1:])]) - self.start_ns) / 1e9
 
     @property
     def has_images(self) -> bool:
@@ -104,6 +111,12 @@ class LogReader(Protocol):
         """Return the log; images are read later, one by one. Raises InputError."""
 
 
+def require_odometry(log: Log, purpose: str) -> None:
+    """Raise InputError where a log has no odometry, which `purpose` needs."""
+    if not len(log.odometry):
+        raise InputError(f"{purpose} needs odometry, which this log has not: it is images alone", path=log.path)
+
+
 def thinned(log: Log, every_s: float) -> Log:
     """Return the log with the first frame, and of the others those at least `every_s` (to 1 %) after the one before."""
     least_ns, kept = 0.99 * every_s * 1e9, [log.frames[0]]
@@ -114,8 +127,8 @@ def thinned(log: Log, every_s: float) -> Log:
 
 
 def require_overlap(log: Log) -> Log:
-    """Return the log if odometry and frames share some time. Raises InputError."""
-    if not any(log.odometry.covers(frame.t_ns) for frame in log.frames):
+    """Return the log if odometry and frames share some time, or it has no odometry. Raises InputError."""
+    if len(log.odometry) and not any(log.odometry.covers(frame.t_ns) for frame in log.frames):
         raise InputError(
             f"expected odometry during the images, found odometry from {log.odometry.t_ns[0]} to "
             f"{log.odometry.t_ns[-1]} ns and images from {log.frames[0].t_ns} to {log.frames[-1].t_ns} ns",

@@ -15,20 +15,22 @@ from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.storage.cameras import read_camera
 from localiser.storage.images import check_size, encode_image, image_event
-from localiser.storage.log import Log, require_overlap
+from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Log, require_overlap
 from localiser.storage.trajectories import read_poses
 
 
-def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = None, *, lossless: bool = False) -> Log:
+def read_video(
+    path: Path, odometry: Path | None, camera: Path, start_ns: int | None = None, *, lossless: bool = False
+) -> Log:
     """Return the log of a video; its frames are counted now and decoded later.
 
-    odometry: see `read_poses`. camera: camera file with the mount. start_ns: when the first frame was taken, by the
-    clock of the odometry; by default with the first pose. lossless: whether frames become PNG, which is larger than
-    JPEG. Raises InputError.
+    odometry: see `read_poses`; None for a log of images alone, whose times begin at 0. camera: camera file with the
+    mount. start_ns: when the first frame was taken, by the clock of the odometry; by default with the first pose.
+    lossless: whether frames become PNG, which is larger than JPEG. Raises InputError.
     """
-    poses = read_poses(odometry)
+    poses = NO_ODOMETRY if odometry is None else read_poses(odometry)
     known = read_camera(camera)
-    first_ns = int(poses.t_ns[0]) if start_ns is None else start_ns
+    first_ns = next(iter(poses.t_ns.tolist()), 0) if start_ns is None else start_ns
     video = _Video(path, (known.width, known.height), ".png" if lossless else ".jpg")
     frames = [
         image_event(
@@ -41,7 +43,13 @@ def read_video(path: Path, odometry: Path, camera: Path, start_ns: int | None = 
         )
         for index, t_ns in enumerate(_times_ns(path, known))
     ]
-    return require_overlap(Log(name=path.stem, path=path, camera=known, odometry=poses, frames=frames))
+    settings = {} if len(poses) else VISION_ALONE
+    return require_overlap(Log(path.stem, path, known, poses, frames, settings=settings))
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is called as videos are."""
+    return path.suffix.lower() in (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
 
 def _open(path: Path) -> Any:

@@ -402,3 +402,21 @@ def test_ctrl_c_while_the_report_is_drawn_takes_nothing_away(
 
 def lines_in(path: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def test_a_log_without_odometry_is_replayed_by_vision(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    kept = [line for line in (log / "log.yaml").read_text().splitlines() if not line.startswith("odometry")]
+    (log / "log.yaml").write_text("\n".join(kept) + "\n")
+    run = localiser.replay(log, tmp_path / "out")
+    figures = metrics_of(run)
+    assert (figures["odometry"], figures["frames"]) == ("vision", FRAMES)
+    assert figures["position_rmse_m"] < 0.1
+    result = localiser("replay", log, "--odometry", "wheel", "--out", tmp_path / "out")
+    assert result.exit_code == 2 and "`increments.source: wheel` needs odometry, which this log has not" in result.err
+
+
+def test_a_log_without_a_map_says_how_one_is_made(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    kept = [line for line in (log / "log.yaml").read_text().splitlines() if not line.startswith("map")]
+    (log / "log.yaml").write_text("\n".join(kept) + "\n")
+    result = localiser("replay", log, "--out", tmp_path / "out")
+    assert result.exit_code == 2 and f"`localiser map build {log} --poses slam -o map.yaml`" in result.err

@@ -74,6 +74,22 @@ def test_a_video_becomes_a_log_folder(drive: Path, localiser: Localiser, png: bo
         np.testing.assert_array_equal(mine.load(), theirs.load())
 
 
+def test_a_video_needs_no_odometry(drive: Path, localiser: Localiser) -> None:
+    options = ("--camera", drive / "camera.yaml", "--quiet")
+    assert localiser("convert", drive / "drive.avi", drive / "log", *options).exit_code == 0
+    log = open_log(drive / "log")
+    assert len(log.odometry) == 0 and log.settings == {"increments.source": "vision"}
+    assert (log.start_ns, log.duration_s) == (0, pytest.approx((FRAMES - 1) / 10))
+    assert not (drive / "log" / "odometry.csv").exists()
+    for command in (
+        ("convert", drive / "log", drive / "log.mcap"),
+        ("map", "build", drive / "log", "--poses", "slam", "-o", drive / "map.yaml"),
+        ("camera", "tilt", drive / "log"),
+    ):
+        result = localiser(*command)
+        assert result.exit_code == 2 and "odometry" in result.err and "Traceback" not in result.err, command
+
+
 def test_what_is_for_videos_alone_is_refused(drive: Path, localiser: Localiser) -> None:
     options = ("--odometry", drive / "odometry.csv", "--camera", drive / "camera.yaml", "--quiet")
     assert localiser("convert", drive / "drive.avi", drive / "log", *options).exit_code == 0

@@ -12,7 +12,15 @@ from localiser.calibration import LogMount, mount_of_images, save_mount_plot, sp
 from localiser.config import Config
 from localiser.errors import InputError
 from localiser.geometry import Array
-from localiser.storage import ImageEvent, Log, camera_file, output_errors, require_new_file, update_mount
+from localiser.storage import (
+    ImageEvent,
+    Log,
+    camera_file,
+    output_errors,
+    require_new_file,
+    require_odometry,
+    update_mount,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +34,7 @@ class Tilt:
 
 def usable_images(log: Log, most: int) -> list[ImageEvent]:
     """Return at most `most` images, evenly spread over the log, taken while there is odometry. Raises InputError."""
+    require_odometry(log, "finding the tilt")
     images = [frame for frame in log.frames if isinstance(frame, ImageEvent) and log.odometry.covers(frame.t_ns)]
     if not images:
         raise InputError("expected a log with images, found edges that were measured already", path=log.path)

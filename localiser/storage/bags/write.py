@@ -18,7 +18,7 @@ from localiser.storage.bags.messages import MAP, ODOM, Messages
 from localiser.storage.bags.topics import LOG_TOPIC, MAP_TOPIC
 from localiser.storage.files import output_errors
 from localiser.storage.images import ImageEvent
-from localiser.storage.log import Log
+from localiser.storage.log import Log, require_odometry
 from localiser.storage.maps import map_text
 
 KINDS = ("mcap", "sqlite3", "ros1")
@@ -64,6 +64,7 @@ def _check(log: Log, kind: str) -> None:
         raise InputError(f"expected {', '.join(KINDS)}, found {kind!r}", field="kind")
     if not log.has_images:
         raise InputError("expected a log with images, found edges: ROS has no message for them", path=log.path)
+    require_odometry(log, "a ROS bag")
     times: list[Any] = [log.odometry.t_ns, [frame.t_ns for frame in log.frames]]
     times += [log.groundtruth.t_ns] if log.groundtruth is not None else []
     for t_ns in (end for series in times for end in (series[0], series[-1])):
