@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -35,6 +36,16 @@ class MountCheck:
     def sigma(self) -> Array:
         """The sigma (2,) of what was found."""
         return np.sqrt(np.diag(self.cov))
+
+    def warning(self, log: Path) -> str | None:
+        """Return what to tell people of the log at a path, None where found and stated agree."""
+        if not self.disagrees:
+            return None
+        stated, found, sigma = (np.rad2deg(values) for values in (self.stated, self.found, self.sigma))
+        return (
+            f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
+            f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log}`."
+        )
 
 
 def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> MountCheck:

@@ -157,12 +157,8 @@ def _mount(run: Replay, edges: Sequence[Edges]) -> dict[str, Any]:
         return {"warnings": []}
     stated_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
     check = check_mount(edges, run.track.odometry, log.camera, stated_sigma_rad)
-    stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
-    warning = (
-        f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
-        f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log.path}`."
-    )
-    figures: dict[str, Any] = {"warnings": [warning] if check.disagrees else []}
+    warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.found, check.sigma])
+    figures: dict[str, Any] = {"warnings": [] if warning is None else [warning]}
     for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):
         figures |= {f"{name}_found_deg": round(float(value), 6), f"{name}_found_sigma_deg": round(float(one), 6)}
     return figures

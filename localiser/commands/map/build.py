@@ -21,8 +21,10 @@ from localiser.commands.options import (
 )
 
 if TYPE_CHECKING:
+    from localiser.config import Config
     from localiser.geometry import Trajectory
     from localiser.mapping import MapBuilt
+    from localiser.storage import Log
     from localiser.view import MapView
 
 EXAMPLES = """Examples:
@@ -83,6 +85,8 @@ def build(
             built = build_map(
                 recorded, track, settings, progress=advance, watch=watch, cache=cache_folder(), source=source
             )
+        if recorded.has_images and (warning := _mount_warning(recorded, settings, built)) is not None:
+            typer.secho(warning, fg="yellow", err=True)
         header: dict[str, object] = {"built_from_frames": len(built.trajectory)}
         write_map(replace(built.landmark_map, header=header), out)
     if trajectory is not None:
@@ -91,6 +95,19 @@ def build(
         _show_built(built, out)
     if watch.viewer is not None:
         _stay(watch.viewer)
+
+
+def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
+    """Return the warning that the edges contradict the stated tilt and roll, with which the map was made."""
+    import numpy as np
+
+    from localiser.calibration import check_mount
+    from localiser.mapping import cache_folder, edges_of_log
+
+    edges = edges_of_log(log, config.edges, cache=cache_folder())  # kept by the build
+    poses = built.trajectory.sampled([frame.t_ns for frame in log.frames]).poses
+    stated_sigma_rad = np.deg2rad([config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg])
+    return check_mount(edges, poses, log.camera, stated_sigma_rad).warning(log.path)
 
 
 def poses_named(poses: str) -> tuple[str | Trajectory, str]:

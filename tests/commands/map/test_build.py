@@ -9,6 +9,7 @@ import pytest
 from folders import ROOT
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
+from short_log import cut_log
 
 from localiser.edges import EdgeParameters, Edges
 from localiser.mapping import edges_of_log, log_edges
@@ -265,3 +266,14 @@ def test_a_bag_whose_topics_are_named_is_mapped(data_dir: Path, tmp_path: Path) 
     assert not out.exists()
     assert run("map", "build", bag, "-o", out, "--topic", "odometry=/odom", "-q").exit_code == 0
     assert len(read_map(out)) > 20
+
+
+@pytest.mark.parametrize(("tilt_deg", "warned"), [("20.0", False), ("22.0", True)])
+def test_a_wrong_tilt_is_told_before_the_map_is_saved(tmp_path: Path, tilt_deg: str, warned: bool) -> None:
+    log = cut_log(LOG, tmp_path / "log", 40)
+    camera = log / "camera.yaml"
+    assert "tilt_deg: 20.0" in camera.read_text()
+    camera.write_text(camera.read_text().replace("tilt_deg: 20.0", f"tilt_deg: {tilt_deg}"))
+    built = run("map", "build", log, "-o", tmp_path / "map.yaml", "-q")
+    assert built.exit_code == 0
+    assert (f"stated are {tilt_deg}0° and 1.00°. See `localiser camera tilt" in built.output) == warned
