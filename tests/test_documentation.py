@@ -9,7 +9,7 @@ from folders import ROOT
 
 from localiser.config import Config
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PACKAGES = {path.stem for path in (ROOT / "localiser").iterdir() if not path.stem.startswith("_")}
 IDS = [str(page.relative_to(ROOT)) for page in PAGES]
 

@@ -59,7 +59,9 @@ def _dask(address: str) -> Iterator[None]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
-        raise InputError("a Dask cluster needs `pip install 'localiser[dask]'`", field="--cluster") from None
+        raise InputError(
+            "a Dask cluster needs the package distributed; pip install '.[dask]' in a clone", field="--cluster"
+        ) from None
     from joblib import parallel_config
 
     try:

@@ -114,5 +114,7 @@ def _zenoh() -> Any:
     try:
         import zenoh
     except ImportError:
-        raise InputError("expected the package eclipse-zenoh; install it with: pip install 'localiser[live]'") from None
+        raise InputError(
+            "expected the package eclipse-zenoh; install it with: pip install '.[live]' in a clone"
+        ) from None
     return zenoh
