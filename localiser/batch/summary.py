@@ -76,7 +76,7 @@ def failures(rows: Sequence[Row]) -> list[str]:
 
 def comparison_table(verdict: Verdict) -> Table:
     """Return the table of the comparisons: those of all logs, then those of single logs that differ significantly."""
-    table = _table("Compared with the other runs, in pairs of log and seed; 95 % of all intervals together hold")
+    table = _table("Compared with the other runs, in pairs of log and seed; all intervals hold together with 95 %")
     for title in ("figure", "log"):
         table.add_column(title, overflow="fold")
     table.add_column("pairs", justify="right")
