@@ -204,6 +204,7 @@ class Localiser:
         has_ends, started = bool(np.isfinite(found.ends_px).all()), self.state.is_begun
         self._check(images=measured.image is not None or of_image, has_ends=has_ends, has_start=started)
         self._require_own(mount)
+        self._require_known(found)
         self._require_ready(t_ns, "image")
         self._measured[t_ns] = measured
         mcl = self._mcl
@@ -307,6 +308,14 @@ class Localiser:
             raise InputError(f"expected a later time than that of the last {name}, found {t_ns} ns", field=name)
         if state.is_begun and t_ns < state.at_ns:
             raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field=name)
+
+    def _require_known(self, edges: Edges) -> None:
+        """Raise InputError for edges that are believed to belong to landmarks which the map does not have."""
+        known = self.config.observation.association == "known" and self._own["observation"] is None
+        most, landmarks = int(edges.landmark_id.max(initial=-1)), len(self.landmark_map)
+        if known and most >= landmarks:
+            problem = f"expected at most {landmarks - 1}, the map's last landmark, found {most}"
+            raise InputError(problem, field="landmark_id")
 
     def _require_own(self, mount: Mount | None) -> None:
         if mount is not None and mount != self.camera.mount:

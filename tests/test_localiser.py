@@ -407,6 +407,15 @@ def test_settings_that_only_edges_measured_elsewhere_do_not_fit(
     assert refused_by_replay(localiser, log, tmp_path / "out", setting).endswith(str(by_library.value))
 
 
+def test_an_edge_of_a_landmark_that_the_map_does_not_have_is_refused() -> None:
+    landmarks = LandmarkMap.from_points(np.array([[0.0, -2.0], [1.0, -2.0]]))
+    one = Localiser(landmarks, LOG.camera, read_config(None, [KNOWN]))
+    one.start([0, 0, 0], np.eye(3))
+    edges = Edges.from_columns(*np.full((4, 1), 0.1), landmark_id=np.array([2]))
+    with pytest.raises(InputError, match="landmark_id: expected at most 1, the map's last landmark, found 2"):
+        one.edges(1, edges)
+
+
 def test_edges_that_are_known_to_be_no_landmarks_of_images_are_refused() -> None:
     with pytest.raises(InputError, match=NOT_KNOWN):
         of_corridor(read_config(None, [KNOWN])).image(1, LOG.frames[0].encoded())

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from localiser.calibration.log_mount import LogMount
+from localiser.documents import drafted
 from localiser.geometry import Array
 
 if TYPE_CHECKING:
@@ -21,12 +22,13 @@ _STYLE = {"font.size": 11, "axes.edgecolor": MUTED, "axes.spines.top": False, "a
 
 
 def save_mount_plot(path: Path, found: LogMount, seconds: Array, title: str) -> None:
-    """Write the picture as a PNG file. seconds: (F,) when the images were taken."""
+    """Write the picture as a PNG file. seconds: (F,) when the images were taken. Raises OutputError."""
     from matplotlib import style
 
     with style.context(["default", _STYLE]):
         figure = draw_mount(found, seconds, title)
-        figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
+        with drafted(path) as draft:
+            figure.savefig(draft, format="png", dpi=_DPI, metadata={"Software": None})
 
 
 def draw_mount(found: LogMount, seconds: Array, title: str) -> Figure:

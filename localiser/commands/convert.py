@@ -135,6 +135,7 @@ def _to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
         images=images() if log.has_images else None,
         sightings=None if log.has_images else [frame for frame in log.frames if isinstance(frame, Sighting)],
         landmark_map=log.landmark_map,
+        landmark_ids=log.landmark_ids,
         groundtruth=log.groundtruth,
         start=log.start,
         motion=motion_settings(log),

@@ -53,7 +53,7 @@ def evaluate(
     for name, found in figures.items():
         if found.get("complete") is False:
             typer.secho(
-                f"{name} ended early: its figures are those of {found['frames']} frames.", fg="yellow", err=True
+                f"{name} ended early: its figures are those of {found.get('frames')} frames.", fg="yellow", err=True
             )
 
 

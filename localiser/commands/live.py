@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Seed, topics_by_role, with_options
+from localiser.commands.options import ConfigFile, Overrides, Seed, ZenohConfig, topics_by_role, with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -99,6 +99,7 @@ def live(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the state in --checkpoint, if there is one.")
     ] = False,
+    zenoh_config: ZenohConfig = None,
     seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
@@ -121,7 +122,7 @@ def live(
         map_file,
         read_config(config, with_options(overrides, seed=seed)),
         topics_by_role(topics),
-        connect or ([] if listen else [ENDPOINT]),
+        connect or ([] if listen or zenoh_config else [ENDPOINT]),
         listen or [],
         camera,
         image,
@@ -131,6 +132,7 @@ def live(
         view,
         checkpoint,
         resume,
+        zenoh_config,
     )
     _run(options, seconds)
 

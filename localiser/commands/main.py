@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import os
 import sys
 import traceback
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -72,10 +76,41 @@ app.command(epilog=paper.EPILOG)(paper.paper)
 def main() -> None:
     """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]  # which may stand anywhere
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal of ASCII alone, and names of files that are no text
+            stream.reconfigure(errors="replace")
     try:
-        app(arguments, prog_name="localiser")
-    except LocaliserError as error:
+        _run(arguments)
+    except (LocaliserError, OSError) as error:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()
-        typer.secho(f"Error: {error}", fg="red", err=True)
-        raise SystemExit(error.exit_code) from None
+        with suppress(OSError):
+            typer.secho(f"Error: {_told(error)}", fg="red", err=True)
+        raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
+
+
+def _run(arguments: list[str]) -> None:
+    """Run a command; what it printed has reached its reader at the end, or raises OSError."""
+    try:
+        app(arguments, prog_name="localiser")
+    except SystemExit:
+        _flush()
+        raise
+    _flush()
+
+
+def _flush() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again, and says so
+        if error.errno != errno.EPIPE:  # whoever read it has seen enough
+            raise
+
+
+def _told(error: LocaliserError | OSError) -> str:
+    """Return what is wrong; of the system's errors, with the path that it is about."""
+    if isinstance(error, LocaliserError):
+        return str(error)
+    reason = error.strerror or str(error)
+    return f"{error.filename}: {reason}" if error.filename else f"cannot be written or read: {reason}"

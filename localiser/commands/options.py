@@ -37,6 +37,11 @@ BagCamera = Annotated[
     Path | None,
     typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),
 ]
+ZenohConfig = Annotated[
+    Path | None,
+    typer.Option("--zenoh-config", metavar="FILE", help="Configuration of zenoh (JSON5, YAML): TLS, passwords."),
+]
+LONGEST_WAIT_S = 60.0
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
 
@@ -84,14 +89,20 @@ def progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]
 
 
 def paced(advance: Callable[[], None], times_ns: Sequence[int], speed: float) -> Callable[[], None]:
-    """Return `advance` held back so that images with these times pass `speed` times as fast as they were taken."""
+    """Return `advance` held back so that images with these times pass `speed` times as fast as they were taken.
+
+    A pause longer than `LONGEST_WAIT_S` takes no longer than that to watch.
+    """
+    from localiser.geometry import without_pauses
+
+    due_ns = without_pauses(times_ns, round(LONGEST_WAIT_S * speed * 1e9))
     begin: list[float] = []
 
     def step() -> None:
         advance()
         begin.append(time.monotonic())
         done = min(len(begin), len(times_ns) - 1)
-        due = begin[0] + (times_ns[done] - times_ns[0]) / 1e9 / speed
+        due = begin[0] + (due_ns[done] - due_ns[0]) / 1e9 / speed
         time.sleep(max(due - time.monotonic(), 0.0))
 
     return step

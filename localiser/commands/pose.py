@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from localiser.commands.options import ZenohConfig
+
 pose_app = typer.Typer(no_args_is_help=True, help="Tell a live run where the robot is.")
 
 
@@ -20,10 +22,11 @@ def pose_set(
         typer.Option("--connect", metavar="ENDPOINT", help="The robot, or a zenoh router; tcp/127.0.0.1:7447."),
     ] = None,
     topic: Annotated[str, typer.Option(metavar="NAME", help="Where live runs listen for poses.")] = "/initialpose",
+    zenoh_config: ZenohConfig = None,
 ) -> None:
     """Publish where the robot is, as a PoseWithCovarianceStamped; put a value that begins with a minus after `--`."""
     from localiser.live import send_pose
     from localiser.live.sources import ENDPOINT
 
-    send_pose(pose, sigma, connect or [ENDPOINT], topic)
+    send_pose(pose, sigma, connect or ([] if zenoh_config else [ENDPOINT]), topic, zenoh_config)
     typer.echo(f"sent to {topic}", err=True)

@@ -2,30 +2,60 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from localiser.errors import InputError
 
 MAX_DOCUMENT_BYTES = 16 * 2**20
 
 
+@contextmanager
+def open_regular(path: Path, what: str = "file") -> Iterator[BinaryIO]:
+    """Yield a regular file, open for reading. what: it is, for the error where there is none. Raises InputError.
+
+    A pipe, a device or a socket could keep its reader waiting for ever; opening it does not.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with open(descriptor, "rb") as file:  # noqa: PTH123 - of a descriptor
+            _require_regular(path, os.fstat(descriptor).st_mode)
+            yield file
+    except FileNotFoundError:
+        raise InputError(f"no such {what}", path=path) from None
+    except IsADirectoryError:
+        raise InputError("expected a file, found a folder", path=path) from None
+    except (OSError, ValueError) as error:
+        if getattr(error, "errno", None) in (errno.ENXIO, errno.ENODEV):
+            raise InputError("expected a file, found a device or pipe", path=path) from None
+        raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", path=path) from None
+
+
+def require_regular(path: Path, what: str = "file") -> None:
+    """Raise InputError unless `path` is a regular file that can be read; to be asked before a library opens it."""
+    with open_regular(path, what):
+        pass
+
+
+def _require_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise InputError("expected a file, found a folder", path=path)
+    if not stat.S_ISREG(mode):
+        raise InputError("expected a file, found a device or pipe", path=path)
+
+
 def read_bytes(path: Path, max_bytes: int) -> bytes:
     """Return what a regular file holds. Raises InputError when it is missing, not a file, or larger than allowed."""
-    try:
-        status = path.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise InputError("expected a file, found a folder", path=path)
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError("expected a file, found a device or pipe", path=path)
-        if status.st_size > max_bytes:
-            raise InputError(f"expected at most {max_bytes} bytes, found {status.st_size}", path=path)
-        with path.open("rb") as file:
-            return file.read(status.st_size)  # a larger bound would be taken from memory at once
-    except FileNotFoundError:
-        raise InputError("no such file", path=path) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", path=path) from None
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > max_bytes:
+            raise InputError(f"expected at most {max_bytes} bytes, found {size}", path=path)
+        return file.read(size)  # a larger bound would be taken from memory at once
 
 
 def read_text(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> str:

@@ -6,12 +6,12 @@ from localiser.evaluate.consistency import fraction_inside, nees, nees_band
 from localiser.evaluate.constants import learnt_constants
 from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.flat import flat_figures, is_time
-from localiser.evaluate.metrics import metrics, timing_metrics
+from localiser.evaluate.metrics import ABOUT, metrics, timing_metrics
 from localiser.evaluate.moments import WorstMoments
 from localiser.evaluate.page import report_page
 from localiser.evaluate.paired import ALL_LOGS, Comparison, compare_pairs
 from localiser.evaluate.report import write_report
 from localiser.evaluate.residuals import residual_sums
-from localiser.evaluate.table import RunTables
+from localiser.evaluate.table import COLUMNS, RunTables
 from localiser.evaluate.twins import without_twins
 from localiser.evaluate.wheels import bias_figures, fit_wheels

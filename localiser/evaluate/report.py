@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from localiser.documents import drafted
 from localiser.evaluate import panels
 from localiser.evaluate.accuracy import Track, errors_against
 from localiser.evaluate.constants import learnt_constants
@@ -97,12 +98,13 @@ ERROR_FIGURES = (
 def write_report(path: Path, track: Track, figures: Mapping[str, Any], **known: Any) -> None:
     """Write the report of a run as a PNG of 1600×1200 pixels; the same run gives the same bytes.
 
-    known: see `draw_report`. Raises InputError when truth and run share no time.
+    known: see `draw_report`. Raises InputError when truth and run share no time, OutputError.
     """
     with _style():  # fonts are looked up on drawing
         figure = draw_report(track, figures, **known)
         # Without "Software", which names matplotlib's version.
-        figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})
+        with drafted(path) as draft:
+            figure.savefig(draft, format="png", dpi=DPI, metadata={"Software": None})
 
 
 def draw_report(

@@ -78,6 +78,7 @@ TABLES = {
     "What the run knows of itself": OWN,
     "Errors against the truth, no alignment": ERRORS,
 }
+COLUMNS = (*OWN, *ERRORS)
 NAMES = ("log", *ABOUT)
 IN_TITLE = tuple(name for name in NAMES if name != "inputs")  # a fingerprint says something only where it differs
 UNKNOWN = "–"

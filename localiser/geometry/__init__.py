@@ -45,4 +45,4 @@ from localiser.geometry.slopes import (
     slope_from_lean,
     slope_from_point,
 )
-from localiser.geometry.trajectory import Trajectory
+from localiser.geometry.trajectory import Trajectory, without_pauses

@@ -15,6 +15,7 @@ import hashlib
 import os
 import pickle
 import platform
+import re
 import stat
 import sys
 import tempfile
@@ -36,6 +37,7 @@ _RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp
 _FOREIGN = ("builtins", "math", "numpy", "numba")  # told apart by their versions
 _KEPT_FILES = 1000  # of about 70 kB; those used last stay
 _CHECKSUM_BYTES = 32
+_OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}")
 
 
 # -- how loops are compiled -------------------------------------------------------------------------------------------
@@ -191,7 +193,8 @@ def _write(path: Path, content: bytes) -> None:
 
 def _forget_oldest(where: Path) -> None:
     with os.scandir(where) as files:
-        by_use = sorted(files, key=lambda file: file.stat().st_mtime)
+        ours = [file for file in files if _OUR_NAME.fullmatch(file.name)]
+        by_use = sorted(ours, key=lambda file: file.stat().st_mtime)
     for file in by_use[:-_KEPT_FILES]:
         Path(file.path).unlink(missing_ok=True)
 

@@ -1,4 +1,4 @@
-"""Poses at times, and between them."""
+"""Poses at times, and between them; times without their long pauses."""
 
 from __future__ import annotations
 
@@ -40,3 +40,10 @@ class Trajectory:
         times = np.asarray(times_ns, dtype=np.int64)
         poses = np.array([self.at(int(t)) for t in times]).reshape(-1, 3)
         return Trajectory(times, poses)
+
+
+def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:
+    """Return increasing times (T,), the first as it is, with every longer pause between two cut to `longest_ns`."""
+    times = np.asarray(t_ns, dtype=np.int64)
+    steps = np.minimum(np.diff(times), longest_ns)
+    return np.concatenate([times[:1], times[:1] + np.cumsum(steps)])

@@ -41,7 +41,7 @@ class LiveOptions:
     topics: names by what they are for, in place of `TOPICS`. image: a camera or stream that OpenCV reads, in place of a
     topic. start: where the robot is at the first image, None where that is not known. json: a file descriptor for lines
     of JSON. view: where it is shown. checkpoint: where the state is saved. resume: whether to go on from there, if it
-    is there.
+    is there. zenoh_config: a configuration file of zenoh, as for TLS and passwords.
     """
 
     map_file: Path
@@ -57,6 +57,7 @@ class LiveOptions:
     view: str = "none"
     checkpoint: Path | None = None
     resume: bool = False
+    zenoh_config: Path | None = None
 
 
 @contextmanager
@@ -89,7 +90,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         recording = begun_recording(options, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
-        network = stack.enter_context(Network(options.connect, options.listen))
+        network = stack.enter_context(Network(options.connect, options.listen, config_file=options.zenoh_config))
         publish: list[Callable[[Published], bytes | None]] = [PosePublisher(network).publish]
         if options.json is not None:
             lines = JsonLines(options.json)

@@ -32,12 +32,12 @@ from localiser.storage.bags import (
     STATE_TOPIC,
     anywhere_decision,
     clock_decision,
-    floor_cov,
     floor_pose,
     grey_image,
     image_file,
     stamp_of,
     start_decision,
+    start_of_message,
 )
 
 _IDLE_S = 0.05
@@ -153,7 +153,7 @@ class LiveRun:
     def _take_initialpose(self, arrival: Arrival, message: Any) -> None:
         if arrival.content == self._stated:
             return  # the same message again, as networks and careful senders have it
-        mean, cov = np.array(floor_pose(message)), floor_cov(message)
+        mean, cov = start_of_message(message)
         self._stated = arrival.content
         self._record(arrival)
         if self.localiser is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +17,7 @@ _PATIENCE_S = 3.0  # until a session that has just begun knows who listens
 _REPEATS, _PAUSE_S = 5, 0.3  # of the same message, which a live run takes once
 
 
-def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str) -> None:
+def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str, zenoh_config: Path | None = None) -> None:
     """Publish a pose `x,z,heading_deg` with sigmas `m,deg`. Raises InputError, also when nobody listens."""
     mean = given_pose(pose)
     try:
@@ -28,7 +29,7 @@ def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str) -> None
     cov = np.diag([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
     make = Messages()
     content = make.encode(make.pose_in_map(time.time_ns(), mean, cov))
-    with Network(connect, client=True) as network:
+    with Network(connect, client=True, config_file=zenoh_config) as network:
         end = time.monotonic() + _PATIENCE_S
         while not network.is_heard(topic):
             if time.monotonic() > end:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import heapq
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from threading import Event
 
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.geometry import Trajectory
+from localiser.geometry import Trajectory, without_pauses
 from localiser.live.sources import Network
 from localiser.storage import ImageEvent, Log, require_odometry
 from localiser.storage.bags import MAP, ODOM, Messages
@@ -20,6 +20,7 @@ from localiser.storage.bags import MAP, ODOM, Messages
 IMAGE, INFO = "/camera/image_raw/compressed", "/camera/camera_info"
 ODOMETRY, TRUTH, FIXED = "/odom", "/ground_truth/odom", "/tf_static"
 FIXED_EVERY_NS = 1_000_000_000
+LONGEST_PAUSE_NS = 60_000_000_000  # in a log, such as where its clock jumps; what is longer is cut
 _FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
 _NS = 1_000_000_000
 
@@ -39,6 +40,7 @@ class Passage:
         if not log.has_images:
             raise InputError("expected a log with images, found edges", path=log.path)
         require_odometry(log, "a stand-in robot")
+        log = _without_pauses(log)
         first, last = int(log.odometry.t_ns[0]), int(log.odometry.t_ns[-1])
         if odometry_hz is None:
             return cls(log, first, last - first, log.odometry)
@@ -57,6 +59,18 @@ class Passage:
         else:  # where it turns, the robot has just been
             back = heapq.merge(wheels[-2::-1], images[::-1], key=lambda message: -message[0])
             yield from ((end_ns - t_ns, topic, k) for t_ns, topic, k in back if self.begin_ns < t_ns < end_ns)
+
+
+def _without_pauses(log: Log) -> Log:
+    """Return a log in which at least every `LONGEST_PAUSE_NS` something was measured."""
+    tracks = [log.odometry, log.groundtruth or log.odometry]
+    frames_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
+    before = np.unique(np.concatenate([frames_ns, *(track.t_ns for track in tracks)]))
+    after = without_pauses(before, LONGEST_PAUSE_NS)
+    odometry, truth = (replace(track, t_ns=after[np.searchsorted(before, track.t_ns)]) for track in tracks)
+    times = after[np.searchsorted(before, frames_ns)]
+    frames = [replace(frame, t_ns=int(t_ns)) for frame, t_ns in zip(log.frames, times, strict=True)]
+    return replace(log, odometry=odometry, groundtruth=truth if log.groundtruth else None, frames=frames)
 
 
 class StandIn:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import fields
@@ -18,13 +20,17 @@ from localiser import camera as camera_module
 from localiser import edges as edges_package
 from localiser import geometry as geometry_package
 from localiser.camera import Camera
+from localiser.documents import drafted
 from localiser.edges import CommonError, EdgeParameters, Edges, find_edges
+from localiser.errors import OutputError
 from localiser.filter import Sighting
 from localiser.mapping.recorded import RecordedImage, RecordedLog
 
 # What was rejected is only looked at; a map is not built from it.
 _COLUMNS = tuple(field.name for field in fields(Edges) if field.name not in ("common", "rejected_px"))
 _SHARED = ("bearing_from_lean", "bearing_from_line")
+_PACKED = (*_COLUMNS, *_SHARED)
+_OUR_NAME = re.compile(r"edges-[0-9a-f]{32}\.npz")
 _KEPT_FILES = 50  # that the cache holds; the oldest go
 
 
@@ -56,7 +62,7 @@ def _found(log: RecordedLog, parameters: EdgeParameters, cache: Path | None) -> 
             yield frame.t_ns, frame.edges
         else:
             images.append(frame)
-    path = cache / f"{_key(images, log.camera, parameters)}.npz" if cache and images else None
+    path = cache / f"edges-{_key(images, log.camera, parameters)}.npz" if cache and images else None
     known = _load(path, len(images)) if path else None
     if known is not None:
         yield from zip((image.t_ns for image in images), known, strict=True)
@@ -71,9 +77,9 @@ def _found(log: RecordedLog, parameters: EdgeParameters, cache: Path | None) -> 
 
 
 def cache_folder() -> Path:
-    """Return where edges are kept: `$LOCALISER_CACHE`, else `localiser/edges` in the user's cache folder."""
+    """Return where edges are kept: `$LOCALISER_CACHE/edges`, else `localiser/edges` in the user's cache folder."""
     if stated := os.environ.get("LOCALISER_CACHE"):
-        return Path(stated)
+        return Path(stated) / "edges"
     user = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(user) / "localiser" / "edges"
 
@@ -108,14 +114,11 @@ def _save(path: Path, frames: Sequence[Edges]) -> None:
     content["cov"] = np.array([edges.common.cov for edges in filled])
     content["names"] = np.array(filled[0].common.names, dtype=str)
     content["count"] = np.array([len(edges) for edges in frames])
-    draft = path.with_name(f".{path.name}.part")
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with draft.open("wb") as file:
+    with suppress(OutputError, OSError):
+        with drafted(path) as draft, draft.open("xb") as file:
             np.savez(file, allow_pickle=False, **content)
-        draft.replace(path)
-        oldest_first = sorted(path.parent.glob("*.npz"), key=lambda kept: kept.stat().st_mtime)
-        for kept in oldest_first[:-_KEPT_FILES]:
+        ours = [kept for kept in path.parent.glob("*.npz") if _OUR_NAME.fullmatch(kept.name)]
+        for kept in sorted(ours, key=lambda kept: kept.stat().st_mtime)[:-_KEPT_FILES]:
             kept.unlink(missing_ok=True)
 
 
@@ -125,8 +128,11 @@ def _load(path: Path, frames: int) -> list[Edges] | None:
         with np.load(path, allow_pickle=False) as content:
             columns: dict[str, Any] = {name: content[name] for name in content.files}
         count = columns["count"]
-        return _unpacked(columns, count) if len(count) == frames else None
-    except (OSError, EOFError, ValueError, KeyError, IndexError, zipfile.BadZipFile):
+        whole = count.dtype.kind == "i" and len(count) == frames and (count >= 0).all()
+        rows = max(int(count.sum()), 0) if whole else -1
+        right = whole and all(len(columns[name]) == rows and columns[name].dtype.kind in "fiub" for name in _PACKED)
+        return _unpacked(columns, count) if right or rows == 0 else None
+    except (OSError, EOFError, ValueError, KeyError, IndexError, TypeError, zlib.error, zipfile.BadZipFile):
         return None
 
 

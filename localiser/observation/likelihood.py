@@ -174,7 +174,7 @@ def _cells(columns: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     low, extent = columns.min(axis=1), np.ptp(columns, axis=1)
     size = _CELL
     while True:
-        shape = (extent / size).astype(np.int64) + 1
+        shape = np.floor(extent / size) + 1.0  # as floats: their product does not overflow, however far poses lie apart
         if shape.prod() <= max(columns.shape[1] // _PER_CELL, 1):
-            return low, 1.0 / size, shape
+            return low, 1.0 / size, shape.astype(np.int64)
         size = size * 1.25

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from localiser import evaluate, storage
+from localiser.documents import shown
 from localiser.errors import InputError
 from localiser.evaluate import Track
 from localiser.geometry import Trajectory
@@ -43,13 +44,30 @@ def evaluate_run(run: Path | str | Track, truth: Path | str | Trajectory | None 
             raise InputError("a trajectory file needs --truth FILE, found none", path=path)
         return _judged(_track(path), truth, path.stem)
     folder = storage.find_run(path)
-    recorded = storage.read_json(folder / "metrics.json")
+    recorded = _checked(storage.read_json(folder / "metrics.json"), folder / "metrics.json")
     if (folder / "timing.json").is_file():
-        recorded |= storage.read_json(folder / "timing.json")
+        recorded |= _checked(storage.read_json(folder / "timing.json"), folder / "timing.json")
     if truth is None:
         return recorded
     judged = _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), recorded)
     return judged | {key: recorded[key] for key in NOT_IN_A_TRACK if key in recorded}
+
+
+def _checked(recorded: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return recorded metrics of which those that are shown have their types. Raises InputError."""
+    for name, kinds, expected in (
+        *((column.key, (int, float), "a number") for column in evaluate.COLUMNS),
+        *((name, (str, int), "a text or an integer") for name in ("log", *evaluate.ABOUT)),
+        ("frames", (int,), "an integer"),
+    ):
+        value: Any = recorded
+        for part in name.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        if name == "pauses" and isinstance(value, list):
+            continue
+        if value is not None and (isinstance(value, bool) or not isinstance(value, kinds)):
+            raise InputError(f"expected {expected} or null, found {shown(value)}", path=path, field=name)
+    return recorded
 
 
 def _judged(

@@ -15,7 +15,7 @@ import numpy as np
 from localiser import evaluate
 from localiser.config import Config, in_force, read_config, to_yaml, with_seed
 from localiser.edges import Detector
-from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
+from localiser.errors import InputError, LocaliserError, OutputError, RunEndedEarlyError
 from localiser.evaluate import Track, write_report
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
@@ -25,13 +25,14 @@ from localiser.motion import MotionModel
 from localiser.observation import Observation
 from localiser.replay.about import described, identity_of
 from localiser.replay.figures import bound_of, landmark_use, run_metrics, track_of, truth_of
-from localiser.replay.sinks import Outputs, Sink, close_all, sinks_of, without_bulk
+from localiser.replay.sinks import Outputs, Sink, all_of, close_all, sinks_of, without_bulk
 from localiser.replay.start import has_start, start_of
-from localiser.replay.stop import asked_to_stop
+from localiser.replay.stop import Stop, asked_to_stop
 from localiser.storage import (
     ImageEvent,
     Log,
     RunFolder,
+    TrackWriter,
     camera_error,
     checkpoint_of,
     open_log,
@@ -40,7 +41,6 @@ from localiser.storage import (
 )
 from localiser.view import Context, LiveView
 
-SIGINT_EXIT_CODE = 130
 STAGES = ("load", "edges", "filter", "sinks")
 
 
@@ -174,6 +174,8 @@ def prepare(
         )
     except InputError as error:
         raise _placed(error, log) from None
+    if config.observation.association == "known" and landmark_map is not log.landmark_map:
+        log = log.identified_on(landmark_map)
     localiser = Localiser(landmark_map, log.camera, config, **own)
     return Replay(log, localiser, start_of(log, start, localiser.rng), map_file)
 
@@ -248,6 +250,7 @@ class FolderRun:
 
         Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
         """
+        asked = Stop()
         try:
             self.folder.write_text("config.yaml", to_yaml(in_force(self.replay.localiser.config)))
             self.folder.write_text("run.yaml", described(self.replay))
@@ -260,52 +263,65 @@ class FolderRun:
 
                 self.replay.run(self.sinks, after_each)
         except KeyboardInterrupt as stop:
-            raise self._end_early("stopped", SIGINT_EXIT_CODE) from stop
+            raise self._end_early("stopped", asked.exit_code) from stop
         except LocaliserError as error:
             raise self._end_early(str(error), error.exit_code) from error
         except BaseException:
             close_all(self.sinks, complete=False)
             raise
-        close_all(self.sinks, complete=True)
         with asked_to_stop():  # the run is done: Ctrl-C does not take its figures away
-            return self._write_figures(complete=True)
+            try:
+                return self._write_results(complete=True)
+            except OutputError as error:
+                raise OutputError(f"{error}. All else that the run came to is in {self.folder.path}") from error
 
     def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
         """Save what was done and return the error that says how much that is and where."""
-        close_all(self.sinks, complete=False)
         done, frames = len(self.replay.frames), len(self.replay.log.frames)
-        if done:
-            self._write_figures(complete=False)
-        return RunEndedEarlyError(
-            f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}",
-            exit_code,
-        )
+        text = f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}"
+        try:
+            if done:
+                self._write_results(complete=False)
+            else:
+                close_all(self.sinks, complete=False)
+        except OutputError as error:
+            if str(error) != reason:
+                text += f", except {error}"
+        return RunEndedEarlyError(text, exit_code)
 
-    def _write_figures(self, complete: bool) -> dict[str, Any]:
-        """Write metrics, timing and, if wanted, the report of what was located, and return the figures of both files.
+    def _write_results(self, complete: bool) -> dict[str, Any]:
+        """Write what was located in the order of its worth, and return the figures of metrics and timing.
 
-        What a frame took differs from run to run; the file of the metrics does not.
+        That is: the trajectory, `metrics.json` and `timing.json`, the recording and, if wanted, `report.png` and
+        `report.html`. What cannot be written, as to a full disk, does not keep what comes later from being written.
+        Raises the first OutputError then. What a frame took differs from run to run; the file of the metrics does not.
         """
         run, folder = self.replay, self.folder
-        bound = bound_of(run)
+        tracks = [sink for sink in self.sinks if isinstance(sink, TrackWriter)]
+        others = [sink for sink in self.sinks if sink not in tracks]
+        bound, timing = bound_of(run), evaluate.timing_metrics(run.timing)
         figures = run_metrics(run, bound) | {"complete": complete}
-        folder.write_json("metrics.json", figures)
-        timing = evaluate.timing_metrics(run.timing)
-        folder.write_json("timing.json", timing)
-        figures |= timing
-        if not self.report:
-            return figures
-        landmark_map = run.localiser.landmark_map
         report = folder.path / "report.png"
         known = {
             "truth": truth_of(run),
-            "landmark_map": landmark_map,
+            "landmark_map": run.localiser.landmark_map,
             "bound": bound,
             "landmark_use": landmark_use(run),
         }
-        write_report(report, run.track, figures, **known)
-        folder.write_text("report.html", self._page(figures, report))
-        return figures
+        reports = [
+            lambda: write_report(report, run.track, figures | timing, **known),
+            lambda: folder.write_text("report.html", self._page(figures | timing, report)),
+        ]
+        all_of(
+            [
+                lambda: close_all(tracks, complete),
+                lambda: folder.write_json("metrics.json", figures),
+                lambda: folder.write_json("timing.json", timing),
+                lambda: close_all(others, complete),
+                *(reports if self.report else []),
+            ]
+        )
+        return figures | timing
 
     def _page(self, figures: dict[str, Any], report: Path) -> str:
         """Return the report as a page, with the worst moments of the run."""

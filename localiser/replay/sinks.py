@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -55,10 +56,15 @@ def sinks_of(outputs: Outputs, folder: Path, context: Context) -> list[Sink]:
 
 def close_all(sinks: Sequence[Sink], complete: bool) -> None:
     """Close every sink, the later ones also when an earlier one fails; then raise the first failure."""
+    all_of([partial(sink.close, complete) for sink in sinks])
+
+
+def all_of(steps: Iterable[Callable[[], object]]) -> None:
+    """Take every step, the later ones also when an earlier one fails; then raise the first failure."""
     failures = []
-    for sink in sinks:
+    for step in steps:
         try:
-            sink.close(complete)
+            step()
         except Exception as failure:
             failures.append(failure)
     if failures:

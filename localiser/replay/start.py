@@ -12,6 +12,9 @@ from localiser.storage import Log
 START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
 """How far a start that is given on the command line may be off: x, z (m), heading (rad), one sigma."""
 
+FARTHEST = np.array([1e6, 1e6, 2 * np.pi])
+"""The largest x, z (m) and heading (rad) that can be given, as in a log's start."""
+
 TRUTH, GLOBAL = "truth", "global"
 
 
@@ -60,7 +63,7 @@ def given_pose(option: str) -> np.ndarray:
     except ValueError:
         raise InputError(problem, field="--start") from None
     pose = np.array([x, z, np.deg2rad(heading_deg)])
-    if not np.isfinite(pose).all():
+    if not (np.abs(pose) <= FARTHEST).all():
         raise InputError(problem, field="--start")
     pose[2] = wrap_angle(pose[2])
     return pose

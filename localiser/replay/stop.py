@@ -1,4 +1,4 @@
-"""Stop a run by Ctrl-C or SIGTERM between two images, so that all outputs end with the same image."""
+"""Stop a run by Ctrl-C, SIGTERM or SIGHUP between two images, so that all outputs end with the same image."""
 
 from __future__ import annotations
 
@@ -8,14 +8,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+_SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+
+
+class Stop(threading.Event):
+    """Is set once the user, or the system, asks a run to stop. exit_code: how the program then ends, as shells do."""
+
+    exit_code = 128 + signal.SIGINT
+
 
 @contextmanager
-def asked_to_stop() -> Iterator[threading.Event]:
-    """Hold Ctrl-C and SIGTERM back; yields an event that they set. A second one is not held back.
+def asked_to_stop() -> Iterator[Stop]:
+    """Hold Ctrl-C, SIGTERM and SIGHUP back; yields an event that they set. A second one is not held back.
 
-    In other threads than the main one, which get no signals, nothing is changed.
+    A signal that is ignored, as SIGHUP under `nohup`, stays so. In other threads than the main one, which get no
+    signals, nothing is changed.
     """
-    asked = threading.Event()
+    asked = Stop()
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
@@ -24,11 +33,13 @@ def asked_to_stop() -> Iterator[threading.Event]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    def ask(_signal: int, _frame: FrameType | None) -> None:
+    def ask(number: int, _frame: FrameType | None) -> None:
+        asked.exit_code = 128 + number
         asked.set()
         restore()
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    held = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, ask) for number in held}
     try:
         yield asked
     finally:

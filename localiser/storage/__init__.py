@@ -1,10 +1,11 @@
 """Read and write every file format: logs, cameras, maps, trajectories, results."""
 
+from localiser.documents import output_errors, write_bytes, write_text
 from localiser.storage.bags import KINDS, write_bag
 from localiser.storage.bags.label import motion_settings
 from localiser.storage.cameras import camera_error, camera_file, read_camera, update_mount, write_camera
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
-from localiser.storage.files import output_errors, require_new, require_new_file, write_bytes, write_text
+from localiser.storage.files import require_new, require_new_file
 from localiser.storage.folder import FolderReader, write_log
 from localiser.storage.images import (
     MAX_IMAGE_BYTES,

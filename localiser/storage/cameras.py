@@ -13,9 +13,21 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount
-from localiser.documents import Document, dump, load, parse, read_text, shown, validate
+from localiser.documents import (
+    MAX_DOCUMENT_BYTES,
+    Document,
+    dump,
+    load,
+    output_errors,
+    parse,
+    read_bytes,
+    read_text,
+    shown,
+    validate,
+    write_text,
+)
 from localiser.errors import InputError
-from localiser.storage.files import inside, output_errors, write_text
+from localiser.storage.files import inside
 
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
@@ -200,7 +212,7 @@ def _with_mount_value(text: str, source: str, key: str, value: float) -> str:
 def _keep_beside(path: Path) -> Path:
     """Copy a file to the first free name of FILE.bak, FILE.bak2, … and return that."""
     with output_errors(path):
-        content = path.read_bytes()
+        content = read_bytes(path, MAX_DOCUMENT_BYTES)
         for number in count(1):
             kept = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
             try:

@@ -6,7 +6,9 @@ by the mount's yaw. It is converted here, both ways, and nowhere else.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import csv
+import io
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -14,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.documents import Place, write_text
 from localiser.edges import Edges, complete
 from localiser.filter import Sighting
 from localiser.geometry import Array, wrap_angle
-from localiser.storage.files import write_text
-from localiser.storage.tables import Column, Table, integer, integer_or_none, read_table, sign
+from localiser.storage.tables import Column, Table, integer, name_or_none, read_table, sign
 from localiser.storage.tables import number_or_unknown as number
 from localiser.storage.tables import positive_or_unknown as positive
 
@@ -31,15 +33,16 @@ COLUMNS = (
     Column("lean_sigma_rad", positive),
     Column("length_px", positive),
     Column("polarity", sign),
-    Column("landmark_id", integer_or_none, required=False),
+    Column("landmark_id", name_or_none, required=False),
 )
 
 
-def read_edges(path: Path, camera: Camera) -> list[Sighting]:
-    """Return one sighting for each time in the table, at least one.
+def read_edges(path: Path, camera: Camera) -> tuple[list[Sighting], dict[str, Place]]:
+    """Return one sighting for each time in the table, at least one, and the landmarks that edges are said to belong to.
 
-    A row with a time and nothing else is a frame in which no edge was found. Of bearing and lean the one that is
-    missing follows from the other and the tilt. Raises InputError.
+    Landmarks are given by id, in the order of their first row, which is their place; `landmark_id` of an edge is the
+    number of its landmark in that order. A row with a time and nothing else is a frame in which no edge was found. Of
+    bearing and lean the one that is missing follows from the other and the tilt. Raises InputError.
     """
     table = read_table(path, COLUMNS, rows_at_least=1)
     table.require_time_order(strictly=False)
@@ -51,21 +54,36 @@ def read_edges(path: Path, camera: Camera) -> list[Sighting]:
 
     frames = []
     times = table.columns["t_ns"]
+    identified, named = _landmarks(table)
     for t_ns, rows in groupby(range(len(table)), key=lambda row: times[row]):
         index = np.array([row for row in rows if found[row]], dtype=np.int64)
-        frames.append(Sighting(t_ns, _edges(table, measured, index, camera)))
-    return frames
+        frames.append(Sighting(t_ns, _edges(table, measured, identified, index, camera)))
+    return frames, named
 
 
-def _edges(table: Table, measured: Array, index: NDArray[np.int64], camera: Camera) -> Edges:
+def _landmarks(table: Table) -> tuple[NDArray[np.int64], dict[str, Place]]:
+    """Return the number (R,) of each row's landmark, -1 for none, and the landmarks that are named."""
+    named: dict[str, Place] = {}
+    number = np.full(len(table), -1, dtype=np.int64)
+    for row, name in enumerate(table.columns.get("landmark_id", [])):
+        if name:
+            named.setdefault(name, Place(str(table.path), table.lines[row]))
+    order = {name: place for place, name in enumerate(named)}
+    for row, name in enumerate(table.columns.get("landmark_id", [])):
+        number[row] = order.get(name, -1)
+    return number, named
+
+
+def _edges(
+    table: Table, measured: Array, identified: NDArray[np.int64], index: NDArray[np.int64], camera: Camera
+) -> Edges:
     """Return the edges in the rows `index` (E,); measured: (R, 5), bearings from the camera's axis."""
     bearing, bearing_sigma, lean, lean_sigma, length_px = measured[index].T
-    identified = table.columns.get("landmark_id", [-1] * len(table))
     return Edges.from_columns(
         *complete(bearing, bearing_sigma, lean, lean_sigma, camera.mount.tilt_rad),
         length_px=length_px,
         polarity=np.array(table.columns["polarity"], dtype=np.int8)[index],
-        landmark_id=np.array(identified, dtype=np.int64)[index],
+        landmark_id=identified[index],
     )
 
 
@@ -83,9 +101,14 @@ def _check_row(table: Table, row: int, measured: Array, found: np.bool_) -> None
             raise table.error(row, f"{name}_rad", f"expected a {name} within ±90° of the camera's axis, found {given}")
 
 
-def write_edges(frames: Iterable[Sighting], camera: Camera, path: Path) -> None:
-    """Write the table of edges, a frame without any as a row with the time alone. Raises OutputError."""
-    lines = [",".join(column.name for column in COLUMNS)]
+def write_edges(frames: Iterable[Sighting], camera: Camera, path: Path, ids: Sequence[int | str] = ()) -> None:
+    """Write the table of edges, a frame without any as a row with the time alone. Raises OutputError.
+
+    ids: of the landmarks that `landmark_id` of an edge numbers; where there are none, that number is the id.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow([column.name for column in COLUMNS])
     for frame in frames:
         edges = frame.edges
         bearing = wrap_angle(edges.bearing - camera.mount.yaw_rad)
@@ -94,8 +117,9 @@ def write_edges(frames: Iterable[Sighting], camera: Camera, path: Path) -> None:
             cells = [str(frame.t_ns)]
             cells += ["" if np.isnan(column[row]) else repr(float(column[row])) for column in measured]
             cells += [str(edges.polarity[row]) if edges.polarity[row] else ""]
-            cells += [str(edges.landmark_id[row]) if edges.landmark_id[row] >= 0 else ""]
-            lines.append(",".join(cells))
+            landmark = int(edges.landmark_id[row])
+            cells += ["" if landmark < 0 else str(ids[landmark] if ids else landmark)]
+            table.writerow(cells)
         if len(edges) == 0:
-            lines.append(f"{frame.t_ns}" + "," * (len(COLUMNS) - 1))
-    write_text(path, "\n".join(lines) + "\n")
+            table.writerow([frame.t_ns, *[""] * (len(COLUMNS) - 1)])
+    write_text(path, text.getvalue())

@@ -1,12 +1,11 @@
-"""Check paths inside a folder, and write files whole or not at all."""
+"""Check paths: inside a folder, or where nothing is."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
+from localiser.documents import output_errors
 from localiser.errors import OutputError
 
 
@@ -23,40 +22,6 @@ def inside(folder: Path, name: str) -> Path:
     if not Path(path).is_relative_to(root):
         raise ValueError(f"expected a path inside the log's folder, found a link to {path}")
     return folder / name
-
-
-@contextmanager
-def output_errors(path: Path) -> Iterator[None]:
-    """Turn what the operating system says about writing `path` into an OutputError."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-def write_text(path: Path, content: str) -> None:
-    """Write a UTF-8 file whole or not at all: an interruption leaves what was there before. Raises OutputError."""
-    write_bytes(path, content.encode())
-
-
-def write_bytes(path: Path, content: bytes, *, durably: bool = False) -> None:
-    """Write a file whole or not at all: an interruption leaves what was there before. Raises OutputError.
-
-    durably: also when the power fails at any moment, at the cost of waiting for the disk.
-    """
-    draft = path.with_name(f".{path.name}.part")
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with draft.open("wb") as file:
-                file.write(content)
-                if durably:
-                    file.flush()
-                    os.fsync(file.fileno())
-            draft.replace(path)
-        except BaseException:
-            draft.unlink(missing_ok=True)
-            raise
 
 
 def require_new(folder: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,14 +14,14 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from localiser.camera import Camera
-from localiser.documents import dump, load, validate
+from localiser.documents import drafted, dump, load, validate, write_bytes, write_text
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, named, read_camera, write_camera
 from localiser.storage.edge_tables import read_edges, write_edges
-from localiser.storage.files import inside, output_errors, require_new, write_bytes, write_text
+from localiser.storage.files import inside, require_new
 from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of, whole_image
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import read_map, write_map
@@ -90,7 +89,8 @@ class FolderReader:
             raise document.error((key,), f"expected images or edges, found {found}")
         images = part("images", lambda table: _images(table, folder, camera))
         edges = part("edges", lambda table: read_edges(table, camera))
-        frames: Sequence[Frame] = images or edges or []
+        sightings, landmarks = edges or ([], {})
+        frames: Sequence[Frame] = images or sightings
         first_ns = min([frames[0].t_ns, *odometry.t_ns[:1].tolist()])
         log = Log(
             name=file.name,
@@ -98,12 +98,14 @@ class FolderReader:
             camera=camera,
             odometry=odometry,
             frames=frames,
-            landmark_map=part("map", read_map),
+            named=landmarks,
             start=start_from_file(file.start, first_ns) if file.start else None,
             groundtruth=part("groundtruth", read_poses),
             settings=(VISION_ALONE if odometry is NO_ODOMETRY else {})
             | {f"motion.{name}": value for name, value in (file.motion or {}).items()},
         )
+        if landmark_map := part("map", read_map):
+            log = replace(log.identified_on(landmark_map), landmark_map=landmark_map)
         return require_overlap(log)
 
 
@@ -160,6 +162,7 @@ def write_log(
     images: Iterable[tuple[int, Image | bytes]] | None = None,
     sightings: Iterable[Sighting] | None = None,
     landmark_map: LandmarkMap | None = None,
+    landmark_ids: Sequence[int | str] = (),
     groundtruth: Trajectory | None = None,
     start: Start | None = None,
     motion: Mapping[str, Any] | None = None,
@@ -170,16 +173,13 @@ def write_log(
 
     images: (t_ns, (H, W) grey or (H, W, 3) BGR uint8); JPEG or PNG files are written as they are. start: the covariance
     is written as one sigma for the position and one for the heading. motion: quality of this robot's odometry.
+    landmark_ids: of the landmarks that edges belong to, where there is no map.
     Raises OutputError when the folder holds something already or cannot be written, ValueError unless there are images
     or sightings, not both.
     """
     if (images is None) == (sightings is None):
         raise ValueError("expected images or sightings")
     require_new(folder)
-    draft = folder.with_name(f".{folder.name}.part")
-    with output_errors(folder):
-        shutil.rmtree(draft, ignore_errors=True)
-        draft.mkdir(parents=True)
     data: dict[str, Any] = {"format": FORMAT, "name": name}
 
     def part(key: str, file: str, write: Callable[[Part, Path], None], value: Part | None) -> None:
@@ -187,7 +187,8 @@ def write_log(
             data[key] = file
             write(value, draft / file)
 
-    try:
+    with drafted(folder) as draft:
+        draft.mkdir()
         part("camera", "camera.yaml", write_camera, camera)
         part("odometry", "odometry.csv", write_poses, odometry if len(odometry) else None)
         part("groundtruth", "groundtruth.csv", write_poses, groundtruth)
@@ -195,17 +196,13 @@ def write_log(
         part(
             "images", "images.csv", lambda images, path: _write_images(images, path, image_suffix, jpeg_quality), images
         )
-        part("edges", "edges.csv", lambda frames, path: write_edges(frames, camera, path), sightings)
+        ids = landmark_ids if landmark_map is None else landmark_map.ids
+        part("edges", "edges.csv", lambda frames, path: write_edges(frames, camera, path, ids), sightings)
         if start is not None:
             data["start"] = start_data(start)
         if motion:
             data["motion"] = dict(motion)
         write_text(draft / LOG_FILE, dump(data))
-        with output_errors(folder):
-            draft.replace(folder)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
 
 
 def _write_images(images: Iterable[tuple[int, Image | bytes]], table: Path, suffix: str, jpeg_quality: int) -> None:

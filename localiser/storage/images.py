@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.documents import read_bytes
+from localiser.documents import open_regular, read_bytes
 from localiser.errors import InputError
 
 Image = NDArray[np.uint8]
@@ -117,19 +117,15 @@ def check_head(path: Path, size: tuple[int, int]) -> None:
 
     Raises InputError.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
+    with open_regular(path, "image") as file:
+        head = file.read(_HEAD_BYTES)
+        try:
             try:
                 found, _ = measure(head)
             except ValueError:
                 found, _ = measure(head + file.read(_LONG_HEAD_BYTES))
-    except FileNotFoundError:
-        raise InputError("no such image", path=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", path=path) from None
-    except ValueError as error:
-        raise InputError(str(error), path=path) from None
+        except ValueError as error:
+            raise InputError(str(error), path=path) from None
     check_size(path, found, size)
 
 

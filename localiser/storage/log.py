@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from localiser.camera import Camera
+from localiser.documents import Place, shown
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import Odometry, Sighting, Start
@@ -34,6 +35,8 @@ class Log:
     that were measured already, in the order of time. landmark_map, start, groundtruth (in the map frame): where the log
     has them. path: what was read.
     settings: what it says about the robot, as settings of the configuration by name, such as `motion.alpha1`.
+    named: the landmarks that edges are said to belong to, by id, and where that is first said; without a map of its own
+    `landmark_id` of an edge is the number of a landmark here, else in its map.
     restarts: where the robot was said to be later on. resumed: the state that a live run went on from, in place of its
     start, as the content of a checkpoint; empty for any other log.
     """
@@ -47,6 +50,7 @@ class Log:
     start: Start | None = None
     groundtruth: Trajectory | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    named: Mapping[str, Place] = field(default_factory=dict)
     restarts: Sequence[Start] = ()
     resumed: bytes = b""
 
@@ -59,6 +63,34 @@ class Log:
     def duration_s(self) -> float:
         """From the first to the last event."""
         return (max([self.frames[-1].t_ns, *map(int, self.odometry.t_ns[-1:])]) - self.start_ns) / 1e9
+
+    @property
+    def landmark_ids(self) -> tuple[int | str, ...]:
+        """The ids of the landmarks that `landmark_id` of an edge numbers."""
+        return tuple(self.named) if self.landmark_map is None else self.landmark_map.ids
+
+    def identified_on(self, landmark_map: LandmarkMap) -> Log:
+        """Return the log with edges whose `landmark_id` is the number of the same landmark, by its id, on a map.
+
+        Raises InputError for an edge of a landmark that is not on the map.
+        """
+        ids = self.landmark_ids
+        number = {str(name): place for place, name in enumerate(landmark_map.ids)}
+        moved = np.array([*(number.get(str(name), -1) for name in ids), -1], dtype=np.int64)
+        frames: list[Frame] = []
+        for frame in self.frames:
+            if isinstance(frame, Sighting):
+                before = frame.edges.landmark_id
+                if (lost := before[(before >= 0) & (moved[before] < 0)]).size:
+                    raise self._unknown(ids[lost[0]], landmark_map)
+                frame = replace(frame, edges=replace(frame.edges, landmark_id=moved[before]))  # noqa: PLW2901
+            frames.append(frame)
+        return replace(self, frames=frames)
+
+    def _unknown(self, name: int | str, landmark_map: LandmarkMap) -> InputError:
+        place = self.named.get(str(name), Place(str(self.path)))
+        where = f"the map {shown(landmark_map.name)}" if landmark_map.name else "the map"
+        return place.error(("landmark_id",), f"expected the id of a landmark of {where}, found {shown(str(name))}")
 
     @property
     def has_images(self) -> bool:

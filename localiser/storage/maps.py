@@ -9,10 +9,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
 
-from localiser.documents import Document, dump, load, shown, validate
+from localiser.documents import Document, dump, load, shown, validate, write_text
 from localiser.geometry import Array
 from localiser.landmarks import FRAME, LandmarkMap, Quality
-from localiser.storage.files import write_text
 
 FORMAT = "localiser-map/1"
 

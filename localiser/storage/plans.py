@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from localiser.documents import dump, load, read_bytes, validate
+from localiser.documents import dump, load, read_bytes, validate, write_bytes, write_text
 from localiser.errors import InputError
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
-from localiser.storage.files import write_bytes, write_text
 from localiser.storage.images import decode_pixels, measure
 
 OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them

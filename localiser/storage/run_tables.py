@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from localiser.documents import write_bytes, write_text
 from localiser.errors import InputError
-from localiser.storage.files import write_bytes, write_text
 from localiser.storage.tables import Column, read_table
 
 Row = Mapping[str, Any]

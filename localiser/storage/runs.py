@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from localiser.documents import read_text
+from localiser.documents import draft_beside, output_errors, read_text, write_text
 from localiser.errors import InputError
-from localiser.storage.files import output_errors, write_text
 
 LATEST = "latest"
 
@@ -76,7 +75,7 @@ def _linked(path: Path) -> Path:
 
 def _point_latest(logs: Path, number: str) -> None:
     """Make `latest` a symbolic link to the run, or a text file with its number where links cannot be made."""
-    draft = logs / f".{LATEST}.{number}"
+    draft = draft_beside(logs / LATEST)
     try:
         draft.symlink_to(number, target_is_directory=True)
         draft.replace(logs / LATEST)

@@ -107,10 +107,9 @@ def integer(cell: str) -> int:
     return _within(value, abs(value) < 2**62, "an integer below 2^62")
 
 
-def integer_or_none(cell: str) -> int:
-    """Return an integer from -1 on, -1 for an empty cell."""
-    value = integer(cell) if cell.strip() else -1
-    return _within(value, value >= -1, "an integer from -1 on")
+def name_or_none(cell: str) -> str:
+    """Return a name of at most 255 characters, "" for an empty cell or -1."""
+    return "" if cell.strip() in ("", "-1") else text(cell)
 
 
 def sign(cell: str) -> int:

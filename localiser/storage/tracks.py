@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from io import FileIO
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
+from localiser.documents import output_errors
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array
-from localiser.storage.files import output_errors
 from localiser.storage.tables import Column, number, number_or_unknown, read_table
 from localiser.storage.trajectories import POSE_COLUMNS, tum_line
 
@@ -41,7 +41,7 @@ class TrackWriter:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._files: dict[str, TextIO] = {}
+        self._files: dict[str, FileIO] = {}
         self._write(TRAJECTORY_TUM, "")
 
     def frame(self, frame: LocatedFrame) -> None:
@@ -78,12 +78,19 @@ class TrackWriter:
             self._write(TRAJECTORY_CSV, ",".join(names) + "\n")
 
     def _write(self, name: str, text: str) -> None:
-        """Append to a file, which is made when it is first written, and hand it to the system at once."""
+        """Append to a file, made when it is first written; all of the text is handed to the system, or none."""
         with output_errors(self._folder / name):
             if name not in self._files:
-                self._files[name] = (self._folder / name).open("w", encoding="utf-8", newline="\n")
-            self._files[name].write(text)
-            self._files[name].flush()
+                self._files[name] = (self._folder / name).open("wb", buffering=0)
+            file, rest = self._files[name], memoryview(text.encode())
+            whole = file.tell()
+            try:
+                while rest:
+                    rest = rest[file.write(rest) :]
+            except OSError:
+                file.seek(whole)
+                file.truncate()
+                raise
 
 
 def read_track(path: Path) -> Track:

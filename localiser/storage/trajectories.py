@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from localiser import geometry
-from localiser.documents import read_text, shown
+from localiser.documents import read_text, shown, write_text
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
-from localiser.storage.files import write_text
 from localiser.storage.tables import MAX_TABLE_BYTES, Column, integer, number, plain, read_columns, read_table
 
 POSE_COLUMNS = (Column("t_ns", integer), Column("x", number), Column("z", number), Column("heading", number))

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from localiser.camera import Camera
+from localiser.documents import require_regular
 from localiser.errors import InputError
 from localiser.storage.cameras import read_camera
 from localiser.storage.images import check_size, encode_image, image_event
@@ -54,8 +55,7 @@ def is_video(path: Path) -> bool:
 
 def _open(path: Path) -> Any:
     """Return the open video; by FFmpeg alone, for which a name with % or :// is still a file."""
-    if not path.is_file():
-        raise InputError("no such video", path=path)
+    require_regular(path, "video")
     capture = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError("expected a video that can be decoded", path=path)

@@ -23,10 +23,12 @@ def record_aliasing(path: Path, camera: Camera, landmark_map: LandmarkMap, look:
     import rerun as rr
 
     from localiser.view import landmark_view, palette, world
-    from localiser.view.recorder import stream_to_file
+    from localiser.view.recorder import new_stream
+    from localiser.view.recording_file import RecordingFile
 
     context = Context(landmark_map.name, camera, landmark_map, images=False, application="localiser map check")
-    stream = stream_to_file(path, context, landmark_view.layout(landmark_map))
+    stream = new_stream(context)
+    file = RecordingFile(path, stream, landmark_view.layout(landmark_map))
     stream.log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
     stream.log(f"{WORLD}/map/unseen", world.landmarks(context.landmark_ends, palette.UNSEEN, 1.2), static=True)
     # Of weights, those near the largest are brightest; a place that looks like no other is dark.
@@ -40,5 +42,4 @@ def record_aliasing(path: Path, camera: Camera, landmark_map: LandmarkMap, look:
     stream.log(f"{ALIKE}/like", arrows, static=True)
     upright = np.stack([world.at_height(look.spots_at, height) for height in (0.0, 2.0)], axis=1).astype(np.float32)
     stream.log(f"{ALIKE}/spots", rr.LineStrips3D(upright, colors=palette.MATCHED, radii=0.03), static=True)
-    stream.flush()
-    stream.disconnect()
+    file.end()

@@ -10,9 +10,8 @@ from localiser.filter import LocatedFrame
 from localiser.view.context import Context
 
 if TYPE_CHECKING:
-    import rerun as rr
-
     from localiser.view.recorder import Recorder
+    from localiser.view.recording_file import RecordingFile
 
 
 class RrdFile:
@@ -27,28 +26,29 @@ class RrdFile:
         self._frames = 0
 
     @cached_property
-    def _stream(self) -> rr.RecordingStream:
-        from localiser.view.recorder import stream_to_file
+    def _open(self) -> tuple[Recorder, RecordingFile]:
+        from localiser.view.layout import blueprint
+        from localiser.view.recorder import Recorder, new_stream
+        from localiser.view.recording_file import RecordingFile
 
-        return stream_to_file(self._path, self._context)
-
-    @cached_property
-    def _recorder(self) -> Recorder:
-        from localiser.view.recorder import Recorder
-
-        return Recorder(self._stream, self._context)
+        stream = new_stream(self._context)
+        file = RecordingFile(self._path, stream, blueprint(self._context))
+        return Recorder(stream, self._context), file
 
     def frame(self, frame: LocatedFrame) -> None:
         """Write what the filter knows after one image."""
-        self._recorder.frame(self._frames, frame)
+        self._open[0].frame(self._frames, frame)
         self._frames += 1
 
     def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
         """Write a line to the text log."""
-        self._recorder.message(t_ns, text, level)
+        self._open[0].message(t_ns, text, level)
 
     def close(self, complete: bool) -> None:
-        """End the file, which can be opened from now on; an incomplete run is said to be one in its text log."""
-        self._recorder.end(complete)
-        self._stream.flush()
-        self._stream.disconnect()
+        """End the file, which can be opened from now on; an incomplete run is said to be one in its text log.
+
+        Raises OutputError where it broke off.
+        """
+        recorder, file = self._open
+        recorder.end(complete)
+        file.end()

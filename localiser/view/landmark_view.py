@@ -15,7 +15,8 @@ from localiser.view.context import Context
 from localiser.view.layout import BACKGROUND, ELEVATION_RAD
 from localiser.view.mapping import ELLIPSES, PLACES, ellipses
 from localiser.view.paths import WORLD
-from localiser.view.recorder import stream_to_file
+from localiser.view.recorder import new_stream
+from localiser.view.recording_file import RecordingFile
 
 FEET = f"{WORLD}/building/feet"
 _NOBODY = Camera(1, 1, 1.0, 1.0, 0.0, 0.0, Mount(tilt_rad=0.0, height_m=0.5))
@@ -28,7 +29,8 @@ def record_map(path: Path, landmark_map: LandmarkMap) -> None:
     Raises OutputError where it cannot be written.
     """
     context = Context(landmark_map.name, _NOBODY, landmark_map, images=False, application="localiser map")
-    stream = stream_to_file(path, context, layout(landmark_map))
+    stream = new_stream(context)
+    file = RecordingFile(path, stream, layout(landmark_map))
     quality = landmark_map.quality or Quality.unknown(len(landmark_map))
     likely = np.where(np.isnan(quality.existence), 1.0, quality.existence)
     colours = np.tile(np.array(palette.MATCHED, dtype=np.uint8), (len(landmark_map), 1))
@@ -41,8 +43,7 @@ def record_map(path: Path, landmark_map: LandmarkMap) -> None:
     stream.log(FEET, rr.Points3D(feet, colors=colours, radii=0.02, labels=labels, show_labels=False), static=True)
     known = np.isfinite(landmark_map.cov).all(axis=(1, 2))
     stream.log(ELLIPSES, ellipses(landmark_map.points[known], landmark_map.cov[known]), static=True)
-    stream.flush()
-    stream.disconnect()
+    file.end()
 
 
 def _labels(landmark_map: LandmarkMap, quality: Quality) -> list[str]:

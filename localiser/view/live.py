@@ -10,6 +10,7 @@ from __future__ import annotations
 import atexit
 import os
 import re
+import secrets
 import signal
 import socket
 import subprocess
@@ -183,9 +184,11 @@ def viewer_command(kind: Kind) -> tuple[list[str], str | None]:
     if kind == "native":
         return [*command, "--bind", _LOCALHOST, "--port", "auto", "--hide-welcome-screen", "-"], None
     if kind == "web":
-        port, page = _free_port(), _free_port()
-        address = f"http://{_LOCALHOST}:{page}?url=rerun%2Bhttp%3A%2F%2F{_LOCALHOST}%3A{port}%2Fproxy"
-        bound = ["--bind", _LOCALHOST, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page)]
+        host = _secret_host()
+        port, page = _free_port(host), _free_port(host)
+        address = f"http://{host}:{page}?url=rerun%2Bhttp%3A%2F%2F{host}%3A{port}%2Fproxy"
+        bound = ["--bind", host, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page)]
+        bound += ["--cors-allow-origin", f"http://{host}:{page}"]
         return [*command, *bound, "-"], address
     host, number = _remote(kind)
     host = _LOCALHOST if host == "localhost" else host
@@ -193,9 +196,24 @@ def viewer_command(kind: Kind) -> tuple[list[str], str | None]:
     return [*command, *served, "-"], f"rerun+http://{host}:{number}/proxy"
 
 
-def _free_port() -> int:
+def _secret_host() -> str:
+    """Return an address of this machine alone that nobody can guess; the usual one where there is no other.
+
+    Rerun serves whoever reaches it, whatever name was asked for. A page elsewhere could give its own name the address
+    127.0.0.1 (DNS rebinding) and read what is shown, as if it came from there; among 16 million addresses it cannot
+    find the one.
+    """
+    host = f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
+    try:
+        _free_port(host)
+    except OSError:  # a system on which 127.0.0.1 is the only one
+        return _LOCALHOST
+    return host
+
+
+def _free_port(host: str) -> int:
     with socket.socket() as probe:
-        probe.bind((_LOCALHOST, 0))
+        probe.bind((host, 0))
         return int(probe.getsockname()[1])
 
 

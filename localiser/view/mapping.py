@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
+from localiser.documents import draft_beside, output_errors, remove
 from localiser.edges import Edges
 from localiser.filter import Image
 from localiser.geometry import Array, Trajectory
@@ -71,11 +72,13 @@ class MapFile:
     """
 
     def __init__(self, path: Path, context: Context) -> None:
-        from localiser.view.recorder import stream_to_file
+        from localiser.view.recorder import new_stream
+        from localiser.view.recording_file import RecordingFile
 
-        self._path, self._draft = path, path.with_name(f".{path.name}.part")
-        self._stream = stream_to_file(self._draft, context, _layout(context))
-        self._recorder = _Recorder(self._stream, context)
+        self._path, self._draft = path, draft_beside(path)
+        stream = new_stream(context)
+        self._file = RecordingFile(self._draft, stream, _layout(context), becomes=path)
+        self._recorder = _Recorder(stream, context)
         self._finished = False
 
     def frame(self, frame: Growing) -> None:
@@ -89,12 +92,13 @@ class MapFile:
 
     def close(self) -> None:
         """End the file, which can be opened from now on, or drop it when nothing came out."""
-        self._stream.flush()
-        self._stream.disconnect()
-        if self._finished:
-            self._draft.replace(self._path)
-        else:
-            self._draft.unlink(missing_ok=True)
+        try:
+            self._file.end()
+            if self._finished:
+                with output_errors(self._path):
+                    self._draft.replace(self._path)
+        finally:
+            remove(self._draft)
 
 
 class MapView(live.Feed["_Recorder"]):

@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import timedelta
 from itertools import cycle, islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from localiser import geometry
-from localiser.errors import OutputError
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import predicted_lines
 from localiser.view import image as image_view
 from localiser.view import palette, paths, world
 from localiser.view.context import Context
-from localiser.view.layout import blueprint
 
 CHUNK_BYTES = 1 << 20
 """What is gathered before it is passed on, about ten frames: what a crash would lose of a file."""
@@ -39,16 +35,6 @@ def new_stream(context: Context) -> rr.RecordingStream:
     stream = rr.RecordingStream(context.application, send_properties=False, batcher_config=batches)
     stream.send_recording_name(context.name)
     stream.set_log_time_enabled(False)
-    return stream
-
-
-def stream_to_file(path: Path, context: Context, layout: rrb.Blueprint | None = None) -> rr.RecordingStream:
-    """Return a stream into a new `.rrd` file, its layout with it. Raises OutputError where it cannot be written."""
-    stream = new_stream(context)
-    try:
-        stream.save(path, default_blueprint=layout or blueprint(context))
-    except (OSError, RuntimeError) as error:
-        raise OutputError(f"{path}: cannot be written: {error}") from error
     return stream
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from localiser.visual_odometry.twist import Gaussian
 
+LONGEST_S = 600.0
 Source = Literal["wheel", "vision", "both"]
 
 
@@ -43,8 +44,10 @@ class VisualOdometryParameters:
     def twist(self, pace: Gaussian | None, seconds: float) -> Gaussian:
         """Return what is known of the twist over `seconds` from the pace until then, a twist per second.
 
-        It keeps that pace for a while and strays from it (an Ornstein-Uhlenbeck process).
+        It keeps that pace for a while and strays from it (an Ornstein-Uhlenbeck process). After `LONGEST_S` a robot can
+        be anywhere in a building; no more time makes it less certain.
         """
+        seconds = min(seconds, LONGEST_S)
         sigma = np.array([self.speed_m_s, self.speed_m_s, np.deg2rad(self.turn_deg_s)])
         if pace is None:
             return Gaussian(np.zeros(3), np.diag(sigma**2) * seconds**2)

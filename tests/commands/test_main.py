@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -390,3 +391,46 @@ def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Pat
         assert (result.exit_code, result.err.count("\n")) == (2, 1)
         assert result.err.startswith("Error: ")
         assert str(tmp_path) in result.err
+
+
+# -- what nobody can read or write ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("recorded", "told"),
+    [
+        ({"position_rmse_m": "x"}, "position_rmse_m: expected a number or null, found 'x'"),
+        ({"nees_mean": [1]}, "nees_mean: expected a number or null, found [1]"),
+        ({"log": {}}, "log: expected a text or an integer or null"),
+        ({"frames": True}, "frames: expected an integer or null, found True"),
+    ],
+)
+def test_figures_of_another_type_are_told(
+    localiser: Localiser, tmp_path: Path, recorded: dict[str, object], told: str
+) -> None:
+    (tmp_path / "trajectory.csv").write_text("")
+    (tmp_path / "metrics.json").write_text(json.dumps(recorded))
+    result = localiser("evaluate", tmp_path)
+    assert result.exit_code == 2 and f"metrics.json: {told}" in result.err
+
+
+def test_a_name_that_is_too_long_for_the_system_is_told(localiser: Localiser) -> None:
+    result = localiser("replay", "x" * 300)
+    assert result.exit_code == 2 and "Error: " in result.err and "name too long" in result.err.replace("\n", " ")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/dev/full is Linux's")
+def test_an_output_that_is_full_is_told_in_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "localiser", "config", "show"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "Error: cannot be written or read: No space left on device\n")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such names")
+def test_a_terminal_of_ascii_and_a_name_that_is_no_text_are_served() -> None:
+    command = [sys.executable, "-m", "localiser", "replay", b"/no\xff\xc3\xbc.bag"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"Error: /no?") and done.stderr.endswith(b": no such bag\n")

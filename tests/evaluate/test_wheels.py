@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,25 @@ def test_only_what_odometry_and_truth_have_in_common_counts() -> None:
     assert fit_wheels(odometry, truth, 0, 20 * SECOND) == {}, "too short"
     stood = Trajectory(odometry.t_ns, np.zeros_like(odometry.poses))
     assert fit_wheels(stood, truth, 0, 120 * SECOND) == {}
+
+
+def test_a_clock_that_jumps_by_decades_costs_nothing() -> None:
+    odometry, truth = driven(0, 0, 0), driven(0.1, 0.1, 0)
+    decades = 30 * 365 * 86_400 * SECOND
+    jumped = odometry.t_ns + np.where(odometry.t_ns > 60 * SECOND, decades, 0)
+    tracemalloc.start()
+    found = fit_wheels(Trajectory(jumped, odometry.poses), Trajectory(jumped, truth.poses), 0, int(jumped[-1]))
+    most_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found["distance_scale"] == pytest.approx(0.1, abs=0.005)
+    assert most_bytes < 2**22
+
+
+def test_a_piece_without_truth_inside_does_not_count() -> None:
+    odometry, truth = driven(0, 0, 0), driven(0.1, 0.1, 0)
+    kept = (truth.t_ns < 40 * SECOND) | (truth.t_ns > 70 * SECOND)  # a straight line where the robot drove curves
+    found = fit_wheels(odometry, Trajectory(truth.t_ns[kept], truth.poses[kept]), 0, 120 * SECOND)
+    assert found["distance_scale"] == pytest.approx(0.1, abs=0.005)
 
 
 def test_constants_that_cannot_be_wrong_are_left_out() -> None:

@@ -204,17 +204,20 @@ def test_code_that_was_used_last_stays(modules: Modules, kept: Path) -> None:
     modules.run()
     (used,) = kept.iterdir()
     for n in range(1200):
-        (kept / f"old-{n}").write_bytes(b"")
-        os.utime(kept / f"old-{n}", (n, n))
+        (kept / f"old-{n:040x}").write_bytes(b"")
+        os.utime(kept / f"old-{n:040x}", (n, n))
+    (kept / "notes.txt").write_text("of somebody else")
+    os.utime(kept / "notes.txt", (0, 0))
     os.utime(used, (0, 0))
     modules.run()
     modules.edit("other", "FACTOR = 3.0", "FACTOR = 4.0")
     modules.run()
     left = {file.name for file in kept.iterdir()}
     assert used.name in left
-    assert len(left) == 1000
-    assert "old-1199" in left
-    assert "old-0" not in left
+    assert "notes.txt" in left
+    assert len(left) == 1001
+    assert f"old-{1199:040x}" in left
+    assert f"old-{0:040x}" not in left
 
 
 BY_SHARE = """

@@ -217,6 +217,18 @@ def test_a_start_that_is_no_pose_is_refused() -> None:
     assert any("positive definite" in text for text in feed.said)
 
 
+@pytest.mark.parametrize(
+    ("x", "sigma", "told"),
+    [(1e300, 1.0, "expected a position within"), (1e7, 1.0, "start within"), (0.0, 1e150, "most")],
+)
+def test_a_start_beyond_any_building_is_refused(x: float, sigma: float, told: str) -> None:
+    feed = Feed()([*camera(), *drive(2)])
+    stated = MAKE.pose_in_map(BEGIN_NS, np.array([x, 0.0, 0.0]), np.diag([sigma**2, sigma**2, 0.01]))
+    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated))])
+    assert any(told in text for text in feed.said), feed.said
+    assert sum(text.startswith("started") for text in feed.said) == 1
+
+
 def test_a_robot_without_a_start_is_looked_for(localiser: Localiser, tmp_path: Path) -> None:
     feed = Feed(start=None, record=tmp_path / "drive.db3")([*camera(), *drive(5, first=100)])
     stated = MAKE.pose_in_map(BEGIN_NS, LOG.groundtruth.at(feed.now_ns), np.diag([0.01, 0.01, 0.003]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 from threading import Event
@@ -84,6 +85,40 @@ def test_a_latecomer_gets_what_was_kept() -> None:
         with Network([endpoint]) as live:
             live.subscribe("transforms", "/tf_static", "tf2_msgs/msg/TFMessage", inbox)
             assert [arrival.content for arrival in received(inbox, 1)] == [b"transforms"]
+
+
+def test_who_has_not_the_password_is_not_heard(tmp_path: Path) -> None:
+    """zenoh's own configuration decides who takes part; endpoints are those that are given."""
+    pytest.importorskip("zenoh")
+    endpoint, inbox = free_endpoint(), Inbox()
+    (tmp_path / "users.txt").write_text("robot:secret\n")
+    for name, more in (("live", {"dictionary_file": str(tmp_path / "users.txt")}), ("robot", {})):
+        auth = {"usrpwd": {"user": "robot", "password": "secret", **more}}
+        config = {"mode": "peer", "scouting": {"multicast": {"enabled": False}}, "transport": {"auth": auth}}
+        (tmp_path / f"{name}.json5").write_text(json.dumps(config | {"listen": {"endpoints": []}}))
+    with (
+        Network((), [endpoint], config_file=tmp_path / "live.json5") as live,
+        Network([endpoint], config_file=tmp_path / "robot.json5") as robot,
+    ):
+        live.subscribe("odometry", "/odom", "nav_msgs/msg/Odometry", inbox)
+        end = time.monotonic() + PATIENCE_S
+        while not robot.is_heard("/odom") and time.monotonic() < end:
+            time.sleep(0.02)
+        robot.publish("/odom", b"mine")
+        assert [arrival.content for arrival in received(inbox, 1)] == [b"mine"]
+        with pytest.raises(InputError, match="that can be reached"):
+            Network([endpoint], client=True)
+
+
+@pytest.mark.parametrize("text", ["{password: ", "mode: 7"])
+def test_a_configuration_that_is_none_is_told_without_its_text(tmp_path: Path, text: str) -> None:
+    pytest.importorskip("zenoh")
+    (tmp_path / "zenoh.json5").write_text(text)
+    with pytest.raises(InputError, match=r"zenoh.json5: --zenoh-config: expected a configuration of zenoh") as told:
+        Network(config_file=tmp_path / "zenoh.json5")
+    assert text not in str(told.value)
+    with pytest.raises(InputError, match="no such file"):
+        Network(config_file=tmp_path / "nothing.json5")
 
 
 def test_names_that_are_none_are_refused() -> None:

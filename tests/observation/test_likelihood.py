@@ -111,6 +111,16 @@ def test_a_particle_does_not_depend_on_the_others() -> None:
     np.testing.assert_array_equal(together.T, alone)
 
 
+def test_particles_around_the_world_are_weighed() -> None:
+    rng = np.random.default_rng(2)
+    observation, near = EdgeObservation(camera(20.0), ObservationParameters()), cloud(rng, 100)
+    far = replace(near, columns=near.columns * np.array([[1e9], [1e9], [1.0]]))
+    both = replace(near, columns=np.concatenate([near.columns, far.columns], axis=1), log_weight=np.zeros(200))
+    sighting, landmark_map = Sighting(0, some_edges(rng, 20, True)), some_map(rng, 40)
+    found = observation.by_rate(both, sighting, landmark_map)
+    np.testing.assert_array_equal(found[:, :100], observation.by_rate(near, sighting, landmark_map))
+
+
 def test_hundreds_of_edges_neither_overflow_nor_vanish() -> None:
     observation = EdgeObservation(camera(20.0), ObservationParameters(landmark_sigma_m=1e-4))
     landmark_map = LandmarkMap.from_points(np.array([[0.0, -3.0]]))

@@ -233,6 +233,43 @@ def test_the_bound_is_that_of_the_map_that_the_log_knows(localiser: Localiser, t
     assert metrics_of(on_another)["pcrb_position_m"] is None
 
 
+KNOWN = ("--start", "1,2,178", "--set", "observation.association=known")
+
+
+def test_edges_belong_to_landmarks_by_id_whatever_the_order_of_the_map(localiser: Localiser, tmp_path: Path) -> None:
+    log, other = write_edge_log(tmp_path / "log"), tmp_path / "other.yaml"
+    storage.write_map(MAP.take(np.array([2, 0, 1])), other)
+    own = localiser.replay(log, tmp_path / "own", *KNOWN)
+    on_another = localiser.replay(log, tmp_path / "other", *KNOWN, "--map", other)
+    assert (own / "trajectory.tum").read_bytes() == (on_another / "trajectory.tum").read_bytes()
+    converted = tmp_path / "without_map"
+    storage.write_map(MAP, tmp_path / "map.yaml")
+    (log / "log.yaml").write_text((log / "log.yaml").read_text().replace("map: map.yaml\n", ""))
+    assert localiser("convert", log, converted, "--to", "folder", "--quiet").exit_code == 0
+    assert (converted / "edges.csv").read_bytes() == (log / "edges.csv").read_bytes()
+    without = localiser.replay(converted, tmp_path / "again", *KNOWN, "--map", tmp_path / "map.yaml")
+    assert (own / "trajectory.tum").read_bytes() == (without / "trajectory.tum").read_bytes()
+
+
+@pytest.mark.parametrize("found", ["99", "2"])
+def test_an_edge_of_a_landmark_that_the_map_does_not_have_is_told(
+    localiser: Localiser, tmp_path: Path, found: str
+) -> None:
+    table = write_edge_log(tmp_path / "log") / "edges.csv"
+    table.write_text(table.read_text().replace("door", found))
+    result = localiser("replay", tmp_path / "log", "--out", tmp_path / "out", *KNOWN)
+    expected = f"edges.csv:2: landmark_id: expected the id of a landmark of the map 'small', found '{found}'"
+    assert result.exit_code == 2 and expected in result.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_map_without_a_landmark_of_the_log_is_told(localiser: Localiser, tmp_path: Path) -> None:
+    log, other = write_edge_log(tmp_path / "log"), tmp_path / "other.yaml"
+    storage.write_map(MAP.take(np.array([0, 1])), other)
+    result = localiser("replay", log, "--out", tmp_path / "out", *KNOWN, "--map", other)
+    assert result.exit_code == 2 and "edges.csv:2: landmark_id: expected the id of a landmark" in result.err
+
+
 def test_settings_have_their_effect(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     run = localiser.replay(log, tmp_path / "out", "--set", "mcl.particles=150", "--set", "seed=2", "--seed", 4)
     figures = metrics_of(run)
@@ -347,6 +384,49 @@ def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Pat
     assert rows_of(tmp_path / "out" / "corridor" / "1") == []
 
 
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)), resource.RLIM_INFINITY))
+from localiser.__main__ import main
+main()
+"""
+
+
+def replayed_with_limit(log: Path, out: Path, most_bytes: int, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Replay where files that grow beyond a size cannot be written, as on a full disk."""
+    command = [sys.executable, "-c", LIMITED, str(most_bytes), "replay", log, "--out", out, "--quiet", *FEW_PARTICLES]
+    return subprocess.run([*command, *arguments], capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no limit of the size of files")
+def test_a_recording_that_cannot_be_written_takes_nothing_else_away(log: Path, tmp_path: Path) -> None:
+    done, run = replayed_with_limit(log, tmp_path / "out", 200_000), tmp_path / "out" / "corridor" / "1"
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"Error: {run / 'run.rrd'}: cannot be written: File too large. All else")
+    assert done.stderr.count("\n") == 1, "one paragraph"
+    assert metrics_of(run)["complete"] is True and metrics_of(run)["frames"] == FRAMES
+    assert (run / "timing.json").exists() and (run / "report.png").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no limit of the size of files")
+def test_a_report_that_cannot_be_written_is_told_and_leaves_no_part(log: Path, tmp_path: Path) -> None:
+    done, run = replayed_with_limit(log, tmp_path / "out", 20_000, "--no-rrd"), tmp_path / "out" / "corridor" / "1"
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"Error: {run / 'report.png'}: cannot be written: File too large. All else")
+    names = {"config.yaml", "groundtruth.tum", "metrics.json", "run.yaml", "timing.json"}
+    assert {file.name for file in run.iterdir()} == names | {"trajectory.csv", "trajectory.tum"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no limit of the size of files")
+def test_a_disk_that_is_full_half_way_ends_the_run_with_whole_lines(tmp_path: Path) -> None:
+    log = cut_log(CORRIDOR, tmp_path / "longer", 24)
+    done, run = replayed_with_limit(log, tmp_path / "out", 7000, "--no-rrd"), tmp_path / "out" / "corridor" / "1"
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    rows = (run / "trajectory.csv").read_text().splitlines()
+    assert len({row.count(",") for row in rows}) == 1 and 12 < len(rows) < 25
+    assert f"after {len(rows)} of" in done.stderr, "one more was located than written"
+
+
 @pytest.mark.parametrize("kind", ["native", pytest.param("web", marks=pytest.mark.slow)])
 def test_run_without_a_display_says_so_and_goes_on(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
@@ -359,7 +439,7 @@ def test_run_without_a_display_says_so_and_goes_on(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "localiser", "replay", CORRIDOR, "--out", tmp_path, *FEW_PARTICLES]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -371,7 +451,7 @@ def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> 
         _, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     frames = lines_in(run / "trajectory.tum")
     assert 5 <= frames < len(image_rows(CORRIDOR))
     told = " ".join(err.split())  # lines are as long as the terminal wants

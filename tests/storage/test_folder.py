@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -237,3 +238,13 @@ def test_house_is_read_whole(data_dir: Path) -> None:
     assert log.landmark_map is not None and len(log.landmark_map) == 261
     frame = log.frames[-1]
     assert isinstance(frame, ImageEvent) and frame.load().shape == (480, 640)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+@pytest.mark.parametrize("name", ["images/000000.jpg", "images.csv", "odometry.csv", "camera.yaml", "map.yaml"])
+def test_a_pipe_in_place_of_a_file_is_told_and_not_waited_for(tmp_path: Path, name: str) -> None:
+    path = write_small_log(tmp_path / "log") / name
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(InputError, match="expected a file, found a device or pipe"):
+        open_log(tmp_path / "log")

@@ -11,7 +11,7 @@ from localiser.errors import InputError
 from localiser.storage.tables import (
     Column,
     integer,
-    integer_or_none,
+    name_or_none,
     number,
     number_or_unknown,
     positive_or_unknown,
@@ -83,13 +83,13 @@ def test_columns_of_a_newer_version_are_kept_as_text(tmp_path: Path) -> None:
 def test_cells_that_may_be_empty() -> None:
     assert np.isnan(number_or_unknown(" "))
     assert np.isnan(positive_or_unknown(""))
-    assert integer_or_none("") == -1
+    assert (name_or_none(""), name_or_none("-1"), name_or_none(" door ")) == ("", "", "door")
     assert [sign(cell) for cell in ("", "0", "1", "+1", "-1")] == [0, 0, 1, 1, -1]
 
 
 @pytest.mark.parametrize(
     ("read", "cell"),
-    [(positive_or_unknown, "0"), (positive_or_unknown, "-1"), (integer_or_none, "-2"), (sign, "2"), (text, " ")],
+    [(positive_or_unknown, "0"), (positive_or_unknown, "-1"), (name_or_none, "x" * 256), (sign, "2"), (text, " ")],
 )
 def test_cells_out_of_range_are_refused(read: object, cell: str) -> None:
     with pytest.raises(ValueError):

@@ -11,9 +11,9 @@ import numpy as np
 
 from localiser.calibration import FEWEST_VIEWS, Board, BoardView, FloorMount, Intrinsics, calibrated, mount_over_board
 from localiser.camera import Camera, Mount
-from localiser.documents import read_bytes
+from localiser.documents import drafted, read_bytes
 from localiser.errors import InputError
-from localiser.storage import MAX_IMAGE_BYTES, measure, output_errors, read_image, require_new_file, write_camera
+from localiser.storage import MAX_IMAGE_BYTES, measure, read_image, require_new_file, write_camera
 
 _DPI = 600
 _MOST_LOOKED_AT = 3
@@ -140,6 +140,6 @@ def draw_board(board: Board, path: Path) -> None:
     axes.set_axis_off()
     square_px = min(round(board.square_m / 0.0254 * _DPI), 6000 // max(board.columns, board.rows))
     axes.imshow(board.picture(max(square_px, 40)), cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none")
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=_DPI if path.suffix.lower() != ".png" else min(_DPI, 8000 / max(inches)))
+    dpi = _DPI if path.suffix.lower() != ".png" else min(_DPI, 8000 / max(inches))
+    with drafted(path) as draft:
+        figure.savefig(draft, format=path.suffix[1:].lower(), dpi=dpi)

@@ -12,15 +12,7 @@ from localiser.calibration import LogMount, mount_of_images, save_mount_plot, sp
 from localiser.config import Config
 from localiser.errors import InputError
 from localiser.geometry import Array
-from localiser.storage import (
-    ImageEvent,
-    Log,
-    camera_file,
-    output_errors,
-    require_new_file,
-    require_odometry,
-    update_mount,
-)
+from localiser.storage import ImageEvent, Log, camera_file, require_new_file, require_odometry, update_mount
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +44,7 @@ def find_tilt(log: Log, images: list[ImageEvent], config: Config, progress: Call
 def write_plot(tilt: Tilt, path: Path) -> None:
     """Draw what was found. Raises OutputError when the file is there already."""
     require_new_file(path)
-    with output_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_mount_plot(path, tilt.found, tilt.seconds, f"{tilt.log.name}: tilt and roll")
+    save_mount_plot(path, tilt.found, tilt.seconds, f"{tilt.log.name}: tilt and roll")
 
 
 def write_tilt(tilt: Tilt, config: Config) -> tuple[Path, Path]:

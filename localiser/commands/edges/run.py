@@ -17,7 +17,7 @@ from localiser.commands.edges.records import COLUMNS, PROFILE, csv_text, mount_b
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import LocaliserError, RunEndedEarlyError
-from localiser.replay import asked_to_stop
+from localiser.replay import Stop, asked_to_stop
 from localiser.storage import Image, RunFolder, json_text, output_errors, require_new, write_camera, write_text
 
 FORMAT = "localiser-edges/1"
@@ -58,7 +58,7 @@ class EdgeRun:
         self.folder = self._new_folder()
         write_camera(self.camera, self.folder / "camera.yaml")
         write_text(self.folder / "config.yaml", to_yaml(in_force(self.config)))
-        done = 0
+        done, asked = 0, Stop()
         try:
             with asked_to_stop() as asked:
                 for taken in self.images:
@@ -68,7 +68,9 @@ class EdgeRun:
                     done += 1
                     progress()
         except (KeyboardInterrupt, LocaliserError) as error:
-            reason, exit_code = (str(error), error.exit_code) if isinstance(error, LocaliserError) else ("stopped", 130)
+            reason, exit_code = "stopped", asked.exit_code
+            if isinstance(error, LocaliserError):
+                reason, exit_code = str(error), error.exit_code
             reached = f"The run ended after {done} of {len(self.images)} images; what was done is in {self.folder}"
             raise RunEndedEarlyError(f"{reason}. {reached}", exit_code) from error
         finally:

@@ -50,10 +50,10 @@ def update(
 
 def keep_old(path: Path) -> Path:
     """Copy a map file beside itself, under the first free name MAP.1.yaml, MAP.2.yaml, …; return that name."""
-    from localiser.storage import write_bytes
+    from localiser.documents import MAX_DOCUMENT_BYTES, read_bytes, write_bytes
 
     number = 1
     while (kept := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
         number += 1
-    write_bytes(kept, path.read_bytes())
+    write_bytes(kept, read_bytes(path, MAX_DOCUMENT_BYTES))
     return kept

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
+from localiser.documents import require_regular
 from localiser.errors import InputError
 from localiser.live.sources.inbox import Arrival, Inbox
 from localiser.live.sources.keys import keys_of
@@ -24,12 +26,21 @@ class Network:
     """A zenoh session; to be used as a context manager, or closed. Peers that go away are waited for."""
 
     def __init__(
-        self, connect: Sequence[str] = (ENDPOINT,), listen: Sequence[str] = (), *, client: bool = False
+        self,
+        connect: Sequence[str] = (ENDPOINT,),
+        listen: Sequence[str] = (),
+        *,
+        client: bool = False,
+        config_file: Path | None = None,
     ) -> None:
-        """Open a session. client: only to say something to one peer. Raises InputError."""
+        """Open a session. client: only to say something to one peer. Raises InputError.
+
+        config_file: a configuration of zenoh, as for TLS and passwords. It decides everything but the endpoints that
+        are given.
+        """
         zenoh = _zenoh()
-        config = zenoh.Config()
-        settings = {
+        config = zenoh.Config() if config_file is None else _from_file(config_file)
+        settings: dict[str, Any] = {
             "mode": "client" if client else "peer",
             "scouting/multicast/enabled": False,
             "connect/endpoints": list(connect),
@@ -38,6 +49,9 @@ class Network:
             "connect/timeout_ms": 2000 if client else (-1 if connect else 0),
             "listen/endpoints": [] if client else list(listen) or [_ANY_PORT],
         }
+        if config_file is not None:
+            given = {"connect/endpoints": list(connect), "listen/endpoints": list(listen)}
+            settings = {name: endpoints for name, endpoints in given.items() if endpoints}
         try:
             for name, value in settings.items():
                 config.insert_json5(name, json.dumps(value))
@@ -108,6 +122,16 @@ class Network:
         except _zenoh().ZError:
             raise InputError(f"expected the name of a topic, found {topic!r}", field="--topic") from None
         return keys
+
+
+def _from_file(path: Path) -> Any:
+    """Return the configuration of zenoh in a file. Raises InputError, without its text: it may hold passwords."""
+    require_regular(path)
+    try:
+        return _zenoh().Config.from_file(str(path))
+    except _zenoh().ZError:
+        problem = "expected a configuration of zenoh, JSON5 or YAML as the name ends, found something else"
+        raise InputError(problem, path=path, field="--zenoh-config") from None
 
 
 def _zenoh() -> Any:

@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.errors import InputError, LocaliserError
-from localiser.storage.bags.limits import bounded_decompression, check_chunks, check_metadata, message_unpacker
+from localiser.storage.bags.limits import (
+    bounded_decompression,
+    check_chunks,
+    check_database,
+    check_files,
+    message_unpacker,
+)
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -75,9 +81,11 @@ class Bag:
         from rosbags import rosbag1, rosbag2
 
         bounded_decompression()
-        check_metadata(path / METADATA_FILE)
+        check_files(path, METADATA_FILE)
         with bag_errors(path):
             _restore(path)
+            for database in _databases(path):
+                check_database(database)
             self._reader: Any = rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
             self._reader.open()
         try:
@@ -137,10 +145,14 @@ def _restore(path: Path) -> None:
 
     `rosbags` reads a database as it lies on the disk, without a look at the journal beside it. Raises sqlite3.Error.
     """
-    for database in [path] if path.suffix == ".db3" else sorted(path.glob("*.db3")):
+    for database in _databases(path):
         if database.with_name(f"{database.name}-journal").exists():
             with closing(sqlite3.connect(database)) as connection:
                 connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+
+
+def _databases(path: Path) -> list[Path]:
+    return [path] if path.suffix == ".db3" and not path.is_dir() else sorted(path.glob("*.db3"))
 
 
 @contextmanager

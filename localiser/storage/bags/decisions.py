@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from localiser.filter import Start
+from localiser.storage.bags.frames import check_start
 
 _LAST_NS = 2**62
 
@@ -93,4 +94,5 @@ def _start(t_ns: int, data: Mapping[str, Any]) -> Start:
     mean, cov = (np.array(data.get(name), dtype=np.float64) for name in ("mean", "cov"))
     if mean.shape != (3,) or cov.shape != (3, 3) or not (np.isfinite(mean).all() and np.isfinite(cov).all()):
         raise ValueError("expected a start of a pose and its covariance")
+    check_start(mean, cov)
     return Start(t_ns, mean, cov)

@@ -20,6 +20,8 @@ _ROBOT_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]
 _OPTICAL_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 _LARGEST_M = 100.0
 _LARGEST_POSITION_M = 1e9
+_LARGEST_START_M = 1e6  # from the map's origin, as in a log's start
+_LARGEST_SIGMA_M, _LARGEST_SIGMA_RAD = 1000.0, 2 * math.pi
 FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the turns about them
 
 
@@ -164,3 +166,22 @@ def floor_cov(message: Any) -> Array:
     if not np.isfinite(cov).all() or not np.allclose(cov, cov.T) or not (np.linalg.eigvalsh(cov) > 0).all():
         raise ValueError("expected a covariance of x, y and yaw that is positive definite")
     return (cov + cov.T) / 2
+
+
+def start_of_message(message: Any) -> tuple[Array, Array]:
+    """Return the pose (3,) and its covariance (3, 3) where a robot is said to start. Raises ValueError.
+
+    The position is within 1000 km, sigmas are at most 1000 m and a whole turn.
+    """
+    mean, cov = np.array(floor_pose(message)), floor_cov(message)
+    check_start(mean, cov)
+    return mean, cov
+
+
+def check_start(mean: Array, cov: Array) -> None:
+    """Raise ValueError unless a robot can start at a pose (3,) with a covariance (3, 3)."""
+    if not (np.abs(mean[:2]) <= _LARGEST_START_M).all():
+        raise ValueError(f"expected a start within {_LARGEST_START_M:.0e} m, found x = {mean[0]}, z = {mean[1]}")
+    sigma, most = np.sqrt(np.diag(cov)), (_LARGEST_SIGMA_M, _LARGEST_SIGMA_M, _LARGEST_SIGMA_RAD)
+    if not (sigma <= most).all():
+        raise ValueError(f"expected sigmas of at most {most[0]:g} m and 2π rad, found {', '.join(map(str, sigma))}")

@@ -2,22 +2,54 @@
 
 from __future__ import annotations
 
+import sqlite3
 from bz2 import BZ2Decompressor
 from collections.abc import Callable
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from localiser.errors import InputError
+from localiser.documents import read_bytes, require_regular
 
 MAX_METADATA_BYTES = 4 * 2**20
+_TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
+_MOST_TABLES = 100
+_MOST_STEPS, _STEPS_AT_ONCE = 10_000, 1000  # of SQLite's machine, for a look at the tables
 MAX_CHUNK_BYTES = 512 * 2**20  # recorders close a chunk after a few MB; one message may exceed that
 
 
-def check_metadata(path: Path) -> None:
-    """Raise InputError when a bag's metadata.yaml, where it has one, is too large to be one."""
-    if path.is_file() and (size := path.stat().st_size) > MAX_METADATA_BYTES:
-        raise InputError(f"expected at most {MAX_METADATA_BYTES} bytes, found {size}", path=path)
+def check_files(path: Path, metadata: str) -> None:
+    """Raise InputError unless a bag is a regular file, or a folder of such, and its metadata, if any, is small."""
+    if not path.is_dir():
+        require_regular(path, "bag")
+        return
+    for part in sorted(path.iterdir()):
+        if not part.is_dir():
+            require_regular(part)
+    if (path / metadata).exists():
+        read_bytes(path / metadata, MAX_METADATA_BYTES)
+
+
+def check_database(path: Path) -> None:
+    """Raise ValueError unless a database has tables as ROS 2 makes them, which hold what the file holds and no more.
+
+    A column that is generated, a view or a virtual table can make gigabytes of nothing.
+    """
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as database:
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK_BYTES)
+        steps = iter(range(_MOST_STEPS))
+        database.set_progress_handler(lambda: next(steps, None) is None, _STEPS_AT_ONCE)
+        found = database.execute(
+            "SELECT type, name, rootpage FROM sqlite_master LIMIT ?", (_MOST_TABLES + 1,)
+        ).fetchall()
+        kinds = {kind for kind, _, _ in found}
+        if len(found) > _MOST_TABLES or kinds - {"table", "index"} or any(page == 0 for _, _, page in found):
+            raise ValueError(f"expected at most {_MOST_TABLES} plain tables, found others")
+        for name in _TABLES:
+            columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,)).fetchall()
+            if any(hidden for (hidden,) in columns):
+                raise ValueError(f"expected columns that hold what was recorded, found generated ones in {name}")
 
 
 def check_chunks(reader: Any) -> None:

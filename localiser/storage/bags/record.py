@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from localiser.documents import output_errors
 from localiser.errors import InputError, OutputError
 from localiser.storage.bags.bag import typestore
-from localiser.storage.files import output_errors
 
 SUFFIX = ".db3"
 

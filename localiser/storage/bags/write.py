@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import glob
 import heapq
-import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from localiser.documents import drafted, remove
 from localiser.errors import InputError, OutputError
 from localiser.filter import Odometry
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
 from localiser.storage.bags.topics import LOG_TOPIC, MAP_TOPIC
-from localiser.storage.files import output_errors
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log, require_odometry
 from localiser.storage.maps import map_text
@@ -41,22 +41,20 @@ def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = la
     _check(log, kind)
     if path.exists():
         raise OutputError(f"{path}: expected a path where nothing is, found something there")
-    draft = path.with_name(f".{path.name}.part")
-    with output_errors(path):
-        shutil.rmtree(draft, ignore_errors=True)
-        draft.mkdir(parents=True)
-    try:
-        with output_errors(path):
-            written = draft / path.stem
+    with drafted(path, is_new=True) as draft:
+        folder = draft.with_suffix(".bag.part")
+        try:
+            folder.mkdir()
+            written = folder / path.stem
             with _writer(written, kind) as writer:
                 _write(writer, log, Messages(ros1=kind == "ros1"), progress)
             if path.suffix in FILE_KINDS and kind != "ros1":
-                (written,) = written.glob(f"{path.stem}.*")  # the file alone, without its metadata.yaml
-            written.replace(path)
-    except sqlite3.Error as error:
-        raise OutputError(f"{path}: cannot be written: {error}") from None
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+                (written,) = folder.glob(f"*/{glob.escape(path.stem)}.*")  # the file without its metadata.yaml
+            written.replace(draft)
+        except sqlite3.Error as error:
+            raise OutputError(f"{path}: cannot be written: {error}") from None
+        finally:
+            remove(folder)
 
 
 def _check(log: Log, kind: str) -> None:

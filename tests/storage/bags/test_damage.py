@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import bz2
+import os
 import shutil
 import signal
+import sqlite3
 import tracemalloc
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 from types import FrameType
@@ -287,3 +289,45 @@ def test_a_bag_that_was_refused_is_closed(tmp_path: Path) -> None:
         open_log(path)
     with Bag(path) as found:
         assert [topic.count for topic in found.topics] == [1, 11, 1]
+
+
+# -- databases that hold more than their file --------------------------------------------------------------------------
+
+GROWN = "data BLOB GENERATED ALWAYS AS (zeroblob(800000000)) VIRTUAL"
+HARMFUL = {
+    "a generated column": ("", GROWN),
+    "a view": ("CREATE VIEW more AS SELECT zeroblob(800000000);", "data BLOB"),
+    "a trigger": ("CREATE TRIGGER t AFTER DELETE ON topics BEGIN SELECT zeroblob(800000000); END;", "data BLOB"),
+    "a thousand tables": ("".join(f"CREATE TABLE t{k}(a);" for k in range(1000)), "data BLOB"),
+}
+
+
+@pytest.mark.parametrize("harm", HARMFUL)
+def test_a_database_that_makes_gigabytes_of_nothing_is_refused(tmp_path: Path, harm: str) -> None:
+    more, data = HARMFUL[harm]
+    with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
+        database.executescript(
+            "BEGIN;CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, "
+            "offered_qos_profiles TEXT);"
+            f"CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, {data});{more}"
+            f"INSERT INTO topics VALUES(1, '/image', '{IMAGE}', 'cdr', ''), (2, '/odom', '{ODOMETRY}', 'cdr', '');"
+            "COMMIT"
+        )
+        database.executemany("INSERT INTO messages(topic_id, timestamp) VALUES(?, ?)", [(1, 1), (2, 2)])
+        database.commit()
+    with not_hanging(), pytest.raises(InputError, match=r"ROS bag that can be read: expected (at most|columns)"):
+        open_log(tmp_path / "x.db3")
+
+
+# -- what is no file ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x.db3", "x.bag", "bag/metadata.yaml", "bag/x.mcap", "bag/x.db3"])
+def test_a_pipe_in_place_of_a_bag_is_told(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    os.mkfifo(path)
+    if name.startswith("bag/") and path.suffix != ".yaml":
+        (path.parent / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    with not_hanging(), pytest.raises(InputError, match="expected a file, found a device or pipe"):
+        open_log(path if path.parent == tmp_path else path.parent)

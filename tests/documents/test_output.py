@@ -1,0 +1,42 @@
+"""Drafts: whoever is writing beside us, and whatever lies there, is not touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from localiser.documents import drafted, write_text
+from localiser.errors import OutputError
+
+
+def test_two_that_write_one_path_at_once_do_not_meet(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    with pytest.raises(OutputError, match="log: cannot be written"), drafted(path) as other, drafted(path) as one:
+        for number, folder in enumerate((one, other)):
+            folder.mkdir()
+            (folder / "whose").write_text(str(number))
+    assert (path / "whose").read_text() == "0", "the first to end"
+    assert [file.name for file in tmp_path.iterdir()] == ["log"]
+
+
+def test_what_is_new_is_not_written_over_what_came_in_between(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with pytest.raises(OutputError, match="expected a path where nothing is"), drafted(path, is_new=True) as draft:
+        draft.write_text("second")
+        path.write_text("first")
+    assert path.read_text() == "first"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_folder_of_the_users_is_not_taken_for_a_draft(tmp_path: Path) -> None:
+    (tmp_path / ".text.part").mkdir()
+    (tmp_path / ".text.part" / "mine").write_text("mine")
+    write_text(tmp_path / "text", "\udcff ü")
+    assert (tmp_path / ".text.part" / "mine").read_text() == "mine"
+    assert (tmp_path / "text").read_text() == "\\udcff ü"
+
+
+def test_a_name_as_long_as_the_system_allows_can_be_written(tmp_path: Path) -> None:
+    write_text(tmp_path / ("x" * 255), "content")
+    assert (tmp_path / ("x" * 255)).read_text() == "content"

@@ -1,0 +1,46 @@
+"""The cache of a log's edges: it removes nothing but its own, oldest files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_log import write_small_log
+
+from localiser.config import read_config
+from localiser.mapping import cache_folder
+from localiser.mapping.log_edges import edges_of_log
+from localiser.storage import open_log
+
+
+def test_files_of_others_in_the_cache_are_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LOCALISER_CACHE", str(tmp_path))
+    cache = cache_folder()
+    cache.mkdir()
+    theirs = [folder / f"{k:032x}.npz" for folder in (tmp_path, cache) for k in range(60)]
+    ours = [cache / f"edges-{k:032x}.npz" for k in range(60)]
+    for age, file in enumerate([*theirs, *ours]):
+        file.write_bytes(b"")
+        os.utime(file, (age, age))
+    log = open_log(write_small_log(tmp_path / "log", ".png"))
+    edges_of_log(log, read_config(None).edges, cache=cache)
+    assert all(file.exists() for file in theirs)
+    assert sum(file.exists() for file in ours) == 49, "and the one that is new"
+
+
+@pytest.mark.parametrize("count", [["x"], [1.5], [-1], [7], 3, [[1]]])
+def test_a_cache_of_other_types_is_passed_over(tmp_path: Path, count: object) -> None:
+    log, parameters, cache = (
+        open_log(write_small_log(tmp_path / "log", ".png")),
+        read_config(None).edges,
+        tmp_path / "c",
+    )
+    found = edges_of_log(log, parameters, cache=cache)
+    (file,) = cache.iterdir()
+    with np.load(file) as content:
+        columns = dict(content)
+    np.savez(file, **columns | {"count": np.array(count)})
+    again = edges_of_log(log, parameters, cache=cache)
+    assert [edges.bearing.tolist() for edges in again] == [edges.bearing.tolist() for edges in found]
