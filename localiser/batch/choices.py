@@ -40,7 +40,7 @@ def choices_of(configs: Sequence[Path], overrides: Sequence[str], seeds: str | N
 
     Seeds vary fastest. Raises InputError when an option cannot be read or a configuration is not valid.
     """
-    varied = [_values(override) for override in overrides]
+    varied = [values_of(override) for override in overrides]
     names = [name for name, _ in varied]
     for name in names:
         if names.count(name) > 1:
@@ -72,7 +72,7 @@ def seeds_of(text: str) -> list[int]:
     return list(seeds)
 
 
-def _values(override: str) -> tuple[str, list[str]]:
+def values_of(override: str) -> tuple[str, list[str]]:
     """Return the name in `name=a,b`, and its values: commas inside of brackets or quotes separate nothing."""
     name, equals, text = (part.strip() for part in override.partition("="))
     values = [value.strip() for value in re.split(_COMMA, text)]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from localiser.batch import choices_of, seeds_of
-from localiser.batch.choices import _values
+from localiser.batch.choices import values_of
 from localiser.errors import InputError
 
 
@@ -26,7 +26,7 @@ def test_every_combination_comes_once_and_seeds_vary_fastest(tmp_path: Path) -> 
 
 def test_a_list_is_one_value() -> None:
     overrides = ["edges.mask=[0, 1],[2,3]", 'a="b,c",d', "e={f: 1, g: 2},3"]
-    assert [_values(text)[1] for text in overrides] == [["[0, 1]", "[2,3]"], ['"b,c"', "d"], ["{f: 1, g: 2}", "3"]]
+    assert [values_of(text)[1] for text in overrides] == [["[0, 1]", "[2,3]"], ['"b,c"', "d"], ["{f: 1, g: 2}", "3"]]
 
 
 def test_without_options_there_is_one_choice_with_the_seed_of_the_configuration() -> None:
