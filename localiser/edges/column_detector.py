@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.columns import GradientField, clutter, gradient_field, linked, peaks_of
+from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, linked, peaks_of
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
@@ -21,34 +21,40 @@ _SAME_EDGE_SHARE = 0.25
 """Where the gradient falls below this share of its mean, the edge has ended or is hidden."""
 _BLURRED_STEEPNESS = 0.85
 """Of a sharp edge, the gradient at twice the scale is half as steep; of one blurred by 7 px of motion, this."""
+_SHARPEST = 0.1
+"""The fraction of lines that are as sharp as the camera can see; a few are narrower, squeezed by a neighbour."""
+_SOFT = 2.0
+"""A slope so many times wider than the sharpest ones is no edge."""
+_IN_FOCUS_PX = float(np.hypot(SCALE_PX, 0.7))
+"""Width of the slope of an edge, at `SCALE_PX`, in an image that is in focus."""
 _LEAST_HALVED_PX = 200
 """Images smaller than this are not halved: too little would remain."""
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """The detector `columns`. min_step: faintest edge that counts (grey levels)."""
+    """The detector `columns`. min_contrast: faintest edge that counts, as a fraction of its sides' brightness."""
 
-    min_step: float
+    min_contrast: float
 
     def configured(self, parameters: EdgeParameters) -> Columns:
         """Return the detector with the settings of a configuration."""
-        return Columns(parameters.min_step)
+        return Columns(parameters.min_contrast)
 
     def __call__(self, image: Image, camera: Camera, /) -> Segments:
         """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
-        return _found(image, camera, self.min_step)
+        return _found(image, camera, self.min_contrast)
 
 
-def _found(image: Image, camera: Camera, min_step: float) -> Segments:
+def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
     field = gradient_field(image, camera)
     peaks = peaks_of(field)
     rough = rough_lines(peaks, linked(peaks, field.fine.shape))
     cells = cells_of(rough, field)
     fitted = refined(rough, cells, field)
-    kept, top, bottom = _significant(fitted, cells, field, min_step)
+    kept, top, bottom = _significant(fitted, cells, field, min_contrast)
     if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
-        return _found_in_half(image, camera, min_step)
+        return _found_in_half(image, camera, min_contrast)
     fit, view = fitted.fit.take(kept), column_view(camera)
     reach = np.sqrt(fit.spread / fit.weight)
     points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
@@ -60,17 +66,17 @@ def _found(image: Image, camera: Camera, min_step: float) -> Segments:
         ends_px=ideal_px[:, :2],
         support_px=ideal_px[:, 2:],
         sigma_px=to_px * np.sqrt(2 / fit.weight),
-        shift_sigma_px=to_px * fitted.shift[kept],
+        shift_sigma_px=to_px * fitted.shift[kept] * _blur(fitted, kept, cells),
         offset_sigma_px=to_px * fitted.offset[kept],
         polarity=rough.polarity[kept],
     )
 
 
-def _found_in_half(image: Image, camera: Camera, min_step: float) -> Segments:
+def _found_in_half(image: Image, camera: Camera, min_contrast: float) -> Segments:
     """Return the segments of an image of half the size, where a blurred edge is a sharp one, in pixels of the whole."""
     half = half_camera(camera)
     smaller = cv2.resize(image[: 2 * half.height, : 2 * half.width], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    found = _found(np.asarray(smaller, dtype=np.uint8), half, min_step)
+    found = _found(np.asarray(smaller, dtype=np.uint8), half, min_contrast)
     sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px, 2 * found.offset_sigma_px
     return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
 
@@ -87,7 +93,7 @@ def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: Gr
 
 
 def _significant(
-    fitted: Fitted, cells: Cells, field: GradientField, min_step: float
+    fitted: Fitted, cells: Cells, field: GradientField, min_contrast: float
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return which lines are no accident of noise or texture, and where all lines (G,) begin and end, in blocks."""
     groups, line = cells.groups, cells.groups.of
@@ -96,9 +102,35 @@ def _significant(
     column = np.rint(fitted.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
     blocks = groups.sum(on)
     score = groups.sum(on * fitted.height / clutter(field.change[cells.row, column])) / np.sqrt(np.maximum(blocks, 1))
-    kept = (blocks >= LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.step >= min_step)
+    kept = (blocks >= LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.contrast >= min_contrast)
+    kept &= ~_is_soft(fitted, kept)
     top, bottom = _extent(fitted.height, on, cells)
     return np.flatnonzero(kept), top, bottom
+
+
+def _blur(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
+    """Return by how much more than in focus something beside a line moves it, over what two scales tell: 1 in focus.
+
+    In a blurred image both scales see wide slopes, so that they differ less. Slopes grow with the square of the width.
+    """
+    if len(kept) == 0:
+        return 1.0
+    order = np.argsort(fitted.width[kept])
+    blocks = np.cumsum(cells.blocks[kept][order])
+    median = float(fitted.width[kept][order][np.searchsorted(blocks, blocks[-1] / 2)])
+    return max(median / _IN_FOCUS_PX, 1.0) ** 2
+
+
+def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which lines (G,) are far wider than the camera blurs a step: shading of something round, or a shadow.
+
+    How wide that is the sharpest tenth of the lines that are kept (G,) tells.
+    """
+    if not kept.any():
+        return np.zeros(len(kept), dtype=np.bool_)
+    widest, narrowest = fitted.width + 2 * fitted.width_sigma, fitted.width - 2 * fitted.width_sigma
+    sharp = max(float(np.quantile(widest[kept], _SHARPEST)), SCALE_PX)
+    return np.asarray(narrowest > _SOFT * sharp)
 
 
 def _least_score(shape: tuple[int, ...]) -> float:

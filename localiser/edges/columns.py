@@ -29,8 +29,8 @@ ALONG = np.array([1.0, 2.0, 2.0, 2.0, 1.0]) / 8
 """Weights of the average over neighbouring blocks in which peaks are looked for."""
 PEAK_SIGMA = 3.0
 """Least height of a peak over the noise; the chain of peaks is judged as a whole afterwards."""
-_LEAST_NOISE_GREY = 0.5
-"""No 8-bit camera is quieter, rounding included."""
+_LEAST_NOISE_GREY = 1 / np.sqrt(12.0)
+"""Rounding to 8 bits alone is as noisy as this."""
 _CLUTTER_BLOCKS, _CLUTTER_COLUMNS = 5, 17
 """Size of the surroundings that tell how much texture an edge must stand out from."""
 _CLUTTER_WEIGHT = 4.0

@@ -25,7 +25,7 @@ from localiser.errors import InputError
 END_SIGMA_PX = 0.5
 """Error of an end across the line, for detectors that do not state it."""
 
-register("columns", Columns(EdgeParameters().min_step))
+register("columns", Columns(EdgeParameters().min_contrast))
 register("lsd", lsd)
 register("hough", hough)
 

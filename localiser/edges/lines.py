@@ -30,6 +30,10 @@ _BESIDE_PX = 3.0
 _CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
 """Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown."""
 _MARGIN_BLOCKS = 2
+_ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)
+"""How far, in blocks squared, the average over neighbouring blocks reaches."""
+_WIDTH_ITERATIONS = 6
+_LEAST_WIDTH_PX = 0.5 * SCALE_PX
 
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
 _FIRST, _SECOND = np.array([0.5, 0.0, -0.5]), np.array([-1.0, 2.0, -1.0])
@@ -73,18 +77,21 @@ class Cells:
 class Fitted:
     """Refined lines, G of them.
 
-    height: (K,) gradient at each of their blocks. on_line: (K,) whether its peak lies on the line. step: (G,) by how
-    many grey levels the sides differ. scatter: (G,) by what factor blocks scatter more than noise says. shift: (G,)
+    height: (K,) gradient at each of their blocks. on_line: (K,) whether its peak lies on the line. width, width_sigma:
+    (G,) columns, of the Gaussian that would blur a step to this gradient; that of `SCALE_PX` is part of it. shift: (G,)
     columns by which something on one side may have moved the line, one end more than the other. offset: (G,) columns by
-    which all of it may be off.
+    which all of it may be off. contrast: (G,) by how much the sides differ, over their mean brightness; inf where the
+    lighter one is overexposed, because it may be any brighter.
     """
 
     fit: LineFit
     height: Array
     on_line: NDArray[np.bool_]
-    step: Array
+    width: Array
+    width_sigma: Array
     shift: Array
     offset: Array
+    contrast: Array
 
 
 def rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> Lines:
@@ -144,16 +151,20 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         residual = target - fit.at(line, cells.row)
         far = weight * residual**2 / np.maximum(_excess(weight * residual**2, robust, groups)[line], 1)
         inlier, robust = robust, cells.in_chain * np.clip(1 - far / _TUKEY**2, 0, None) ** 2
+    width, width_sigma = _width(fit.slope, height, curvature, cells)
     fit, shift = _of_both_scales(
         _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
     )
+    clipped = _clipped(fit, cells, field)
     return Fitted(
         fit=fit,
         height=height,
         on_line=np.abs(residual) < 2,
-        step=_step_grey(height, curvature, cells, field),
+        width=width,
+        width_sigma=width_sigma,
         shift=shift,
-        offset=_CLIPPED_SIGMA_PX * _clipped(fit, cells, field),
+        offset=_CLIPPED_SIGMA_PX * clipped,
+        contrast=np.where(clipped < 0.5, _contrast(fit, width, height, cells, field), np.inf),
     )
 
 
@@ -225,11 +236,27 @@ def _correlation(normalised: Array, line: NDArray[np.int64]) -> float:
     return float(np.clip(common / max(float((normalised**2).sum()), 1e-9), 0.0, 0.8))
 
 
-def _step_grey(height: Array, curvature: Array, cells: Cells, field: GradientField) -> Array:
-    """Return the grey levels (G,) by which the two sides of each line differ.
+def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple[Array, Array]:
+    """Return how wide (G,) the slope of each line is, in columns, and the sigma of that by noise.
 
-    A step D blurred by a Gaussian of scale w has a gradient of height D / (√2π w) and curvature height / w².
+    A step D blurred by a Gaussian of scale w has a gradient of height D / (√2π w) and curvature D / (√2π w³). The
+    curvature (K,) is that of neighbouring blocks together: of a line that leans, `slope` (G,), it is one of w' > w.
     """
-    top = np.maximum(cells.mean(height), 0)
-    wide = np.sqrt(top / np.maximum(cells.mean(curvature), 1e-9))
-    return np.asarray(np.sqrt(2 * np.pi) * top * wide * field.noise_grey)
+    top, curved = np.maximum(cells.mean(height), 1e-9), np.maximum(cells.mean(curvature), 1e-9)
+    leaning = _ALONG_VARIANCE * slope**2
+    squared = top / curved
+    width_squared = squared
+    for _ in range(_WIDTH_ITERATIONS):
+        width_squared = np.maximum((squared * np.sqrt(width_squared)) ** (2 / 3) - leaning, _LEAST_WIDTH_PX**2)
+    width = np.sqrt(width_squared)
+    return width, width / 2 * _CURVATURE_SIGMA / (curved * np.sqrt(cells.blocks))
+
+
+def _contrast(fit: LineFit, width: Array, height: Array, cells: Cells, field: GradientField) -> Array:
+    """Return by how much (G,) the two sides of each line differ, as a fraction of their mean (Weber's contrast).
+
+    More or less light leaves it as it is, also where it falls on a part of the image only.
+    """
+    step = np.sqrt(2 * np.pi) * np.maximum(cells.mean(height), 0) * width * field.noise_grey
+    column = np.rint(fit.at(cells.groups.of, cells.row)).astype(np.int64).clip(0, field.grey.shape[1] - 1)
+    return np.asarray(step / np.maximum(cells.mean(field.grey[cells.row, column].astype(np.float64)), 1.0))

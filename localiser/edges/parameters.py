@@ -20,7 +20,9 @@ class EdgeParameters:
 
     detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "columns"
     min_length_px: Annotated[float, Field(gt=2, le=1000, description="shortest edge that counts (px)")] = 30.0
-    min_step: Annotated[float, Field(ge=0, le=255, description="faintest edge that counts (grey levels)")] = 10.0
+    min_contrast: Annotated[
+        float, Field(ge=0, le=2, description="faintest edge that counts, as a fraction of the brightness of its sides")
+    ] = 0.08
     gate_sigma: Annotated[
         float, Field(gt=0, le=10, description="how far a vertical edge may miss the nadir point (sigmas)")
     ] = 3.0

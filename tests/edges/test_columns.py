@@ -82,7 +82,7 @@ def test_an_edge_is_not_drawn_along_the_border_that_cuts_it_off(bearing_deg):
 
 def test_noise_alone_has_no_edges():
     camera = camera_of()
-    anything = EdgeParameters(detector="columns", min_step=0.0, min_length_px=20.0)
+    anything = EdgeParameters(detector="columns", min_contrast=0.0, min_length_px=20.0)
     found = [
         len(
             find_edges(
@@ -197,19 +197,63 @@ def test_a_foot_is_found_to_a_fraction_of_a_block():
     np.testing.assert_allclose(edges.ends_px[:, 0], camera.project_level(foot), atol=0.25 * block_px)
 
 
-def test_faint_edges_are_left_out_by_their_step():
+def test_faint_edges_are_left_out_by_their_contrast():
     camera = camera_of()
     image = wall_image(camera, [-10.0, 10.0], [100.0, 106.0, 126.0])
-    strong = find_edges(image, camera, EdgeParameters(detector="columns", min_step=10.0))
-    both = find_edges(image, camera, EdgeParameters(detector="columns", min_step=2.0))
+    strong = find_edges(image, camera, EdgeParameters(detector="columns", min_contrast=0.1))
+    both = find_edges(image, camera, EdgeParameters(detector="columns", min_contrast=0.03))
     np.testing.assert_allclose(np.rad2deg(strong.bearing), [10.0], atol=0.02)
     assert len(both) == 2
+
+
+@pytest.mark.parametrize("gain", [0.15, 0.3, 1.0, 2.0])
+def test_the_same_edges_are_found_in_any_light(gain):
+    camera = camera_of()
+    bearings = [-20.0, -10.0, 0.0, 10.0, 20.0]
+    wall = wall_image(camera, bearings, [80.0, 92.0, 110.0, 98.0, 80.0, 70.0]).astype(np.float64)
+    noise = np.random.default_rng(3).normal(0, 0.5, wall.shape)
+    image = np.clip(np.rint(gain * wall + noise), 0, 255).astype(np.uint8)
+    edges = find_edges(image, camera, PARAMETERS)
+    np.testing.assert_allclose(np.sort(np.rad2deg(edges.bearing)), bearings, atol=0.05)
+
+
+def test_an_edge_beside_what_is_overexposed_counts_however_small_its_step():
+    camera = camera_of()
+    image = wall_image(camera, [0.0], [243.0, 255.0], noise_sigma=0.5)
+    assert len(find_edges(image, camera, PARAMETERS)) == 1
+
+
+def shaded(image, bearing_deg, width_px, camera):
+    """Return an image (H, W) with the step at a bearing as soft as a Gaussian of `width_px` would make it."""
+    rays = camera.level_rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))
+    beside = np.arctan2(rays[..., 0], -rays[..., 2]) - np.deg2rad(bearing_deg)
+    return np.where(np.abs(beside) < np.deg2rad(4.0), cv2.GaussianBlur(image, (0, 0), width_px), image)
+
+
+@pytest.mark.parametrize(("width_px", "found"), [(0.5, 3), (2.5, 2), (5.0, 2)])
+def test_soft_shading_among_sharp_edges_is_no_edge(width_px, found):
+    camera = camera_of()
+    image = wall_image(camera, [-12.0, 0.0, 12.0], [60.0, 150.0, 80.0, 160.0], noise_sigma=1.0)
+    edges = find_edges(shaded(image, 0.0, width_px, camera), camera, PARAMETERS)
+    assert len(edges) == found
+
+
+@pytest.mark.parametrize("blur_px", [1.0, 2.0, 3.0])
+def test_edges_of_an_image_out_of_focus_are_edges(blur_px):
+    camera = camera_of()
+    bearings = [-20.0, -12.0, 0.0, 12.0, 20.0]
+    image = wall_image(camera, bearings, [60.0, 150.0, 80.0, 160.0, 90.0, 150.0]).astype(np.float64)
+    image = cv2.GaussianBlur(image, (0, 0), blur_px) + np.random.default_rng(0).normal(0, 3, image.shape)
+    edges = find_edges(np.clip(np.rint(image), 0, 255).astype(np.uint8), camera, PARAMETERS)
+    assert len(edges) == len(bearings)
+    error = np.sort(edges.bearing) - np.deg2rad(bearings)
+    assert np.all(np.abs(error) < 3.5 * edges.bearing_sigma[np.argsort(edges.bearing)])
 
 
 @pytest.mark.parametrize("shape", [(3, 9), (6, 40), (12, 16)])
 def test_images_too_small_to_hold_an_edge_are_searched_in_vain(shape):
     image = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
-    assert len(Columns(PARAMETERS.min_step)(image, camera_of(shape[1], shape[0]))) == 0
+    assert len(Columns(PARAMETERS.min_contrast)(image, camera_of(shape[1], shape[0]))) == 0
 
 
 @pytest.mark.parametrize("off_deg", [-3.0, 3.0])
