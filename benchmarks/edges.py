@@ -3,6 +3,7 @@
 python benchmarks/edges.py                      simulated images, and the data sets where LOCALISER_DATA has them
 python benchmarks/edges.py --scenes hard --count 100 --detector columns lsd
 python benchmarks/edges.py --sweep --count 20   sizes, tilts, lenses, blur, noise, exposure, one at a time
+python benchmarks/edges.py --light --detector columns     darker, brighter, noisier, blurred, one at a time
 python benchmarks/edges.py --reference ENV      EdgeDrawing as well, by opencv-contrib in an environment at ENV
 """
 
@@ -19,8 +20,9 @@ import cv2
 import numpy as np
 from edge_data import house, rendered, york_urban
 from edge_drawing import EdgeDrawing
+from edge_light import LIGHTS, photographed, rendered_anew
 from edge_mount import MountScore
-from edge_scenes import DIFFICULTIES, SWEEP, Scene, simulated
+from edge_scenes import DIFFICULTIES, SWEEP, Difficulty, Scene, simulated
 from edge_score import Score, robust_std
 from rich.console import Console
 from rich.table import Table
@@ -84,6 +86,8 @@ def scenes_of(options: argparse.Namespace) -> dict[str, Iterable[Scene]]:
     """Return all kinds of images that are there, each as an iterator that makes them when asked."""
     if options.sweep:
         return {kind: simulated(difficulty, options.count, options.seed) for kind, difficulty in SWEEP.items()}
+    if options.light:
+        return light_scenes_of(options)
     kinds: dict[str, Iterable[Scene]] = {
         kind: simulated(difficulty, options.count, options.seed) for kind, difficulty in DIFFICULTIES.items()
     }
@@ -93,6 +97,18 @@ def scenes_of(options: argparse.Namespace) -> dict[str, Iterable[Scene]]:
         kinds["house"] = house(options.data / "house", options.every)
     if (options.data / "york_urban").is_dir():
         kinds["york_urban"] = york_urban(options.data / "york_urban")
+    return kinds
+
+
+def light_scenes_of(options: argparse.Namespace) -> dict[str, Iterable[Scene]]:
+    """Return simulated images and those of the house in each light; counted is what a matched filter finds."""
+    quiet = Difficulty(noise_sigma=1.0)
+    kinds: dict[str, Iterable[Scene]] = {
+        f"simulated, {name}": rendered_anew(quiet, light, options.count, options.seed) for name, light in LIGHTS.items()
+    }
+    if (folder := options.data / "house").is_dir():
+        for name, light in LIGHTS.items():
+            kinds[f"house, {name}"] = photographed(house(folder, options.every), light, options.seed)
     return kinds
 
 
@@ -130,6 +146,9 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", help="kinds of images (default: all that are there)")
     parser.add_argument("--sweep", action="store_true", help="simulated images with one thing changed at a time")
+    parser.add_argument(
+        "--light", action="store_true", help="images in other light; counted are edges of SNR ≥ 8"
+    )
     parser.add_argument("--detector", nargs="+", default=sorted(DETECTORS), choices=[*sorted(DETECTORS), RAW_LSD])
     parser.add_argument("--reference", type=Path, help="environment with opencv-contrib; made when there is none")
     parser.add_argument("--count", type=int, default=60, help="simulated images of each class")

@@ -25,8 +25,8 @@ _SHARPEST = 0.1
 """The fraction of lines that are as sharp as the camera can see; a few are narrower, squeezed by a neighbour."""
 _SOFT = 2.0
 """A slope so many times wider than the sharpest ones is no edge."""
-_IN_FOCUS_PX = float(np.hypot(SCALE_PX, 0.7))
-"""Width of the slope of an edge, at `SCALE_PX`, in an image that is in focus."""
+_IN_FOCUS_PX = float(np.hypot(SCALE_PX, 1.1))
+"""Width of the slope of an edge, at `SCALE_PX`, in an image that is in focus: lens, pixels and the remap blur it."""
 _LEAST_HALVED_PX = 200
 """Images smaller than this are not halved: too little would remain."""
 
