@@ -146,9 +146,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", nargs="+", help="kinds of images (default: all that are there)")
     parser.add_argument("--sweep", action="store_true", help="simulated images with one thing changed at a time")
-    parser.add_argument(
-        "--light", action="store_true", help="images in other light; counted are edges of SNR ≥ 8"
-    )
+    parser.add_argument("--light", action="store_true", help="images in other light; counted are edges of SNR ≥ 8")
     parser.add_argument("--detector", nargs="+", default=sorted(DETECTORS), choices=[*sorted(DETECTORS), RAW_LSD])
     parser.add_argument("--reference", type=Path, help="environment with opencv-contrib; made when there is none")
     parser.add_argument("--count", type=int, default=60, help="simulated images of each class")
