@@ -129,7 +129,8 @@ def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if not kept.any():
         return np.zeros(len(kept), dtype=np.bool_)
     widest, narrowest = fitted.width + 2 * fitted.width_sigma, fitted.width - 2 * fitted.width_sigma
-    sharp = max(float(np.quantile(widest[kept], _SHARPEST)), SCALE_PX)
+    among = widest[kept]
+    sharp = max(float(np.partition(among, int(_SHARPEST * len(among)))[int(_SHARPEST * len(among))]), SCALE_PX)
     return np.asarray(narrowest > _SOFT * sharp)
 
 

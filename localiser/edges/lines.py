@@ -32,7 +32,7 @@ _CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
 _MARGIN_BLOCKS = 2
 _ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)
 """How far, in blocks squared, the average over neighbouring blocks reaches."""
-_WIDTH_ITERATIONS = 6
+_WIDTH_ITERATIONS = 4
 _LEAST_WIDTH_PX = 0.5 * SCALE_PX
 
 _KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
@@ -155,7 +155,8 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
     fit, shift = _of_both_scales(
         _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
     )
-    clipped = _clipped(fit, cells, field)
+    place = fit.at(line, cells.row)
+    clipped = _clipped(place, cells, field)
     return Fitted(
         fit=fit,
         height=height,
@@ -164,13 +165,16 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         width_sigma=width_sigma,
         shift=shift,
         offset=_CLIPPED_SIGMA_PX * clipped,
-        contrast=np.where(clipped < 0.5, _contrast(fit, width, height, cells, field), np.inf),
+        contrast=np.where(clipped < 0.5, _contrast(place, width, height, cells, field), np.inf),
     )
 
 
-def _clipped(fit: LineFit, cells: Cells, field: GradientField) -> Array:
-    """Return the fraction (G,) of each line's blocks in which the lighter side is at the camera's maximum."""
-    beside = np.rint(fit.at(cells.groups.of, cells.row) + _BESIDE_PX * cells.polarity).astype(np.int64)
+def _clipped(place: Array, cells: Cells, field: GradientField) -> Array:
+    """Return the fraction (G,) of each line's blocks in which the lighter side is at the camera's maximum.
+
+    place: (K,) column of the line at each of its blocks.
+    """
+    beside = np.rint(place + _BESIDE_PX * cells.polarity).astype(np.int64)
     white = field.grey[cells.row, beside.clip(0, field.grey.shape[1] - 1)] > _WHITE_GREY
     return cells.mean(white.astype(np.float64))
 
@@ -247,16 +251,17 @@ def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple
     squared = top / curved
     width_squared = squared
     for _ in range(_WIDTH_ITERATIONS):
-        width_squared = np.maximum((squared * np.sqrt(width_squared)) ** (2 / 3) - leaning, _LEAST_WIDTH_PX**2)
+        width_squared = np.maximum(np.cbrt(squared**2 * width_squared) - leaning, _LEAST_WIDTH_PX**2)
     width = np.sqrt(width_squared)
     return width, width / 2 * _CURVATURE_SIGMA / (curved * np.sqrt(cells.blocks))
 
 
-def _contrast(fit: LineFit, width: Array, height: Array, cells: Cells, field: GradientField) -> Array:
+def _contrast(place: Array, width: Array, height: Array, cells: Cells, field: GradientField) -> Array:
     """Return by how much (G,) the two sides of each line differ, as a fraction of their mean (Weber's contrast).
 
+    place: (K,) column of the line at each of its blocks.
     More or less light leaves it as it is, also where it falls on a part of the image only.
     """
     step = np.sqrt(2 * np.pi) * np.maximum(cells.mean(height), 0) * width * field.noise_grey
-    column = np.rint(fit.at(cells.groups.of, cells.row)).astype(np.int64).clip(0, field.grey.shape[1] - 1)
+    column = np.rint(place).astype(np.int64).clip(0, field.grey.shape[1] - 1)
     return np.asarray(step / np.maximum(cells.mean(field.grey[cells.row, column].astype(np.float64)), 1.0))
