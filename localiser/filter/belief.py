@@ -29,7 +29,7 @@ from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_
 from localiser.filter.scene import Jump
 from localiser.geometry import Array
 from localiser.observation import DetectionRate, Sighting
-from localiser.particles import Clusters, Estimate, Particles, find_clusters, log_sum, normalised
+from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import Candidates, Clues, GlobalLocalisation
 
 Move = Callable[[Particles], Particles]
@@ -125,13 +125,12 @@ class Belief:
 
     def _judged(self, clues: Clues, few: Particles | None, novelty: float, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
-        belief, detections = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections.after(novelty)
+        belief, detections = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections
         log_tracked, blind = 0.0, 0.0
         if few is not None:
             by_rate = clues.by_rate(few)
-            log_weight = few.log_weight + novelty * detections.log_mean(by_rate)
-            log_tracked = log_sum(log_weight) - log_sum(few.log_weight)
-            detections = detections.given(by_rate, normalised(log_weight), novelty)
+            tracked, log_tracked = Candidates.of(few, detections).weighed(by_rate, novelty, needs_landmarks=False)
+            detections = tracked.mean_rate
             blind = clues.blind_weight(few, by_rate)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:

@@ -44,6 +44,11 @@ class Candidates:
         """Return candidates that all have the same distribution of the detection rate."""
         return cls(particles, np.tile(rate.probability[:, None], (1, len(particles))))
 
+    @property
+    def mean_rate(self) -> DetectionRate:
+        """The distribution of the detection rate over all of them."""
+        return DetectionRate(self.rates @ self.particles.weight)
+
     def weighed(self, by_rate: Array, novelty: float, *, needs_landmarks: bool) -> tuple[Candidates, float]:
         """Return the candidates after an image, and the logarithm of their mean likelihood.
 
