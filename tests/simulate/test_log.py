@@ -193,7 +193,7 @@ def test_simulation_that_is_terminated_leaves_nothing_behind(tmp_path: Path) -> 
     world = ROOT / "configs" / "worlds" / "corridor.yaml"
     process = subprocess.Popen([sys.executable, "-m", "localiser", "simulate", world, "-q", "-o", tmp_path / "log"])
     try:
-        while process.poll() is None and not any(tmp_path.glob(".log.part/images/*")):
+        while process.poll() is None and not any(tmp_path.glob(".*.part/images/*")):
             time.sleep(0.01)
         process.terminate()
         assert process.wait(60) == 128 + signal.SIGTERM
