@@ -24,7 +24,16 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between
 from localiser.particles import Estimate, Particles, log_sum, only
-from localiser.visual_odometry import Belief, Frames, Gaussian, VisualOdometryParameters, follow, twist_of_wheels
+from localiser.visual_odometry import (
+    Belief,
+    Frames,
+    Gaussian,
+    VisualOdometryParameters,
+    follow,
+    motion_gaussian,
+    seen_increment,
+    twist_of_wheels,
+)
 
 POWER = 0.6  # of the likelihood: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
@@ -66,9 +75,7 @@ class Evidence:
             twist = follow(frames, [Belief(prior, starts, way=False)]).twist
             miss_rad, var = twist.mean[2] - prior.mean[2], prior.cov[2, 2]
             log_ratio = min(0.5 * float(np.log(twist.cov[2, 2] / var) - miss_rad**2 / var), 0.0)
-        path_m = float(np.sqrt(np.square(twist.mean[:2]).sum() + np.trace(twist.cov[:2, :2])))
-        turned_rad = float(np.sqrt(twist.mean[2] ** 2 + twist.cov[2, 2]))
-        return Increment(twist.mean, twist.cov, path_m, turned_rad), log_ratio
+        return seen_increment(motion_gaussian(twist)), log_ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)

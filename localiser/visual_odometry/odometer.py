@@ -66,7 +66,7 @@ class Odometer:
         found = follow(frames, beliefs)
         pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
         if self.parameters.source == "vision":
-            return _by_vision(found.motion), pace
+            return seen_increment(found.motion), pace
         return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad), pace
 
     def _from_nothing(self, frames: Frames, prior: Gaussian, seconds: float) -> list[Belief]:
@@ -95,8 +95,11 @@ def twist_of_wheels(wheel: Increment, cov: Array) -> Gaussian:
     return twist_gaussian(Gaussian(wheel.mean, cov + np.diag(_LEAST_SIGMA**2)))
 
 
-def _by_vision(seen: Gaussian) -> Increment:
-    # How far it may well have come: a robot of which nothing is known has not stood still.
+def seen_increment(seen: Gaussian) -> Increment:
+    """Return the increment of a motion that edges tell, and not wheels.
+
+    Its path is how far the robot may well have come: one of which nothing is known has not stood still.
+    """
     path_m = np.sqrt(np.square(seen.mean[:2]).sum() + np.trace(seen.cov[:2, :2]))
     turned_rad = np.sqrt(seen.mean[2] ** 2 + seen.cov[2, 2])
     return Increment(seen.mean, seen.cov, float(path_m), float(turned_rad))
