@@ -5,7 +5,7 @@ from localiser.evaluate.bound import bearing_information, posterior_bound, rms_p
 from localiser.evaluate.consistency import fraction_inside, nees, nees_band
 from localiser.evaluate.constants import learnt_constants
 from localiser.evaluate.efficiency import Efficiency, efficiency
-from localiser.evaluate.flat import flat_figures, is_time
+from localiser.evaluate.flat import figure_at, flat_figures, is_time
 from localiser.evaluate.metrics import ABOUT, metrics, timing_metrics
 from localiser.evaluate.moments import WorstMoments
 from localiser.evaluate.page import report_page

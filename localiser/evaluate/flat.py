@@ -12,6 +12,14 @@ TIMES = ("frame_ms_median", "frame_ms_p95", "stage_ms.")
 """How the names begin of figures that tell how long something took: alone of all, they differ from run to run."""
 
 
+def figure_at(figures: Mapping[str, Any], name: str) -> Any:
+    """Return the figure of that name, as `flat_figures` has it (`group.figure`), None where it is not there."""
+    value: Any = figures
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
 def flat_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Return metrics as a row of numbers, truth values, texts and None, in the order that they have.
 

@@ -17,6 +17,7 @@ from localiser.documents import drafted
 from localiser.evaluate import panels
 from localiser.evaluate.accuracy import Track, errors_against
 from localiser.evaluate.constants import learnt_constants
+from localiser.evaluate.flat import figure_at
 from localiser.evaluate.pauses import PAUSE_LONGER_THAN_S
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
@@ -197,9 +198,7 @@ def known_figures(figures: Mapping[str, Any], chosen: Sequence[KeyFigure]) -> li
     """Return label and text of the figures that are known; a run that was never sure was found never."""
     texts = []
     for figure in chosen:
-        value: Any = figures
-        for name in figure.key.split("."):
-            value = value.get(name) if isinstance(value, Mapping) else None
+        value = figure_at(figures, figure.key)
         if value is not None:
             texts.append((figure.label, figure.text.format(value * figure.per)))
         elif figure.label == "found after" and (figures.get("confidence") or {}).get("sure") is not None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from localiser.evaluate.flat import figure_at
 from localiser.evaluate.metrics import ABOUT
 
 if TYPE_CHECKING:
@@ -36,9 +37,7 @@ class Column(NamedTuple):
 
     def of(self, run: Metrics) -> Value:
         """Return the figure of a run, None where it is not known."""
-        value: Any = run
-        for name in self.key.split("."):
-            value = value.get(name) if isinstance(value, Mapping) else None
+        value = figure_at(run, self.key)
         if isinstance(value, Sequence):  # the pauses
             value = len(value)
         return None if value is None else float(value) * self.per

@@ -60,9 +60,7 @@ def _checked(recorded: dict[str, Any], path: Path) -> dict[str, Any]:
         *((name, (str, int), "a text or an integer") for name in ("log", *evaluate.ABOUT)),
         ("frames", (int,), "an integer"),
     ):
-        value: Any = recorded
-        for part in name.split("."):
-            value = value.get(part) if isinstance(value, Mapping) else None
+        value = evaluate.figure_at(recorded, name)
         if name == "pauses" and isinstance(value, list):
             continue
         if value is not None and (isinstance(value, bool) or not isinstance(value, kinds)):
