@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from localiser.view import palette
 from localiser.view.aliasing import record_aliasing
 from localiser.view.context import Context
 from localiser.view.file import RrdFile

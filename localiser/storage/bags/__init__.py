@@ -3,9 +3,13 @@
 from localiser.storage.bags.bag import (
     CAMERA_INFO,
     COMPRESSED,
+    DIAGNOSTICS,
     IMAGE,
+    MARKERS,
     ODOMETRY,
+    PATH,
     POSE,
+    POSES,
     TEXT,
     TRANSFORMS,
     stamp_of,
@@ -22,7 +26,7 @@ from localiser.storage.bags.decisions import (
 from localiser.storage.bags.frames import FrameTree, floor_cov, floor_pose, mount_of, plain_frame, start_of_message
 from localiser.storage.bags.images import grey_image, image_file, stated_size
 from localiser.storage.bags.label import live_label_text
-from localiser.storage.bags.messages import MAP, ODOM, Messages
+from localiser.storage.bags.messages import MAP, ODOM, Messages, header
 from localiser.storage.bags.read import BagReader
 from localiser.storage.bags.record import BagRecorder
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC

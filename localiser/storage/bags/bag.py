@@ -31,6 +31,8 @@ IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
 TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
+MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 METADATA_FILE = "metadata.yaml"
 ROS1_SUFFIX = ".bag"

@@ -33,16 +33,23 @@ class Messages:
         return bytes(encode(message, message.__msgtype__))
 
     def make(self, msgtype: str, **fields: Any) -> Any:
-        """Return a message of any type. fields: inner messages as mappings; those that are left out are zero."""
+        """Return a message of any type; what is left out is zero or empty.
+
+        fields: inner messages as mappings or as messages, sequences of messages as lists of messages.
+        """
         from rosbags.interfaces import Nodetype
 
         values = {}
         for name, (node, of) in self.store.fielddefs[msgtype][1]:
             given = fields.get(name)
             if node == Nodetype.NAME:
-                values[name] = self.make(str(of), **(given or {}))
+                values[name] = (
+                    self.make(str(of), **(given or {})) if given is None or isinstance(given, dict) else given
+                )
             elif node == Nodetype.ARRAY:
                 values[name] = np.zeros(of[1]) if given is None else np.asarray(given, dtype=np.float64)
+            elif node == Nodetype.SEQUENCE:
+                values[name] = _empty(of[0]) if given is None else given
             else:
                 values[name] = _ZEROS.get(str(of[0]), 0) if given is None else given
         return self.store.types[msgtype](**values)
@@ -54,14 +61,14 @@ class Messages:
     def compressed(self, t_ns: int, data: bytes) -> Any:
         """Return a sensor_msgs/CompressedImage of a JPEG or PNG file."""
         kind = "png" if suffix_of(data) == ".png" else "jpeg"
-        return self.make(COMPRESSED, header=_header(t_ns, OPTICAL), format=kind, data=np.frombuffer(data, np.uint8))
+        return self.make(COMPRESSED, header=header(t_ns, OPTICAL), format=kind, data=np.frombuffer(data, np.uint8))
 
     def camera_info(self, t_ns: int, camera: Camera) -> Any:
         """Return a sensor_msgs/CameraInfo."""
         fields = info_fields(camera)
         if self.ros1:
             fields = {name.upper() if len(name) == 1 else name: value for name, value in fields.items()}
-        return self.make(CAMERA_INFO, header=_header(t_ns, OPTICAL), **fields)
+        return self.make(CAMERA_INFO, header=header(t_ns, OPTICAL), **fields)
 
     def mount(self, t_ns: int, camera: Camera) -> Any:
         """Return the tf2_msgs/TFMessage that says where the camera sits on the robot."""
@@ -70,41 +77,67 @@ class Messages:
 
     def odometry(self, t_ns: int, frame: str, pose: Array) -> Any:
         """Return a nav_msgs/Odometry that says a pose (3,) and no covariance."""
-        return self.make(ODOMETRY, header=_header(t_ns, frame), child_frame_id=BASE, pose={"pose": _pose(pose)})
+        return self.make(ODOMETRY, header=header(t_ns, frame), child_frame_id=BASE, pose={"pose": _pose(pose)})
 
-    def pose_in_map(self, t_ns: int, pose: Array, cov: Array) -> Any:
+    def pose_in_map(self, t_ns: int, pose: Array, cov: Array, frame: str = MAP) -> Any:
         """Return a geometry_msgs/PoseWithCovarianceStamped of a pose (3,) in the map and its covariance (3, 3)."""
         covariance = np.zeros((6, 6))
         covariance[FLOOR_ROWS] = ros_cov_from_cov(cov)
-        return self.make(POSE, header=_header(t_ns, MAP), pose={"pose": _pose(pose), "covariance": covariance.ravel()})
+        return self.make(POSE, header=header(t_ns, frame), pose={"pose": _pose(pose), "covariance": covariance.ravel()})
 
-    def map_from_odometry(self, t_ns: int, pose: Array, odometry: Array) -> Any:
+    def map_from_odometry(self, t_ns: int, pose: Array, odometry: Array, frames: tuple[str, str] = (MAP, ODOM)) -> Any:
         """Return the tf2_msgs/TFMessage from the map to the odometry's frame (REP-105), for two poses (3,) of one time.
 
-        Whoever follows the odometry's own transforms from there gets the pose in the map at any time since.
+        Whoever follows the odometry's own transforms from there gets the pose in the map at any time since. frames:
+        names of the map's and the odometry's.
         """
         (x, y, yaw), (x_odom, y_odom, yaw_odom) = ros_from_pose(pose), ros_from_pose(odometry)
         turn = float(yaw - yaw_odom)
         cos, sin = math.cos(turn), math.sin(turn)
         moved = [x - cos * x_odom + sin * y_odom, y - sin * x_odom - cos * y_odom, 0.0]
-        return self._transform(t_ns, MAP, ODOM, moved, _about_up(turn))
+        return self._transform(t_ns, *frames, moved, _about_up(turn))
+
+    def poses(self, poses: Array) -> list[Any]:
+        """Return a geometry_msgs/Pose for each of the poses (N, 3) in the map."""
+        types = self.store.types
+        point, turn, pose = (types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose"))
+        return [
+            pose(
+                position=point(x=x, y=y, z=0.0),
+                orientation=turn(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)),
+            )
+            for x, y, yaw in ros_from_pose(poses).tolist()
+        ]
+
+    def points(self, points: Array) -> list[Any]:
+        """Return a geometry_msgs/Point for each of the points (N, 3) in the map: right, up, back."""
+        point = self.store.types["geometry_msgs/msg/Point"]
+        return [point(x=x, y=-z, z=y) for x, y, z in points.tolist()]
 
     def _transform(
         self, t_ns: int, parent: str, child: str, moved: Sequence[float] | Array, turned: Sequence[float]
     ) -> Any:
         stamped = self.make(
             "geometry_msgs/msg/TransformStamped",
-            header=_header(t_ns, parent),
+            header=header(t_ns, parent),
             child_frame_id=child,
             transform={"translation": _named("xyz", moved), "rotation": _named("xyzw", turned)},
         )
         return self.make(TRANSFORMS, transforms=[stamped])
 
 
-_ZEROS: dict[str, Any] = {"string": "", "bool": False, "float64": 0.0}
+_ZEROS: dict[str, Any] = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
 
 
-def _header(t_ns: int, frame: str) -> dict[str, Any]:
+def _empty(of: Any) -> Any:
+    """Return an empty sequence of elements of a type."""
+    from rosbags.interfaces import Nodetype
+
+    return [] if of[0] == Nodetype.NAME or of[1][0] == "string" else np.zeros(0, dtype=of[1][0])
+
+
+def header(t_ns: int, frame: str) -> dict[str, Any]:
+    """Return the fields of a std_msgs/Header."""
     seconds, nanoseconds = divmod(t_ns, _NS)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 

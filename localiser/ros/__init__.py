@@ -1,0 +1,4 @@
+"""What is located, as messages of ROS 2: the same for every transport, and for bags."""
+
+from localiser.ros.outgoing import Frames, Message, Outgoing
+from localiser.ros.outputs import OUTPUTS, Output, outputs_named

@@ -1,0 +1,179 @@
+"""What a located image is as messages of ROS 2: read back by rosbags, compared with what was located."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from short_log import CORRIDOR
+
+from localiser import Localiser
+from localiser.config import read_config
+from localiser.errors import InputError
+from localiser.filter import LocatedFrame
+from localiser.geometry import pose_from_ros
+from localiser.ros import OUTPUTS, Frames, Message, Outgoing, outputs_named
+from localiser.ros.outgoing import MOST_PARTICLES
+from localiser.ros.path import MOST_POSES
+from localiser.storage import open_log
+from localiser.storage.bags import typestore
+
+LOG = open_log(CORRIDOR)
+STAMP_NS = 1_700_000_000_123_456_789
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[LocatedFrame]:
+    """Return the first images of the log, located."""
+    localiser = Localiser(LOG.landmark_map, LOG.camera, read_config(None, ["mcl.particles=500"]))
+    localiser.start(LOG.start.mean, LOG.start.cov, LOG.start.t_ns)
+    found = []
+    for event in LOG.events(None, anywhere=True):
+        if hasattr(event, "encoded"):
+            found += localiser.image(event.t_ns, event.encoded())
+        else:
+            found += localiser.odometry(event.t_ns, event.pose)
+        if len(found) >= 6:
+            break
+    return found
+
+
+def outgoing(**settings: Any) -> Outgoing:
+    return Outgoing(LOG.landmark_map, LOG.camera, **settings)
+
+
+def read(message: Message) -> Any:
+    return typestore(ros1=False).deserialize_cdr(message.content, OUTPUTS[message.kind].msgtype)
+
+
+def stamp_of(header: Any) -> int:
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+def test_every_kind_is_made_and_can_be_read(frames: list[LocatedFrame]) -> None:
+    make = outgoing()
+    made = [*make.landmarks(STAMP_NS), *make.image(frames[-1], STAMP_NS), *make.transform(STAMP_NS)]
+    assert sorted(message.kind for message in made) == sorted(OUTPUTS)
+    for message in made:
+        assert read(message) is not None
+
+
+def test_the_pose_is_that_of_the_estimate_with_its_covariance(frames: list[LocatedFrame]) -> None:
+    (message,) = outgoing(kinds=("pose",)).image(frames[-1], STAMP_NS)
+    pose = read(message)
+    at, turned = pose.pose.pose.position, pose.pose.pose.orientation
+    found = pose_from_ros([at.x, at.y, 2 * np.arctan2(turned.z, turned.w)])
+    np.testing.assert_allclose(found, frames[-1].located.estimate.pose, atol=1e-12)
+    assert (pose.header.frame_id, stamp_of(pose.header)) == ("map", STAMP_NS)
+    cov = np.array(pose.pose.covariance).reshape(6, 6)
+    assert cov[5, 5] == pytest.approx(frames[-1].located.estimate.pose_cov[2, 2])
+
+
+def test_wheels_after_the_transform_give_the_pose(frames: list[LocatedFrame]) -> None:
+    """map→odom ∘ odom→base is map→base at the image, and the stamp lies ahead by the tolerance."""
+    located = frames[-1].located
+    make = outgoing(frames=Frames("world", "wheels"), tolerance_ns=50_000_000)
+    assert make.transform(STAMP_NS) == []
+    make.image(frames[-1], STAMP_NS)
+    (message,) = make.transform(STAMP_NS)
+    (stamped,) = read(message).transforms
+    moved, turned = stamped.transform.translation, stamped.transform.rotation
+    cos, sin = np.cos(2 * np.arctan2(turned.z, turned.w)), np.sin(2 * np.arctan2(turned.z, turned.w))
+    x, z, _ = located.odometry
+    place = [moved.x + cos * x + sin * z, -(moved.y + sin * x - cos * z)]
+    np.testing.assert_allclose(place, located.estimate.pose[:2], atol=1e-9)
+    assert (stamped.header.frame_id, stamped.child_frame_id) == ("world", "wheels")
+    assert stamp_of(stamped.header) == STAMP_NS + 50_000_000
+
+
+def test_the_transform_is_held_back_while_the_pose_is_more_likely_wrong(frames: list[LocatedFrame]) -> None:
+    make = outgoing()
+    make.image(replace(frames[-1], located=replace(frames[-1].located, p_correct=0.4)), STAMP_NS)
+    assert make.transform(STAMP_NS) == []
+    make.image(frames[-1], STAMP_NS)
+    assert len(make.transform(STAMP_NS)) == 1
+    make.forget()
+    assert make.transform(STAMP_NS) == []
+
+
+def test_particles_are_few_and_lie_where_the_cloud_does(frames: list[LocatedFrame]) -> None:
+    (message,) = outgoing(kinds=("particles",)).image(frames[-1], STAMP_NS)
+    poses = read(message).poses
+    assert len(poses) == MOST_PARTICLES < len(frames[-1].located.particles)
+    x, z, _ = frames[-1].located.estimate.pose
+    assert np.mean([pose.position.x for pose in poses]) == pytest.approx(x, abs=0.02)
+    assert np.mean([-pose.position.y for pose in poses]) == pytest.approx(z, abs=0.02)
+
+
+def test_landmarks_are_upright_lines_in_the_map(frames: list[LocatedFrame]) -> None:
+    (message,) = outgoing().landmarks(STAMP_NS)
+    (marker,) = read(message).markers
+    points = np.array([[point.x, point.y, point.z] for point in marker.points]).reshape(-1, 2, 3)
+    np.testing.assert_allclose(points[:, 0, :2], LOG.landmark_map.points * [1, -1])
+    np.testing.assert_array_equal(points[:, 0, :2], points[:, 1, :2])
+    assert (points[:, 1, 2] > points[:, 0, 2]).all() and marker.header.frame_id == "map"
+
+
+def test_matches_are_the_landmarks_that_edges_show(frames: list[LocatedFrame]) -> None:
+    frame = frames[-1]
+    (message,) = outgoing(kinds=("matches",)).image(frame, STAMP_NS)
+    posts, sights = read(message).markers
+    landmark = np.unique(frame.matches.landmark[frame.matches.landmark >= 0])
+    found = np.array([[point.x, -point.y] for point in posts.points])[::2]
+    np.testing.assert_allclose(found, LOG.landmark_map.points[landmark])
+    assert len(sights.points) == 2 * len(landmark) and len(landmark) > 3
+    x, z, _ = LOG.camera.pose_in_map(frame.located.estimate.pose)
+    assert (sights.points[0].x, sights.points[0].y) == pytest.approx((x, -z))
+
+
+def test_markers_go_when_nothing_matches(frames: list[LocatedFrame]) -> None:
+    nothing = replace(frames[-1].matches, landmark=np.full_like(frames[-1].matches.landmark, -1))
+    (message,) = outgoing(kinds=("matches",)).image(replace(frames[-1], matches=nothing), STAMP_NS)
+    assert [(marker.action, len(marker.points)) for marker in read(message).markers] == [(2, 0), (2, 0)]
+
+
+def test_the_path_grows_by_steps_and_stays_short(frames: list[LocatedFrame]) -> None:
+    make, located = outgoing(kinds=("path",)), frames[-1].located
+    lengths = []
+    for step in range(3 * MOST_POSES):
+        mean = located.estimate.mean.copy()
+        mean[0] = 0.06 * step
+        moved = replace(located, estimate=replace(located.estimate, mean=mean))
+        messages = make.image(
+            replace(frames[-1], located=moved), STAMP_NS + step, wanted=lambda kind, step=step: step % 500 == 2
+        )
+        lengths += [len(read(message).poses) for message in messages]
+    assert lengths and max(lengths) <= MOST_POSES
+    make.image(replace(frames[-1], located=moved), STAMP_NS)
+    assert make.image(replace(frames[-1], located=moved), STAMP_NS) == []
+
+
+def test_edges_are_drawn_into_the_image(frames: list[LocatedFrame]) -> None:
+    frame = frames[-1]
+    (message,) = outgoing(kinds=("image",)).image(frame, STAMP_NS)
+    drawn = cv2.imdecode(np.array(read(message).data), cv2.IMREAD_COLOR)
+    assert drawn.shape == (LOG.camera.height, LOG.camera.width, 3)
+    matched = frame.located.edges.ends_px[frame.matches.landmark >= 0]
+    u, v = np.round(matched.mean(axis=1)).astype(int).T
+    blue, green, red = drawn[v, u].astype(int).T
+    assert (green > red).all() and (green > blue).mean() > 0.8
+    assert outgoing(kinds=("image",)).image(replace(frame, image=None), STAMP_NS) == []
+
+
+@pytest.mark.parametrize(("p_correct", "level"), [(0.99, 0), (0.7, 1), (0.2, 2)])
+def test_diagnostics_say_how_far_to_trust_the_pose(frames: list[LocatedFrame], p_correct: float, level: int) -> None:
+    frame = replace(frames[-1], located=replace(frames[-1].located, p_correct=p_correct))
+    (message,) = outgoing(kinds=("diagnostics",)).image(frame, STAMP_NS, facts={"bad image": "3"})
+    (status,) = read(message).status
+    values = {pair.key: pair.value for pair in status.values}
+    assert status.level == level and float(values["p_correct"]) == p_correct and values["bad image"] == "3"
+
+
+def test_outputs_can_be_named_left_out_and_put_in_a_namespace() -> None:
+    named = outputs_named({"pose": "/amcl_pose", "image": ""}, "/robot1")
+    assert named["pose"].topic == "/amcl_pose" and named["tf"].topic == "/robot1/tf" and "image" not in named
+    with pytest.raises(InputError, match="unknown kind of message"):
+        outputs_named({"poses": "/amcl_pose"})
