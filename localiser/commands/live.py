@@ -12,7 +12,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Seed, ZenohConfig, topics_by_role, with_options
+from localiser.commands.options import (
+    ConfigFile,
+    Connect,
+    Distro,
+    Domain,
+    Listen,
+    Names,
+    Namespace,
+    Overrides,
+    Seed,
+    ZenohConfig,
+    frames_of,
+    names_by_kind,
+    network_of,
+    topics_by_role,
+    with_options,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,14 +54,6 @@ live_app = typer.Typer(
 STATUS_EVERY_S = 0.25
 
 
-Connect = Annotated[
-    list[str] | None,
-    typer.Option("--connect", metavar="ENDPOINT", help="The robot, or a zenoh router; tcp/127.0.0.1:7447. Repeatable."),
-]
-Listen = Annotated[
-    list[str] | None,
-    typer.Option("--listen", metavar="ENDPOINT", help="Where others may connect; by default this machine alone."),
-]
 GivenStart = Annotated[
     str | None,
     typer.Option(
@@ -82,6 +90,27 @@ def live(
             help="Another topic for image, camera_info, odometry, transforms, initialpose or groundtruth. Repeatable.",
         ),
     ] = None,
+    publish: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--publish",
+            metavar="KIND=NAME",
+            help="Another topic for pose, tf, particles, landmarks, matches, path, image or diagnostics, such as "
+            "pose=/amcl_pose; `KIND=` for none. Repeatable.",
+        ),
+    ] = None,
+    frames: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--frame",
+            metavar="KIND=NAME",
+            help="Another name for the frame map or odom. Repeatable.",
+        ),
+    ] = None,
+    transform_tolerance: Annotated[
+        float,
+        typer.Option(min=0.0, max=10.0, metavar="S", help="How far transforms on /tf are post-dated, as by AMCL."),
+    ] = 0.2,
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Camera file, in place of what the robot says of its camera.")
     ] = None,
@@ -99,6 +128,10 @@ def live(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the state in --checkpoint, if there is one.")
     ] = False,
+    domain: Domain = None,
+    namespace: Namespace = "",
+    names: Names = "rmw_zenoh",
+    distro: Distro = None,
     zenoh_config: ZenohConfig = None,
     seconds: Seconds = None,
     config: ConfigFile = None,
@@ -111,7 +144,6 @@ def live(
     from localiser.config import read_config
     from localiser.errors import InputError
     from localiser.live import LiveOptions
-    from localiser.live.sources import ENDPOINT
     from localiser.replay import stated_start
 
     if map_file is None:
@@ -122,8 +154,8 @@ def live(
         map_file,
         read_config(config, with_options(overrides, seed=seed)),
         topics_by_role(topics),
-        connect or ([] if listen or zenoh_config else [ENDPOINT]),
-        listen or [],
+        names_by_kind(publish, "--publish"),
+        network_of(connect, listen, zenoh_config, domain, namespace, names, distro),
         camera,
         image,
         stated_start(start) if start else None,
@@ -132,7 +164,8 @@ def live(
         view,
         checkpoint,
         resume,
-        zenoh_config,
+        frames_of(frames),
+        transform_tolerance,
     )
     _run(options, seconds)
 
@@ -169,7 +202,7 @@ def demo(
         options = LiveOptions(
             map_file,
             read_config(config, with_options(overrides, seed=seed), driven.settings),
-            connect=[endpoint],
+            network=network_of([endpoint]),
             start=_start_of(driven),
             record=record,
             json=sys.stdout.fileno() if json else None,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.options import ZenohConfig
+from localiser.commands.options import Connect, Distro, Domain, Names, Namespace, ZenohConfig, network_of
 
 pose_app = typer.Typer(no_args_is_help=True, help="Tell a live run where the robot is.")
 
@@ -17,16 +17,20 @@ def pose_set(
     sigma: Annotated[
         str, typer.Option(metavar="M,DEG", help="How far that may be off, one sigma: metres and degrees.")
     ] = "0.1,3",
-    connect: Annotated[
-        list[str] | None,
-        typer.Option("--connect", metavar="ENDPOINT", help="The robot, or a zenoh router; tcp/127.0.0.1:7447."),
+    connect: Connect = None,
+    topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Where live runs listen for poses; /initialpose.")
     ] = None,
-    topic: Annotated[str, typer.Option(metavar="NAME", help="Where live runs listen for poses.")] = "/initialpose",
+    domain: Domain = None,
+    namespace: Namespace = "",
+    names: Names = "rmw_zenoh",
+    distro: Distro = None,
     zenoh_config: ZenohConfig = None,
 ) -> None:
     """Publish where the robot is, as a PoseWithCovarianceStamped; put a value that begins with a minus after `--`."""
     from localiser.live import send_pose
-    from localiser.live.sources import ENDPOINT
 
-    send_pose(pose, sigma, connect or ([] if zenoh_config else [ENDPOINT]), topic, zenoh_config)
-    typer.echo(f"sent to {topic}", err=True)
+    network = network_of(connect, None, zenoh_config, domain, namespace, names, distro)
+    name = topic or f"{network.prefix}/initialpose"
+    send_pose(pose, sigma, network, name)
+    typer.echo(f"sent to {name}", err=True)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import Quiet, progress
+from localiser.commands.options import Connect, Distro, Domain, Names, Namespace, Quiet, network_of, progress
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
+    from localiser.live import NetworkOptions
     from localiser.storage import Log
 
 EPILOG = """Examples:
@@ -33,8 +34,14 @@ def simulate(
         typer.Option("--serve", help="Send the drive over zenoh in real time, to and fro, in place of a robot."),
     ] = False,
     listen: Annotated[
-        str, typer.Option(metavar="ENDPOINT", help="Where to be reached; by default from this machine alone.")
-    ] = "tcp/127.0.0.1:7447",
+        str | None,
+        typer.Option(metavar="ENDPOINT", help="Where to be reached; by default tcp/127.0.0.1:7447."),
+    ] = None,
+    connect: Connect = None,
+    domain: Domain = None,
+    namespace: Namespace = "",
+    names: Names = "rmw_zenoh",
+    distro: Distro = None,
     odometry_hz: Annotated[
         float | None,
         typer.Option(min=1, max=1000, help="Rate of the odometry that is sent; by default as the log has it."),
@@ -44,7 +51,11 @@ def simulate(
 ) -> None:
     """Render a log from a WORLD: images, odometry with its errors, truth and map. Or be a robot, with --serve."""
     if serve:
-        _serve(world, seed, listen, odometry_hz, wait=wait, quiet=quiet)
+        from localiser.live import ENDPOINT
+
+        at = [listen] if listen else [] if connect else [ENDPOINT]
+        network = network_of(connect, at, None, domain, namespace, names, distro)
+        _serve(world, seed, network, odometry_hz, wait=wait, quiet=quiet)
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
@@ -91,19 +102,23 @@ def driven(world_or_log: Path, seed: int) -> Log:
     return log
 
 
-def _serve(world: Path, seed: int, listen: str, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:
-    from localiser.live import Passage, StandIn
-    from localiser.live.sources import Network
+def _serve(
+    world: Path, seed: int, network: NetworkOptions, odometry_hz: float | None, *, wait: bool, quiet: bool
+) -> None:
+    from contextlib import closing
+
+    from localiser.live import Passage, StandIn, open_transport
     from localiser.replay import asked_to_stop
 
     with asked_to_stop() as stop:
         log = driven(world, seed)
-        with Network((), [listen]) as network:
+        with closing(open_transport(network, "robot")) as transport:
             if not quiet:
+                where = ", ".join([*network.connect, *network.listen])
                 typer.echo(
-                    f"{log.name}: {log.duration_s:.0f} s there and as long back, at {listen}, until Ctrl-C", err=True
+                    f"{log.name}: {log.duration_s:.0f} s there and as long back, at {where}, until Ctrl-C", err=True
                 )
-            robot = StandIn(network, Passage.of(log, odometry_hz))
+            robot = StandIn(transport, Passage.of(log, odometry_hz), network.prefix)
             if wait:
                 robot.wait_for_listener(stop)
             robot.run(stop)

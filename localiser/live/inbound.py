@@ -9,6 +9,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.live.sources import Arrival
+from localiser.live.transports import Topic
 from localiser.storage.bags import (
     CAMERA_INFO,
     COMPRESSED,
@@ -49,6 +50,15 @@ def type_of(role: str, topic: str) -> str:
     if role == "image":
         return COMPRESSED if topic.rsplit("/", 1)[-1].startswith("compressed") else IMAGE
     return _TYPES[role]
+
+
+def topic_for(role: str, name: str) -> Topic:
+    """Return the topic of a role with its quality of service: sensor data may be lost, fixed transforms are latched."""
+    if role == "transforms":
+        return Topic(name, type_of(role, name), latched=True, depth=100)
+    if role == "initialpose":
+        return Topic(name, type_of(role, name))
+    return Topic(name, type_of(role, name), reliable=False, depth=5)
 
 
 def message_of(arrival: Arrival) -> Any:

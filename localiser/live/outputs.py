@@ -1,4 +1,4 @@
-"""Outputs of a live run: poses over the network, and lines of JSON. Neither waits for its reader."""
+"""Results of a live run as lines of JSON, which do not wait for their reader."""
 
 from __future__ import annotations
 
@@ -14,12 +14,8 @@ import numpy as np
 from localiser import geometry
 from localiser.filter import Located
 from localiser.geometry import Array
-from localiser.live.sources import Network
-from localiser.storage.bags import Messages
 
-POSE_TOPIC, TRANSFORM_TOPIC = "/localiser/pose", "/tf"
 MOST_LINES = 1000
-LEAST_SURE = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,28 +57,6 @@ class Published:
 def pose_now(located: Located, odometry_now: Array) -> Array:
     """Return the pose (3,) in the map at the wheels' last pose: the estimate, moved on by what the wheels did since."""
     return geometry.compose(located.estimate.pose, geometry.between(located.odometry, odometry_now))
-
-
-class PosePublisher:
-    """Publishes the pose with its covariance, and the transform from the map to the odometry's frame (REP-105).
-
-    The transform, by which robots drive, is held back while the estimate is more likely wrong than right.
-    """
-
-    def __init__(self, network: Network) -> None:
-        """Publish on a network."""
-        self._network, self._messages = network, Messages()
-
-    def publish(self, published: Published) -> bytes:
-        """Send both; returns the pose's message."""
-        located, make = published.located, self._messages
-        estimate = located.estimate
-        pose = make.encode(make.pose_in_map(published.stamp_ns, estimate.pose, estimate.pose_cov))
-        self._network.publish(POSE_TOPIC, pose)
-        if published.by_wheels and located.p_correct >= LEAST_SURE:
-            transform = make.map_from_odometry(published.now_ns, estimate.pose, located.odometry)
-            self._network.publish(TRANSFORM_TOPIC, make.encode(transform))
-        return pose
 
 
 class JsonLines:

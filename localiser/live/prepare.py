@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,15 +18,18 @@ from localiser.documents import nearest, read_text
 from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
-from localiser.live.inbound import TOPICS, CameraFinder, type_of
+from localiser.live.inbound import TOPICS, CameraFinder, topic_for
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import JsonLines, PosePublisher, Published
+from localiser.live.outputs import JsonLines, Published
+from localiser.live.publishing import Publisher
 from localiser.live.recording import Recording
 from localiser.live.run import LiveRun
-from localiser.live.sources import ENDPOINT, Arrival, CameraSource, Inbox, Network
+from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
+from localiser.live.transports import NetworkOptions, Take, Transport, open_transport
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
+from localiser.ros import Frames, outputs_named
 from localiser.storage import encode_image, read_camera, read_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, Messages, live_label_text
 
@@ -38,17 +41,18 @@ JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is reco
 class LiveOptions:
     """What a live run is asked to do.
 
-    topics: names by what they are for, in place of `TOPICS`. image: a camera or stream that OpenCV reads, in place of a
-    topic. start: where the robot is at the first image, None where that is not known. json: a file descriptor for lines
-    of JSON. view: where it is shown. checkpoint: where the state is saved. resume: whether to go on from there, if it
-    is there. zenoh_config: a configuration file of zenoh, as for TLS and passwords.
+    topics: names by what they are for, in place of `TOPICS`. publish: names by kind, in place of those in
+    `ros.OUTPUTS`; an empty one for what is not published. network: how to take part in the robot's. image: a camera or
+    stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
+    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
+    resume: whether to go on from there, if it is there. frames, transform_tolerance_s: see `Publisher`.
     """
 
     map_file: Path
     config: Config
     topics: Mapping[str, str] = field(default_factory=dict)
-    connect: Sequence[str] = (ENDPOINT,)
-    listen: Sequence[str] = ()
+    publish: Mapping[str, str] = field(default_factory=dict)
+    network: NetworkOptions = field(default_factory=NetworkOptions)
     camera: Path | None = None
     image: str | None = None
     start: Start | None = None
@@ -57,7 +61,8 @@ class LiveOptions:
     view: str = "none"
     checkpoint: Path | None = None
     resume: bool = False
-    zenoh_config: Path | None = None
+    frames: Frames = field(default_factory=lambda: Frames(odom=""))
+    transform_tolerance_s: float = 0.2
 
 
 @contextmanager
@@ -67,7 +72,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
     landmark_map = read_map(options.map_file)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
-    topics = _topics(options.topics)
+    topics = _topics(options.topics, options.network.prefix)
     viewers: list[view.LiveView] = []
 
     def tell(text: str, level: str) -> None:
@@ -90,8 +95,8 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         recording = begun_recording(options, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
-        network = stack.enter_context(Network(options.connect, options.listen, config_file=options.zenoh_config))
-        publish: list[Callable[[Published], bytes | None]] = [PosePublisher(network).publish]
+        transport = stack.enter_context(closing(open_transport(options.network)))
+        publish: list[Callable[[Published], None]] = []
         if options.json is not None:
             lines = JsonLines(options.json)
             stack.callback(lines.close)
@@ -102,23 +107,38 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"])
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
+        run.publisher = _publisher(options, transport, recording)
         if options.checkpoint is not None:
             run.checkpoints = Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why))
             if options.resume and options.checkpoint.exists():
                 run.resumed = Resumed(options.checkpoint)
         for role, topic in topics.items():
             if role != "image" or options.image is None:
-                network.subscribe(role, topic, type_of(role, topic), inbox)
+                transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
         yield run
 
 
-def _topics(asked: Mapping[str, str]) -> dict[str, str]:
+def _publisher(options: LiveOptions, transport: Transport, recording: Recording | None) -> Publisher:
+    """Return what publishes results, under the names that were asked for. Raises InputError."""
+    outputs = outputs_named(options.publish, options.network.prefix)
+    publisher = Publisher(transport, outputs, options.frames, round(options.transform_tolerance_s * 1e9))
+    if recording is not None:
+        publisher.record = lambda topic, msgtype, content: recording.write(topic, msgtype, time.time_ns(), content)
+    return publisher
+
+
+def into(inbox: Inbox, role: str, topic: str) -> Take:
+    """Return what puts messages on a topic into the inbox."""
+    return lambda content, source: inbox.put(Arrival(role, topic, content, source=source))
+
+
+def _topics(asked: Mapping[str, str], prefix: str) -> dict[str, str]:
     for role in asked:
         if role not in TOPICS:
             raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
-    return {**TOPICS, **asked}
+    return {role: f"{prefix}{topic}" for role, topic in TOPICS.items()} | dict(asked)
 
 
 def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:

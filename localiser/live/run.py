@@ -19,7 +19,8 @@ from localiser.geometry import Array, Trajectory
 from localiser.live.clock import LATE_NS, RobotClock
 from localiser.live.inbound import CameraFinder, message_of, type_of
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import POSE_TOPIC, Published, pose_now
+from localiser.live.outputs import Published, pose_now
+from localiser.live.publishing import Publisher
 from localiser.live.recording import Recording
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
@@ -28,13 +29,13 @@ from localiser.localiser import Localiser
 from localiser.replay import Sink
 from localiser.storage.bags import (
     DECISIONS_TOPIC,
-    POSE,
     STATE_TOPIC,
     anywhere_decision,
     clock_decision,
     floor_pose,
     grey_image,
     image_file,
+    plain_frame,
     stamp_of,
     start_decision,
     start_of_message,
@@ -42,15 +43,15 @@ from localiser.storage.bags import (
 
 _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
-Publish = Callable[[Published], bytes | None]
+Publish = Callable[[Published], None]
 
 
 @dataclass(slots=True, eq=False)
 class LiveRun:
-    """A live run. publish: sends a result, returns its message. localiser_of: is called once the camera is known.
+    """A live run. publish: take every result. localiser_of: is called once the camera is known.
 
-    start: given by the user, without its time; None looks for the robot everywhere. sinks: get every located image.
-    now_ns: the clock of arrivals.
+    publisher: sends results over the network, None where there is none. start: given by the user, without its time;
+    None looks for the robot everywhere. sinks: get every located image. now_ns: the clock of arrivals.
     """
 
     inbox: Inbox
@@ -63,6 +64,7 @@ class LiveRun:
     resumed: Resumed | None = None
     checkpoints: Checkpoints | None = None
     sinks: Sequence[Sink] = ()
+    publisher: Publisher | None = None
     now_ns: Callable[[], int] = time.monotonic_ns
     localiser: Localiser | None = None
     clock: RobotClock = field(default_factory=RobotClock)
@@ -143,6 +145,8 @@ class LiveRun:
         self.timeline.add_odometry(t_ns, number, pose, arrival.at_ns)
         if self._newest_odometry is None or t_ns > self._newest_odometry[0]:
             self._newest_odometry = t_ns, pose
+            if self.publisher is not None:
+                self.publisher.wheels(t_ns - self.clock.offset_ns, plain_frame(message.header.frame_id))
 
     def _take_groundtruth(self, arrival: Arrival, message: Any) -> None:
         t_ns = stamp_of(message) + self.clock.offset_ns
@@ -178,6 +182,8 @@ class LiveRun:
         if self.clock.jumps > jumps:
             self.monitor.warn("clock jumps", "the robot's clock has jumped; going on from where it was")
             self._decide(clock_decision(self.clock.offset_ns))
+            if self.publisher is not None:
+                self.publisher.clock_jumped()
         return t_ns
 
     def _record(self, arrival: Arrival) -> int:
@@ -206,6 +212,8 @@ class LiveRun:
         self.localiser = self.localiser_of(self.finder.camera)
         self.timeline.needs_wheels = self.localiser.needs_wheels
         self.monitor.inform("the camera is known")
+        if self.publisher is not None:
+            self.publisher.begin(self.localiser.landmark_map, self.finder.camera, t_ns - self.clock.offset_ns)
         if self.resumed is not None:
             self._decide(start_decision(self.resumed.begin(self.localiser, self.timeline, t_ns)))
             self._tell(STATE_TOPIC, b64encode(self.resumed.content).decode())
@@ -282,12 +290,17 @@ class LiveRun:
             (time.time_ns() - frame.stamp_ns) / 1e6,
             None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2])),
         )
+        if self.publisher is not None:
+            self.publisher.image(found, frame.stamp_ns, self._facts(published.latency_ms))
         for publish in self.publish:
-            content = publish(published)
-            if content is not None and self.recording is not None:
-                self.recording.write(POSE_TOPIC, POSE, time.time_ns(), content)
+            publish(published)
         work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]
         self.monitor.located(found, published.latency_ms, work_ms, published.error_m)
+
+    def _facts(self, latency_ms: float) -> dict[str, str]:
+        """Return what diagnostics tell besides the image: how the run goes, and what was wrong how often."""
+        facts = {"latency_ms": f"{latency_ms:.1f}", "rate_hz": f"{self.monitor.rate_now_hz:.2f}"}
+        return facts | {f"warnings, {kind}": str(count) for kind, count in self.monitor.wrong.items()}
 
     def _true_pose(self, t_ns: int) -> Array | None:
         if len(self._truth) < 2 or not self._truth[0][0] <= t_ns <= self._truth[-1][0]:

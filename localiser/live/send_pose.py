@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from pathlib import Path
+from contextlib import closing
 
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.live.sources import Network
+from localiser.live.transports import NetworkOptions, Topic, open_transport
 from localiser.replay import given_pose
-from localiser.storage.bags import Messages
+from localiser.storage.bags import POSE, Messages
 
 _PATIENCE_S = 3.0  # until a session that has just begun knows who listens
 _REPEATS, _PAUSE_S = 5, 0.3  # of the same message, which a live run takes once
 
 
-def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str, zenoh_config: Path | None = None) -> None:
-    """Publish a pose `x,z,heading_deg` with sigmas `m,deg`. Raises InputError, also when nobody listens."""
+def send_pose(pose: str, sigma: str, network: NetworkOptions, name: str) -> None:
+    """Publish a pose `x,z,heading_deg` with sigmas `m,deg` on the topic `name`.
+
+    Raises InputError, also when nobody listens.
+    """
     mean = given_pose(pose)
     try:
         sigma_m, sigma_deg = (float(part) for part in sigma.split(","))
@@ -29,12 +31,15 @@ def send_pose(pose: str, sigma: str, connect: Sequence[str], topic: str, zenoh_c
     cov = np.diag([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
     make = Messages()
     content = make.encode(make.pose_in_map(time.time_ns(), mean, cov))
-    with Network(connect, client=True, config_file=zenoh_config) as network:
+    topic = Topic(name, POSE)
+    with closing(open_transport(network, "localiser_pose_set", wait=False)) as transport:
         end = time.monotonic() + _PATIENCE_S
-        while not network.is_heard(topic):
+        while not transport.is_heard(topic):
             if time.monotonic() > end:
-                raise InputError(f"expected a live run that listens to {topic}, found none at {', '.join(connect)}")
+                raise InputError(
+                    f"expected a live run that listens to {name}, found none at {', '.join(network.connect)}"
+                )
             time.sleep(0.05)
         for _ in range(_REPEATS):  # who has just joined a network is not reached by all at once
-            network.publish(topic, content)
+            transport.publish(topic, content)
             time.sleep(_PAUSE_S)

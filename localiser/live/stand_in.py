@@ -13,13 +13,13 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory, without_pauses
-from localiser.live.sources import Network
+from localiser.live.transports import Topic, Transport
 from localiser.storage import ImageEvent, Log, require_odometry
-from localiser.storage.bags import MAP, ODOM, Messages
+from localiser.storage.bags import CAMERA_INFO, COMPRESSED, MAP, ODOM, ODOMETRY, TRANSFORMS, Messages
 
-IMAGE, INFO = "/camera/image_raw/compressed", "/camera/camera_info"
-ODOMETRY, TRUTH, FIXED = "/odom", "/ground_truth/odom", "/tf_static"
-FIXED_EVERY_NS = 1_000_000_000
+IMAGE, INFO = Topic("/camera/image_raw/compressed", COMPRESSED, depth=5), Topic("/camera/camera_info", CAMERA_INFO)
+WHEELS, TRUTH = Topic("/odom", ODOMETRY), Topic("/ground_truth/odom", ODOMETRY)
+FIXED = Topic("/tf_static", TRANSFORMS, latched=True, depth=1)
 LONGEST_PAUSE_NS = 60_000_000_000  # in a log, such as where its clock jumps; what is longer is cut
 _FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
 _NS = 1_000_000_000
@@ -48,14 +48,15 @@ class Passage:
         times = first + np.round(np.arange(steps + 1) * (_NS / odometry_hz)).astype(np.int64)
         return cls(log, first, last - first, log.odometry.sampled(times))
 
-    def messages(self, there: bool) -> Iterator[tuple[int, str, int]]:
+    def messages(self, there: bool) -> Iterator[tuple[int, Topic, int]]:
         """Yield (time since the begin of this way, topic, index) in the order of time; back, everything is mirrored."""
         end_ns = self.begin_ns + self.length_ns
         images = [(frame.t_ns, IMAGE, k) for k, frame in enumerate(self.log.frames)]
         images = [image for image in images if self.begin_ns <= image[0] <= end_ns]
-        wheels = [(int(t_ns), ODOMETRY, k) for k, t_ns in enumerate(self.wheels.t_ns)]
+        wheels = [(int(t_ns), WHEELS, k) for k, t_ns in enumerate(self.wheels.t_ns)]
         if there:
-            yield from ((t_ns - self.begin_ns, topic, k) for t_ns, topic, k in heapq.merge(wheels, images))
+            both = heapq.merge(images, wheels, key=lambda message: message[0])
+            yield from ((t_ns - self.begin_ns, topic, k) for t_ns, topic, k in both)
         else:  # where it turns, the robot has just been
             back = heapq.merge(wheels[-2::-1], images[::-1], key=lambda message: -message[0])
             yield from ((end_ns - t_ns, topic, k) for t_ns, topic, k in back if self.begin_ns < t_ns < end_ns)
@@ -76,21 +77,28 @@ def _without_pauses(log: Log) -> Log:
 class StandIn:
     """Publishes a passage there and back, for ever."""
 
-    def __init__(self, network: Network, passage: Passage) -> None:
-        """Be ready; the fixed transforms are also answered to those who ask later."""
-        self._network, self._passage, self._make = network, passage, Messages()
-        network.keep(FIXED, self._make.encode(self._make.mount(time.time_ns(), passage.log.camera)))
+    def __init__(self, transport: Transport, passage: Passage, prefix: str = "") -> None:
+        """Be ready; the fixed transforms are sent now and kept for those who come later, as robots do.
+
+        prefix: of all topics, such as `/robot1`.
+        """
+        self._transport, self._passage, self._make = transport, passage, Messages()
+        self._named = {
+            topic: replace(topic, name=f"{prefix}{topic.name}") for topic in (IMAGE, INFO, WHEELS, TRUTH, FIXED)
+        }
+        for topic in self._named:
+            transport.advertise(self._named[topic])
+        self._publish(FIXED, self._make.encode(self._make.mount(time.time_ns(), passage.log.camera)))
 
     def wait_for_listener(self, stop: Event) -> None:
         """Stand still until someone wants images."""
-        while not self._network.is_heard(IMAGE):
+        while not self._transport.is_heard(self._named[IMAGE]):
             if stop.wait(0.1):
                 return
 
     def run(self, stop: Event, ways: int | None = None) -> None:
         """Publish until `stop` is set, or for a number of ways."""
         begin_ns, begin_s = time.time_ns(), time.monotonic()
-        next_fixed_ns = 0
         for way in count() if ways is None else range(ways):
             offset_ns = way * self._passage.length_ns
             for t_ns, topic, index in self._passage.messages(there=way % 2 == 0):
@@ -100,23 +108,21 @@ class StandIn:
                     continue
                 if stop.wait(-late_s) if late_s < 0 else stop.is_set():
                     return
-                if due_ns >= next_fixed_ns:
-                    next_fixed_ns = due_ns + FIXED_EVERY_NS
-                    self._send(FIXED, begin_ns + due_ns, 0)
                 self._send(topic, begin_ns + due_ns, index)
 
-    def _send(self, topic: str, stamp_ns: int, index: int) -> None:
+    def _send(self, topic: Topic, stamp_ns: int, index: int) -> None:
         make, log = self._make, self._passage.log
         if topic == IMAGE:
             frame = log.frames[index]
             assert isinstance(frame, ImageEvent)
-            self._network.publish(IMAGE, make.encode(make.compressed(stamp_ns, frame.encoded())))
-            self._network.publish(INFO, make.encode(make.camera_info(stamp_ns, log.camera)))
-        elif topic == FIXED:
-            self._network.publish(FIXED, make.encode(make.mount(stamp_ns, log.camera)))
+            self._publish(IMAGE, make.encode(make.compressed(stamp_ns, frame.encoded())))
+            self._publish(INFO, make.encode(make.camera_info(stamp_ns, log.camera)))
         else:
             wheels, truth = self._passage.wheels, log.groundtruth
-            self._network.publish(ODOMETRY, make.encode(make.odometry(stamp_ns, ODOM, wheels.poses[index])))
+            self._publish(WHEELS, make.encode(make.odometry(stamp_ns, ODOM, wheels.poses[index])))
             if truth is not None:
                 true_pose = truth.at(int(wheels.t_ns[index]))
-                self._network.publish(TRUTH, make.encode(make.odometry(stamp_ns, MAP, true_pose)))
+                self._publish(TRUTH, make.encode(make.odometry(stamp_ns, MAP, true_pose)))
+
+    def _publish(self, topic: Topic, content: bytes) -> None:
+        self._transport.publish(self._named[topic], content)

@@ -17,7 +17,6 @@ from localiser.config import read_config
 from localiser.filter import mcl
 from localiser.geometry import compose
 from localiser.live.inbound import TOPICS, message_of
-from localiser.live.outputs import PosePublisher
 from localiser.live.prepare import open_camera
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
@@ -333,26 +332,6 @@ def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
     np.testing.assert_allclose(track.poses, again.poses, rtol=0, atol=1e-9)
     other = localiser.replay(tmp_path / "drive.db3", tmp_path / "other", "--set", "mcl.particles=400", few=False)
     np.testing.assert_allclose(read_track(other / "trajectory.csv").poses, again.poses, rtol=0, atol=0.2)
-
-
-def test_what_is_published_is_what_ros_expects(undisturbed: Feed) -> None:
-    """map→odom, applied to the odometry's pose, is the pose in the map."""
-    sent: dict[str, bytes] = {}
-    network = type("Network", (), {"publish": lambda self, topic, content: sent.__setitem__(topic, content)})()
-    published = undisturbed.published[-1]
-    PosePublisher(network).publish(published)
-    store = MAKE.store
-    pose = store.deserialize_cdr(sent["/localiser/pose"], "geometry_msgs/msg/PoseWithCovarianceStamped")
-    (stamped,) = store.deserialize_cdr(sent["/tf"], "tf2_msgs/msg/TFMessage").transforms
-    wheels = MAKE.odometry(0, "odom", published.located.odometry).pose.pose
-    turn = 2 * np.arctan2(stamped.transform.rotation.z, stamped.transform.rotation.w)
-    moved = stamped.transform.translation
-    x = moved.x + np.cos(turn) * wheels.position.x - np.sin(turn) * wheels.position.y
-    y = moved.y + np.sin(turn) * wheels.position.x + np.cos(turn) * wheels.position.y
-    np.testing.assert_allclose([x, y], [pose.pose.pose.position.x, pose.pose.pose.position.y], atol=1e-9)
-    assert (stamped.header.frame_id, stamped.child_frame_id, pose.header.frame_id) == ("map", "odom", "map")
-    cov = np.array(pose.pose.covariance).reshape(6, 6)
-    assert cov[5, 5] == pytest.approx(published.located.estimate.pose_cov[2, 2]) and cov[2, 2] == 0
 
 
 def test_lines_of_json(undisturbed: Feed) -> None:

@@ -8,31 +8,15 @@ from threading import Event
 
 import numpy as np
 import pytest
-from live_feed import LOG, MAKE
+from live_feed import LOG
+from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 from small_log import write_edge_log, write_small_log
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory, between
-from localiser.live.stand_in import FIXED, IMAGE, INFO, LONGEST_PAUSE_NS, ODOMETRY, Passage, StandIn
+from localiser.live.stand_in import FIXED, IMAGE, INFO, LONGEST_PAUSE_NS, WHEELS, Passage, StandIn
 from localiser.storage import open_log
-
-
-class Wire:
-    """A network that keeps what is sent."""
-
-    def __init__(self) -> None:
-        self.sent: list[tuple[str, bytes]] = []
-        self.kept: dict[str, bytes] = {}
-
-    def publish(self, topic: str, content: bytes) -> None:
-        self.sent.append((topic, content))
-
-    def keep(self, topic: str, content: bytes) -> None:
-        self.kept[topic] = content
-
-    def is_heard(self, topic: str) -> bool:
-        return True
 
 
 @pytest.mark.parametrize("rate", [None, 100.0])
@@ -40,7 +24,7 @@ def test_the_way_back_is_the_way_there_mirrored(rate: float | None) -> None:
     passage = Passage.of(LOG, rate)
     there, back = list(passage.messages(there=True)), list(passage.messages(there=False))
     for way in (there, back):
-        for topic in (IMAGE, ODOMETRY):
+        for topic in (IMAGE, WHEELS):
             assert (np.diff([t_ns for t_ns, name, _ in way if name == topic]) > 0).all()
     turned = {(passage.length_ns - t_ns, name, k) for t_ns, name, k in back}
     ends = {message for message in there if message[0] in (0, passage.length_ns)}
@@ -68,21 +52,16 @@ def test_a_clock_that_jumps_by_decades_is_not_waited_for() -> None:
 
 
 def test_a_log_is_sent_as_a_robot_sends_it(tmp_path: Path) -> None:
-    """Two ways of a short log: stamps go on, images are the files, and the mount is kept for latecomers."""
+    """Two ways of a short log: stamps go on, images are the files, the mount is latched, names are in the namespace."""
     log = open_log(write_small_log(tmp_path / "log"))
-    wire = Wire()
-    StandIn(wire, Passage.of(log)).run(Event(), ways=2)
-    topics = [topic for topic, _ in wire.sent]
-    assert topics.count(IMAGE) == topics.count(INFO) >= 4 and FIXED in wire.kept and FIXED in topics
-    images = [content for topic, content in wire.sent if topic == IMAGE]
-    message = MAKE.store.deserialize_cdr(images[0], "sensor_msgs/msg/CompressedImage")
-    assert message.data.tobytes() == log.frames[0].encoded()
-    odometry = [
-        MAKE.store.deserialize_cdr(content, "nav_msgs/msg/Odometry").header.stamp
-        for topic, content in wire.sent
-        if topic == ODOMETRY
-    ]
-    assert (np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in odometry]) > 0).all()
+    wire = KeepingTransport()
+    StandIn(wire, Passage.of(log), "/robot1").run(Event(), ways=2)
+    images = wire.messages(f"/robot1{IMAGE.name}")
+    assert len(images) == len(wire.messages(f"/robot1{INFO.name}")) >= 4
+    assert images[0].data.tobytes() == log.frames[0].encoded()
+    assert [topic.latched for topic, _ in wire.sent[f"/robot1{FIXED.name}"]] == [True]
+    stamps = [message.header.stamp for message in wire.messages(f"/robot1{WHEELS.name}")]
+    assert (np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps]) > 0).all()
 
 
 def test_what_cannot_be_driven_is_refused(tmp_path: Path, localiser: Localiser) -> None:

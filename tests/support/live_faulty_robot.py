@@ -7,43 +7,44 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 from threading import Event, Thread
 
-from localiser.live import Passage, StandIn
-from localiser.live.sources import Network
-from localiser.live.stand_in import IMAGE, ODOMETRY
+from localiser.live import NetworkOptions, Passage, StandIn, open_transport
+from localiser.live.stand_in import IMAGE, WHEELS
+from localiser.live.transports import Topic, Transport
 from localiser.storage import open_log
 
 ODOMETRY_HZ = 50
-EVERY = {IMAGE: 7, ODOMETRY: 3}
+EVERY = {IMAGE: 7, WHEELS: 3}
 """One of so many messages goes wrong."""
 
 HOUR_S = 3600
 _SECONDS = slice(4, 8)  # of the stamp in the header that a message begins with, after four bytes of CDR's own
 
 
-class FaultyNetwork:
+class FaultyTransport:
     """Sends what has become of messages. fault: what is wrong now, "" if nothing."""
 
-    def __init__(self, network: Network) -> None:
-        self._network = network
-        self._count: Counter[str] = Counter()
-        self._held: dict[str, list[bytes]] = {topic: [] for topic in EVERY}
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self._count: Counter[Topic] = Counter()
+        self._held: dict[Topic, list[bytes]] = {topic: [] for topic in EVERY}
         self.fault = ""
-        self.keep, self.is_heard = network.keep, network.is_heard
+        self.advertise, self.is_heard = transport.advertise, transport.is_heard
 
-    def publish(self, topic: str, content: bytes) -> None:
+    def publish(self, topic: Topic, content: bytes) -> None:
         for message in self._made_of(topic, content) if topic in EVERY else [content]:
-            self._network.publish(topic, message)
+            self._transport.publish(topic, message)
 
-    def _made_of(self, topic: str, content: bytes) -> list[bytes]:
+    def _made_of(self, topic: Topic, content: bytes) -> list[bytes]:
         """Return what is sent in the place of a message."""
         self._count[topic] += 1
         held, self._held[topic] = self._held[topic], []
         goes_wrong = self._count[topic] % EVERY[topic] == 0
         match self.fault:
-            case "no odometry" if topic == ODOMETRY:
+            case "no odometry" if topic == WHEELS:
                 return []
             case "duplicated" if goes_wrong:
                 return [content, content]
@@ -73,8 +74,8 @@ def _without_end(content: bytes) -> bytes:
 
 
 def main(log: Path, endpoint: str) -> None:
-    with Network(connect=[], listen=[endpoint]) as network:
-        faulty, stop = FaultyNetwork(network), Event()
+    with closing(open_transport(NetworkOptions([], [endpoint]))) as transport:
+        faulty, stop = FaultyTransport(transport), Event()
         robot = StandIn(faulty, Passage.of(open_log(log), ODOMETRY_HZ))
         robot.wait_for_listener(stop)
         running = Thread(target=robot.run, args=(stop,))

@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.live import Connect, Listen
-from localiser.commands.options import ConfigFile, Overrides, show, topics_by_role
+from localiser.commands.options import (
+    ConfigFile,
+    Connect,
+    Distro,
+    Domain,
+    Listen,
+    Names,
+    Namespace,
+    Overrides,
+    network_of,
+    show,
+    topics_by_role,
+)
 
 if TYPE_CHECKING:
     from localiser.commands.doctor.checks import Finding
@@ -41,6 +52,10 @@ def doctor(
         Path | None, typer.Option(metavar="FILE.png", help="Write what the camera sees, with the edges found in it.")
     ] = None,
     seconds: Annotated[float, typer.Option(min=0.5, metavar="S", help="How long to listen.")] = 5.0,
+    domain: Domain = None,
+    namespace: Namespace = "",
+    names: Names = "rmw_zenoh",
+    distro: Distro = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
 ) -> None:
@@ -50,7 +65,7 @@ def doctor(
     """
     from localiser.commands.doctor import checks as examination
     from localiser.config import read_config
-    from localiser.live import TOPICS
+    from localiser.live import TOPICS, open_transport
     from localiser.storage import read_camera, read_map, require_new_file
 
     if picture is not None:
@@ -62,11 +77,17 @@ def doctor(
         finding, seen = examination.camera_check(image, seconds)
         findings.append(finding)
     if connect or listen:
-        from localiser.live.sources import Network
+        from contextlib import closing
 
-        heard = examination.Heard({**TOPICS, **topics_by_role(topics)})
-        with Network(connect or [], listen or []) as network:
-            heard.listen(network, seconds)
+        network = network_of(connect, listen, None, domain, namespace, names, distro)
+        heard = examination.Heard(
+            {
+                **{role: f"{network.prefix}{topic}" for role, topic in TOPICS.items()},
+                **topics_by_role(topics),
+            }
+        )
+        with closing(open_transport(network, "localiser_doctor")) as transport:
+            heard.listen(transport, seconds)
         findings += [*examination.topic_checks(heard), *examination.clock_checks(heard)]
         known, problem = examination.camera_of(heard, known)
         if known is None:

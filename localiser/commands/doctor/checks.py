@@ -25,8 +25,9 @@ from localiser.edges import find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live import CameraFinder, message_of, type_of
-from localiser.live.sources import Arrival, CameraSource, Network, topic_of
+from localiser.live import CameraFinder, message_of, topic_for, type_of
+from localiser.live.sources import Arrival, CameraSource
+from localiser.live.transports import HearsAll, Transport
 from localiser.storage import Image, check_whole, decoded, encode_image, write_bytes
 from localiser.storage.bags import floor_pose, grey_image, image_file, stamp_of
 
@@ -103,12 +104,11 @@ class Heard:
     seconds: float = 0.0
     _lock: Lock = field(default_factory=Lock)
 
-    def listen(self, network: Network, seconds: float) -> None:
+    def listen(self, transport: Transport, seconds: float) -> None:
         """Listen to everything for some time; what is kept for latecomers is asked for too."""
         roles = {topic: role for role, topic in self.topics.items()}
 
-        def take(key: str, content: bytes) -> None:
-            topic, msgtype = topic_of(key)
+        def take(topic: str, msgtype: str | None, content: bytes) -> None:
             with self._lock:
                 self.counts[topic] += 1
                 self.sizes[topic] += len(content)
@@ -118,7 +118,10 @@ class Heard:
                     arrivals = self.kept.setdefault(role, deque(maxlen=MOST_KEPT))
                     arrivals.append(Arrival(role, topic, content))
 
-        network.listen_to_all(take)
+        if isinstance(transport, HearsAll):
+            transport.listen_to_all(take)
+        fixed = topic_for("transforms", self.topics["transforms"])  # sent before now, and kept
+        transport.subscribe(fixed, lambda content, source: take(fixed.name, fixed.msgtype, content))
         Event().wait(seconds)
         self.seconds = seconds
 

@@ -16,7 +16,8 @@ MOST_OTHERS = 8192
 class Arrival:
     """A message as it came. role: what its topic is for. content: its bytes, CDR as ROS 2 has it.
 
-    at_ns: when it came, by this machine's monotonic clock. wall_ns: the same by the calendar.
+    at_ns: when it came, by this machine's monotonic clock. wall_ns: the same by the calendar. source: who sent it, b""
+    where the network does not tell.
     """
 
     role: str
@@ -24,6 +25,7 @@ class Arrival:
     content: bytes
     at_ns: int = field(default_factory=time.monotonic_ns)
     wall_ns: int = field(default_factory=time.time_ns)
+    source: bytes = b""
 
 
 class Inbox:

@@ -1,0 +1,151 @@
+"""What a live run publishes, over a transport that keeps what it gets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image, odometry
+from live_transport import KeepingTransport
+
+from localiser.geometry import compose, pose_from_ros
+from localiser.live.publishing import Publisher
+from localiser.ros import Frames, outputs_named
+from localiser.storage.bags import typestore
+
+
+def fed(publisher: Publisher, **settings: Any) -> Feed:
+    feed = Feed(**settings)
+    feed.run.publisher = publisher
+    return feed
+
+
+def stamp_of(header: Any) -> int:
+    return int(header.stamp.sec * 10**9 + header.stamp.nanosec)
+
+
+def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
+    transport = KeepingTransport()
+    fed(Publisher(transport, outputs_named()))([*camera(), *drive(4)])
+    assert transport.kinds() == {f"/{name}" for name in (
+        "localiser/pose", "tf", "localiser/particles", "localiser/landmarks", "localiser/matches", "localiser/path",
+        "localiser/image/compressed", "diagnostics",
+    )}  # fmt: skip
+    few = KeepingTransport(heard={"/tf"})
+    fed(Publisher(few, outputs_named()))([*camera(), *drive(4)])
+    assert few.kinds() == {"/tf", "/localiser/landmarks"}, "what is latched goes out for those who come later"
+    assert few.advertised == transport.advertised
+
+
+def test_names_of_topics_and_frames_can_be_changed() -> None:
+    transport = KeepingTransport()
+    outputs = outputs_named({"pose": "/amcl_pose", "image": ""}, "/robot1")
+    fed(Publisher(transport, outputs, Frames("world", "wheels")))([*camera(), *drive(3)])
+    assert "/amcl_pose" in transport.kinds() and "/robot1/tf" in transport.kinds()
+    assert not any("image" in topic for topic in transport.kinds())
+    (transform,) = transport.messages("/robot1/tf")[-1].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("world", "wheels")
+    assert transport.messages("/amcl_pose")[-1].header.frame_id == "world"
+
+
+def test_the_transform_has_the_frame_of_the_odometry_unless_named() -> None:
+    transport = KeepingTransport()
+    fed(Publisher(transport, outputs_named()))([*camera(), *drive(3)])
+    assert transport.messages("/tf")[-1].transforms[0].child_frame_id == "odom"
+
+
+@pytest.mark.parametrize("late_ns", [0, 60_000_000])
+def test_for_every_pose_of_the_wheels_the_pose_in_the_map_is_there_within_the_tolerance(late_ns: int) -> None:
+    """Nav2's part: odometry at 20 Hz, images at 5 Hz; asked at each odometry stamp for map→base as tf2 finds it.
+
+    The newest transform reaches the stamp or later, it is never older than an image and the tolerance, and it leads
+    to the true pose.
+    """
+    tolerance_ns = 200_000_000
+    transport = KeepingTransport(heard={"/tf"})
+    feed = fed(Publisher(transport, outputs_named(), tolerance_ns=tolerance_ns))
+    buffer = Buffer()
+    frames = LOG.frames[:40]
+    step_ns = 50_000_000
+    wheels = [odometry(t_ns) for t_ns in range(0, frames[-1].t_ns, step_ns)]
+    images = [image(frame.t_ns, k) for k, frame in enumerate(frames)]
+    asked: list[tuple[int, float]] = []
+    feed(camera())
+    messages = sorted([*wheels, *images], key=lambda m: m.at_ns + late_ns * (m.role == "image"))
+    for message in messages:
+        feed([message])
+        buffer.take(transport)
+        if message.role == "odometry" and feed.published:
+            found = buffer.map_from_odom(BEGIN_NS + message.at_ns)
+            pose = compose(found, LOG.odometry.at(message.at_ns))
+            asked.append((message.at_ns, float(np.hypot(*(pose - LOG.groundtruth.at(message.at_ns))[:2]))))
+    assert len(asked) > 100 and asked[0][0] < 10**9
+    assert max(error for _, error in asked) < 0.1
+    stamps = np.array(buffer.stamps_ns)
+    assert (np.diff(stamps) == step_ns).all(), "one transform for each pose of the wheels"
+
+
+@dataclass
+class Buffer:
+    """A buffer of transforms: between two of them it interpolates, beyond them it fails, as tf2 does."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    found: list[np.ndarray] = field(default_factory=list)
+
+    def take(self, transport: KeepingTransport) -> None:
+        for message in transport.messages("/tf", first=len(self.stamps_ns)):
+            (stamped,) = message.transforms
+            moved, turned = stamped.transform.translation, stamped.transform.rotation
+            self.stamps_ns.append(stamp_of(stamped.header))
+            self.found.append(np.array([moved.x, moved.y, 2 * np.arctan2(turned.z, turned.w)]))
+
+    def map_from_odom(self, t_ns: int) -> np.ndarray:
+        """Return map→odom in our own convention: what is applied to a pose of the wheels."""
+        assert self.stamps_ns and self.stamps_ns[-1] >= t_ns, "extrapolation into the future"
+        at = [np.interp(t_ns, self.stamps_ns, column) for column in np.unwrap(np.array(self.found), axis=0).T]
+        x, y, turn = at
+        return pose_from_ros([x, y, turn + np.pi / 2])
+
+
+def test_a_stamp_years_ahead_moves_no_transform() -> None:
+    transport = KeepingTransport()
+    feed = fed(Publisher(transport, outputs_named()))
+    feed([*camera(), *drive(4)])
+    count = len(transport.messages("/tf"))
+    feed([odometry_ahead(feed.now_ns)])
+    assert len(transport.messages("/tf")) == count
+    feed(drive(4, first=5))
+    assert len(transport.messages("/tf")) > count
+    assert max(stamp_of(m.transforms[0].header) for m in transport.messages("/tf")) < BEGIN_NS + feed.now_ns + 10**9
+
+
+def odometry_ahead(t_ns: int) -> Any:
+    import dataclasses
+
+    message = typestore(ros1=False).deserialize_cdr(odometry(t_ns).content, "nav_msgs/msg/Odometry")
+    message.header.stamp.sec += 10**8
+    content = bytes(typestore(ros1=False).serialize_cdr(message, "nav_msgs/msg/Odometry"))
+    return dataclasses.replace(odometry(t_ns), content=content)
+
+
+def test_what_goes_out_is_recorded_but_for_images() -> None:
+    recorded: list[str] = []
+    transport = KeepingTransport(heard=set())
+    publisher = Publisher(transport, outputs_named(), record=lambda topic, msgtype, content: recorded.append(topic))
+    fed(publisher)([*camera(), *drive(4)])
+    assert set(recorded) == {"/localiser/pose", "/tf", "/localiser/landmarks", "/diagnostics"}
+    heard: list[str] = []
+    publisher = Publisher(KeepingTransport(), outputs_named(), record=lambda topic, *rest: heard.append(topic))
+    fed(publisher)([*camera(), *drive(4)])
+    assert "/localiser/image/compressed" not in heard and "/localiser/particles" in heard
+
+
+def test_diagnostics_tell_the_warnings_of_the_run() -> None:
+    transport = KeepingTransport()
+    feed = fed(Publisher(transport, outputs_named()))([*camera(), *drive(2)])
+    feed([image(LOG.frames[3].t_ns, 3, b"no image"), *drive(2, first=4)])
+    (status,) = transport.messages("/diagnostics")[-1].status
+    values = {pair.key: pair.value for pair in status.values}
+    assert values["warnings, bad image"] == "1" and float(values["p_correct"]) > 0.5
