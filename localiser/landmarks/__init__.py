@@ -3,6 +3,7 @@
 from localiser.landmarks.image_lines import landmark_ends, predicted_lines
 from localiser.landmarks.index import CELL_M, HEADINGS, LandmarkIndex, in_view_of_cells
 from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality
+from localiser.landmarks.reach import Reach, kept_with, reach_of, sigmas_m
 from localiser.landmarks.visibility import (
     Sight,
     SightParameters,

@@ -37,7 +37,7 @@ class Quality:
         return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index], self.profile[index])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class LandmarkMap:
     """Vertical edges of a building, L of them, as columns; nan where something is not known.
 

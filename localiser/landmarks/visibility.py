@@ -16,6 +16,9 @@ from pydantic import Field
 from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map
 from localiser.landmarks.landmark_map import LandmarkMap
+from localiser.landmarks.reach import reach_of
+
+FEW = 1000  # landmarks, up to which all are looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +62,7 @@ def sight(
     crosses the image within the range limits. Walls do not hide anything: the map holds edges, not surfaces.
     """
     parameters = parameters or SightParameters()
-    near = _near_any_pose(camera_poses, landmark_map.points, parameters.range_max_m)
+    near = _near_any_pose(camera_poses, landmark_map, parameters.range_max_m)
     right, ahead = in_camera(camera_poses, landmark_map.points[near])
     range_squared = right**2 + ahead**2
     possible = (
@@ -173,11 +176,16 @@ def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
     return (max(-a_left, a_right) + margin) / nearest if nearest > 1e-6 else np.inf
 
 
-def _near_any_pose(camera_poses: Array, points: Array, range_max_m: float) -> NDArray[np.int64]:
-    """Return indices of the points (L, 2) that can be within range of some pose: those near the box of all poses."""
+def _near_any_pose(camera_poses: Array, landmark_map: LandmarkMap, range_max_m: float) -> NDArray[np.int64]:
+    """Return indices of the landmarks (L) that can be within range of some pose: those near the box of all poses."""
+    points, near = landmark_map.points, None
+    if len(points) > FEW:
+        near = reach_of(landmark_map, range_max_m).beside(camera_poses[:, :2])
+        points = points[near]
     low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)
     outside = np.maximum(np.maximum(low - points, points - high), 0.0)
-    return np.flatnonzero((outside**2).sum(axis=1) <= range_max_m**2)
+    within = np.flatnonzero((outside**2).sum(axis=1) <= range_max_m**2)
+    return within if near is None else near[within]
 
 
 def field_of_view_rad(camera: Camera) -> float:

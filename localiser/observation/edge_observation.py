@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, in_camera, sight
+from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, in_camera, sight, sigmas_m
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import likelihood, polarity
 from localiser.observation.angle import Angle
@@ -235,7 +235,7 @@ class EdgeObservation:
     def _predicted(self, seen: Sight, landmark_map: LandmarkMap) -> tuple[Array, Array]:
         """Return the angle at which each of the landmarks seen (P,) is expected, and its variance by the map."""
         predicted, per_bearing = self.angle.predicted(seen.tangent)
-        sigma_m = landmark_map.sigma_m(self.parameters.landmark_sigma_m)[seen.landmark]
+        sigma_m = sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[seen.landmark]
         return predicted, (per_bearing * sigma_m / seen.range_m) ** 2
 
     def _near(
@@ -266,11 +266,12 @@ class EdgeObservation:
         density = np.exp(-0.5 * (measured[edge] - predicted[pair]) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
 
         expected = np.column_stack([seen.e_bottom, seen.e_top])[pair]
-        known = np.isfinite(np.column_stack([landmark_map.bottom_m, landmark_map.top_m]))[seen.landmark[pair]]
+        landmark = seen.landmark[pair]
+        known = np.isfinite(np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]]))
         margin = self.parameters.sight.margin_px / self.camera.focal_px
         ends = endpoints.endpoints_of(edges, self.camera)
         agreement = endpoints.agreement(ends, edge, expected, known, self.camera, margin)
-        lighter = polarity.mean_polarity(landmark_map.polarity)[seen.landmark[pair]]
+        lighter = polarity.mean_polarity(landmark_map.polarity[landmark])
         return np.asarray(density / edges.clutter[edge] * (1.0 + edges.polarity[edge] * lighter) * agreement)
 
     def _spread_var(self, particles: Particles, points: Array) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, in_view_of_cells, widest_tangent
+from localiser.landmarks import LandmarkMap, Reach, in_view_of_cells, kept_with, reach_of, sigmas_m, widest_tangent
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import polarity
 from localiser.observation.angle import Angle
@@ -28,6 +28,8 @@ GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: not
 _UNKNOWN_M = 1e9  # beyond every height
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
+_LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
+_MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
 _BINS = 512  # of the compared angle
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 _PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
@@ -47,10 +49,12 @@ class Scene:
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
     own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of
-    its ends, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean.
+    its ends, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean. reach: which landmarks
+    are in range from where.
     """
 
     landmarks: Array
+    reach: Reach
     edges: Array
     offset: tuple[float, float, float]
     view: tuple[float, ...]
@@ -73,19 +77,12 @@ def scene_of(
     known = np.isfinite(measured) & np.isfinite(variance)
     measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
     ends = endpoints.endpoints_of(edges, camera)
-    bottom, top = landmark_map.bottom_m - mount.height_m, landmark_map.top_m - mount.height_m
-    of_landmarks: list[Array] = [
-        landmark_map.points,
-        np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
-        np.where(np.isnan(top), _UNKNOWN_M, top),
-        landmark_map.sigma_m(parameters.landmark_sigma_m) ** 2,
-        polarity.mean_polarity(landmark_map.polarity),
-    ]
     of_edges: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak, edges.polarity]
     margin = sight.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
     sin_cos = float(np.sin(mount.tilt_rad)), float(np.cos(mount.tilt_rad))
     return Scene(
-        landmarks=np.column_stack(of_landmarks),
+        landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m),
+        reach=reach_of(landmark_map, sight.range_max_m),
         edges=np.column_stack([*of_edges, 1.0 / edges.clutter])[np.argsort(measured, kind="stable")],
         offset=(mount.right_m, mount.back_m, mount.yaw_rad),
         view=(*sin_cos, *(np.array(camera.upright_bounds) + margin).tolist(), max(sight.length_min_px, 1e-9) / focal),
@@ -96,6 +93,24 @@ def scene_of(
         span=angle.span_rad,
         is_slope=angle.kind == "slope",
     )
+
+
+def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float) -> Array:
+    """Return the landmarks of a scene (L, 6) for a camera at this height, worked out once."""
+
+    def make() -> Array:
+        bottom, top = landmark_map.bottom_m - height_m, landmark_map.top_m - height_m
+        columns: list[Array] = [
+            landmark_map.points,
+            np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
+            np.where(np.isnan(top), _UNKNOWN_M, top),
+            sigmas_m(landmark_map, sigma_m) ** 2,
+            polarity.mean_polarity(landmark_map.polarity),
+        ]
+        return np.column_stack(columns)
+
+    found: Array = kept_with(landmark_map, ("scene", height_m, sigma_m), make)
+    return found
 
 
 def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_edges: bool = True) -> Array:
@@ -132,7 +147,7 @@ def _weighed(scene: Scene, columns: Array, rates: Array, edge_bins: EdgeBins, of
     run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()))
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
     start, item = in_view_of_cells(
-        run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.offset
+        run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.reach, scene.offset
     )
     return kernel.log_products(
         poses,
@@ -175,6 +190,8 @@ def _cells(columns: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     size = _CELL
     while True:
         shape = np.floor(extent / size) + 1.0  # as floats: their product does not overflow, however far poses lie apart
-        if shape.prod() <= max(columns.shape[1] // _PER_CELL, 1):
+        cells = shape.prod()
+        is_spread = size[0] >= _LARGEST_M and cells <= _MOST_CELLS
+        if is_spread or cells <= max(columns.shape[1] // _PER_CELL, 1):
             return low, 1.0 / size, shape.astype(np.int64)
         size = size * 1.25

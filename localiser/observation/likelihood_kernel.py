@@ -333,7 +333,7 @@ def log_products(
     run: Indices,
     offset: tuple[float, float, float],
     start: Indices,
-    item: Indices,
+    item: NDArray[np.int32],
     landmarks: Array,
     odds: tuple[float, ...],
     rates: int,

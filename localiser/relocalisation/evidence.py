@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.landmarks import CELL_M, field_of_view_rad, half_view_rad
+from localiser.landmarks import field_of_view_rad, half_view_rad
 from localiser.observation import MISSED
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.views import View
@@ -116,9 +116,9 @@ def arguments(evidence: Evidence, places: Places, robot_poses: Array) -> tuple[A
     mount, index = evidence.view.camera.mount, places.index
     return (
         np.ascontiguousarray(evidence.view.camera.pose_in_map(robot_poses)),
-        np.stack([*places.points.T, places.bottom_m - mount.height_m, places.top_m - mount.height_m], axis=-1),
+        places.from_camera,
         np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), places.sight.range_min_m, places.sight.range_max_m]),
-        np.array([*index.corner, CELL_M]),
+        np.array([*index.corner, index.cell_m]),
         index.shape,
         index.start,
         index.item,

@@ -6,6 +6,8 @@ measurements. A random part of a large set keeps one image cheap; the next image
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from localiser.geometry import Array
@@ -17,6 +19,8 @@ GATE_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more 
 MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
 AT_ONCE = 8  # pairs of edges looked up together
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
+MANY_PAIRS = 400_000  # of landmarks, beyond which pairs of edges are preferred that few of them can be
+FEWEST_TRIED = 4  # pairs of edges, on such a map
 WORST_RANGE = 0.25  # relative error of a range that still tells something
 
 
@@ -30,15 +34,50 @@ def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) 
     if len(i) == 0 or count == 0:
         return np.zeros((0, 3))
     ranges, sigmas = _foot_ranges(view, places)
-    order = np.argsort(rng.exponential(size=len(i)) / _merit(view, sigmas, i, j))
+    pairs, merit = np.stack([i, j], axis=-1), _merit(view, sigmas, i, j)
+    if len(places.pair) > MANY_PAIRS:
+        return view.robot_poses(_from_rare_pairs(view, places, pairs, merit, ranges, sigmas, count, rng))
+    order = np.argsort(rng.exponential(size=len(i)) / merit)
     found, total = [], 0
     for chunk in np.array_split(order, -(-len(order) // AT_ONCE)):
-        found.append(_from_pairs(view, places, np.stack([i, j], axis=-1)[chunk], ranges, sigmas))
+        queries = _queries(view, places, pairs[chunk], ranges, sigmas)
+        query, entry = _entries(queries.first, _at_most(queries.last - queries.first, count - total))
+        found.append(queries.poses(view, places, query, entry))
         total += len(found[-1])
         if total >= count:
             break
-    cameras = np.concatenate(found)
-    return view.robot_poses(cameras[:count])
+    return view.robot_poses(np.concatenate(found)[:count])
+
+
+def _from_rare_pairs(
+    view: View,
+    places: Places,
+    pairs: Indices,
+    merit: Array,
+    ranges: Array,
+    sigmas: Array,
+    count: int,
+    rng: np.random.Generator,
+) -> Array:
+    """Return `count` camera poses (K ≤ count, 3) from pairs of edges (P, 2) that few pairs of landmarks can be.
+
+    On a large map most pairs of edges can be more landmarks than an image can try. Those that can be few tell more for
+    the same work. Of what can be still more, a random part is tried.
+    """
+    queries = _queries(view, places, pairs, ranges, sigmas)
+    each = queries.last - queries.first
+    able = np.bincount(queries.pair, each, minlength=len(pairs))
+    order = np.argsort(rng.exponential(size=len(pairs)) * able / merit)
+    order = order[able[order] > 0]
+    chosen = order[: np.searchsorted(np.cumsum(np.minimum(able[order], count / FEWEST_TRIED)), count) + 1]
+    keep = np.flatnonzero(np.isin(queries.pair, chosen))
+    part = np.minimum(1.0, count / FEWEST_TRIED / able[queries.pair[keep]])
+    tried = np.floor(each[keep] * part + rng.random(len(keep))).astype(np.int64)
+    query, entry = _entries(queries.first[keep], tried)
+    spread = ((entry - queries.first[keep][query] + rng.random(len(entry))) / part[query]).astype(np.int64)
+    entry = queries.first[keep][query] + np.minimum(spread, each[keep][query] - 1)
+    some = rng.permutation(len(entry))[:count]
+    return queries.poses(view, places, keep[query[some]], entry[some])
 
 
 def _merit(view: View, sigmas: Array, i: Indices, j: Indices) -> Array:
@@ -52,8 +91,32 @@ def _merit(view: View, sigmas: Array, i: Indices, j: Indices) -> Array:
     return np.asarray(np.sqrt(view.length_px[i] * view.length_px[j]) / (sigma[i] + sigma[j]))
 
 
-def _from_pairs(view: View, places: Places, edges: Indices, ranges: Array, sigmas: Array) -> Array:
-    """Return all camera poses (K, 3) at which pairs of edges (P, 2) are landmarks at the distance of their feet."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Queries:
+    """Which pairs of landmarks pairs of edges (P, 2) may be, Q queries: one for every pair and heights of its feet.
+
+    edges: (P, 2). pair: (Q,) index into edges. first, last: (Q,) slice of the places' pairs. ranges: (Q, 2) m.
+    """
+
+    edges: Indices
+    pair: Indices
+    first: Indices
+    last: Indices
+    ranges: Array
+
+    def poses(self, view: View, places: Places, query: Indices, entry: Indices) -> Array:
+        """Return the camera poses (K, 3) at which the edges of query (K,) are the pair of landmarks at entry (K,)."""
+        landmarks = places.pair[entry]
+        return from_two_bearings(
+            places.points[landmarks[:, 0]],
+            places.points[landmarks[:, 1]],
+            view.bearing[self.edges[self.pair[query]]],
+            self.ranges[query],
+        )
+
+
+def _queries(view: View, places: Places, edges: Indices, ranges: Array, sigmas: Array) -> _Queries:
+    """Return which pairs of landmarks are as far apart as pairs of edges (P, 2) with feet are."""
     groups = len(places.class_m)
     r_i, r_j = ranges[edges[:, 0], :, None], ranges[edges[:, 1], None, :]
     s_i, s_j = sigmas[edges[:, 0], :, None], sigmas[edges[:, 1], None, :]
@@ -62,16 +125,21 @@ def _from_pairs(view: View, places: Places, edges: Indices, ranges: Array, sigma
     # The distance of the feet by their ranges, to first order.
     sigma = np.hypot(s_i * (r_i - r_j * cos), s_j * (r_j - r_i * cos)) / np.maximum(apart, 1e-6)
     pair, one, other = np.nonzero(np.isfinite(apart))
-    apart, slack = apart[pair, one, other], GATE_SIGMAS * sigma[pair, one, other] + 3 * places.sigma_m.max()
+    apart, slack = apart[pair, one, other], GATE_SIGMAS * sigma[pair, one, other] + 3 * places.sigma_max_m
     first, last = places.pairs_between(one * groups + other, apart - slack, apart + slack)
-    each = last - first
-    query = np.repeat(np.arange(len(pair)), each)
-    landmarks = places.pair[np.arange(len(query)) - np.repeat(np.cumsum(each) - each, each) + first[query]]
     measured = np.stack([ranges[edges[pair, 0], one], ranges[edges[pair, 1], other]], axis=-1)
-    bearings = view.bearing[edges[pair]]
-    return from_two_bearings(
-        places.points[landmarks[:, 0]], places.points[landmarks[:, 1]], bearings[query], measured[query]
-    )
+    return _Queries(edges, pair, first, last, measured)
+
+
+def _at_most(each: Indices, most: int) -> Indices:
+    """Return how many of each (Q,) there are among the first so many of all."""
+    return each - np.clip(np.cumsum(each) - most, 0, each)
+
+
+def _entries(first: Indices, each: Indices) -> tuple[Indices, Indices]:
+    """Return for slices that begin at first (Q,) and have so many entries (Q,) the slice and entry, (K,) each."""
+    query = np.repeat(np.arange(len(first)), each)
+    return query, np.arange(len(query)) - np.repeat(np.cumsum(each) - each, each) + first[query]
 
 
 def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ Indices = NDArray[np.int64]
 
 # How far off bearings may be at each step (rad); feet follow at the same angle.
 WINDOWS_RAD = np.radians([2.0, 1.0, 0.5, 0.25, 0.1])
+AT_ONCE = 1000  # landmarks on a map; on a larger one only those around each pose are looked at
 # What a hypothesis knows by itself, so that edges which leave a freedom leave it bounded.
 LOOSE_SIGMA = np.array([0.3, 0.3, np.radians(10.0)])
 
@@ -42,11 +43,24 @@ def refined(view: View, places: Places, poses: Array) -> tuple[Array, Array]:
 
 def _in_reach(view: View, places: Places, poses: Array) -> tuple[Indices, Indices]:
     """Return pairs (P,) of pose and landmark that can be in view, a little beyond its sides included."""
-    right, ahead = in_camera(view.camera.pose_in_map(poses), places.points)
+    cameras = view.camera.pose_in_map(poses)
+    if len(places) <= AT_ONCE:
+        return _in_reach_of(view, places, cameras, np.arange(len(places)))
+    found = [
+        _in_reach_of(view, places, cameras[k : k + 1], places.reach.beside(cameras[k : k + 1, :2]), k)
+        for k in range(len(poses))
+    ]
+    pose, landmark = (np.concatenate(part) for part in zip(*found, strict=True))
+    return pose, landmark
+
+
+def _in_reach_of(view: View, places: Places, cameras: Array, near: Indices, first: int = 0) -> tuple[Indices, Indices]:
+    """Return the pairs of these cameras (K, 3), the first of which has this number, and the landmarks `near`."""
+    right, ahead = in_camera(cameras, places.points[near])
     beside = np.tan(half_view_rad(view.camera)) * ahead + 0.2
     possible = (ahead > 0.1) & (ahead < places.sight.range_max_m) & (np.abs(right) < beside)
     pose, landmark = np.nonzero(possible)
-    return pose, landmark
+    return pose + first, near[landmark]
 
 
 def _add_normal_equations(

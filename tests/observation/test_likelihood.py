@@ -205,3 +205,21 @@ def test_detection_rates_are_a_poisson_process(kind: str) -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
     assert (seen == 0).any() and np.ptp(found) > 0.5
     np.testing.assert_array_equal(found[:, seen == 0], 0.0)
+
+
+def test_particles_all_over_a_large_map_are_weighed_as_by_arrays():
+    """Cells stay small, however large the building, and hold no landmark too few."""
+    rng = np.random.default_rng(4)
+    landmark_map = LandmarkMap.from_points(
+        rng.uniform(0, 150, (4000, 2)), bottom_m=np.zeros(4000), top_m=rng.uniform(1, 2.5, 4000)
+    )
+    poses = np.column_stack([rng.uniform(-10, 160, (600, 2)), rng.uniform(-np.pi, np.pi, 600)])
+    poses[:5, :2] += 1e7  # where nothing is in view
+    spread = Particles(POSE, poses.T.copy(), np.zeros(600))
+    observation = EdgeObservation(camera(20.0), ObservationParameters())
+    sighting = Sighting(0, some_edges(rng, 12, ends=True))
+    fast = observation.by_rate(spread, sighting, landmark_map)
+    plain = observation.by_rate_plain(spread, sighting, landmark_map)
+    np.testing.assert_allclose(fast, plain, atol=HARMLESS)
+    near = Particles(POSE, poses[5:].T.copy(), np.zeros(595))
+    np.testing.assert_array_equal(observation.by_rate(near, sighting, landmark_map), fast[:, 5:])

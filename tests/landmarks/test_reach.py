@@ -1,0 +1,58 @@
+"""Landmarks by place, against looking at all of them."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+import pytest
+
+from localiser.camera import Camera, Mount
+from localiser.landmarks import LandmarkMap, Reach, SightParameters, reach_of, sight, visibility
+from localiser.landmarks import reach as reach_module
+
+CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20.0), 0.9, back_m=-0.1))
+
+
+def scattered(count: int, side_m: float, seed: int = 0) -> LandmarkMap:
+    return LandmarkMap.from_points(np.random.default_rng(seed).uniform(0, side_m, (count, 2)))
+
+
+def test_every_landmark_in_range_of_a_point_is_listed_and_far_ones_are_not():
+    points = scattered(800, 120.0).points
+    reach = Reach.of(points, 10.0)
+    for point in np.random.default_rng(1).uniform(-20, 140, (200, 2)):
+        listed = reach.beside(point[None])
+        distance = np.hypot(*(points - point).T)
+        assert set(np.flatnonzero(distance <= 10.0)) <= set(listed)
+        assert (np.diff(listed) > 0).all()
+        assert (distance[listed] <= 10.0 + 1.5 * reach_module.PIECE_M).all()
+
+
+def test_pieces_grow_where_landmarks_are_a_world_apart():
+    points = np.array([[0.0, 0.0], [9e5, -9e5]])
+    reach = Reach.of(points, 16.0)
+    assert len(reach.start) <= reach_module.MOST_PIECES + 2
+    assert reach.beside(points[1:]).tolist() == [1]
+
+
+def test_it_is_made_once_for_a_map_and_goes_with_it():
+    landmark_map = scattered(50, 20.0)
+    assert reach_of(landmark_map, 12.0) is reach_of(landmark_map, 12.0)
+    before = len(reach_module._OF_MAPS)
+    del landmark_map
+    gc.collect()
+    assert len(reach_module._OF_MAPS) == before - 1
+
+
+@pytest.mark.parametrize("poses", [1, 40])
+def test_sight_on_a_large_map_is_that_of_all_its_landmarks(poses, monkeypatch):
+    landmark_map = scattered(3000, 80.0)
+    rng = np.random.default_rng(2)
+    cameras = np.column_stack([rng.uniform(20, 60, (poses, 2)), rng.uniform(-np.pi, np.pi, poses)])
+    found = sight(CAMERA, cameras, landmark_map, SightParameters())
+    monkeypatch.setattr(visibility, "FEW", len(landmark_map))
+    expected = sight(CAMERA, cameras, landmark_map, SightParameters())
+    assert len(found.pose) > 10 * poses
+    for column in ("pose", "landmark", "tangent", "length_px"):
+        np.testing.assert_array_equal(getattr(found, column), getattr(expected, column))

@@ -1,0 +1,110 @@
+"""Pairs of landmarks by distance, against a table of all pairs; and finding a robot in a large building."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from folders import ROOT
+from proposal_room import CAMERA, drawn_frames, room
+
+from localiser.landmarks import LandmarkMap
+from localiser.relocalisation import Places, hypotheses, places, view_of
+
+
+@pytest.fixture(scope="module")
+def scale() -> Iterator[SimpleNamespace]:
+    """Return the modules of the benchmark, which is not a package."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    import belief_run
+    import scale_building
+
+    yield SimpleNamespace(building=scale_building, run=belief_run.run)
+    sys.path.remove(str(ROOT / "benchmarks"))
+
+
+def on_a_grid() -> LandmarkMap:
+    """Landmarks of which very many pairs are equally far apart."""
+    points = np.stack(np.meshgrid(np.arange(20.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
+    return LandmarkMap.from_points(points, bottom_m=np.where(np.arange(240) % 3 == 0, 0.5, 0.0))
+
+
+def table_of(landmark_map: LandmarkMap, farthest_m: float):
+    """Pairs, classes and distances by a table of all pairs."""
+    points = landmark_map.points
+    _, group = np.unique(np.round(landmark_map.bottom_m / places.BOTTOM_STEP_M), return_inverse=True)
+    distance = np.hypot(*(points[:, None] - points[None, :]).T).T
+    first, second = np.nonzero((distance > 1e-3) & (distance <= farthest_m))
+    pair_class = group[first] * (group.max() + 1) + group[second]
+    order = np.lexsort((distance[first, second], pair_class))
+    return np.stack([first, second], axis=-1)[order], pair_class[order], distance[first, second][order]
+
+
+@pytest.mark.parametrize("landmark_map", [room(200), on_a_grid()], ids=["room", "grid"])
+@pytest.mark.parametrize("as_integers", [False, True])
+def test_pairs_are_those_of_a_table_of_all(landmark_map, as_integers, monkeypatch):
+    if as_integers:
+        monkeypatch.setattr(places, "FEWEST_AS_INTEGERS", 1)
+    found = Places.of(landmark_map, CAMERA)
+    pair, pair_class, distance = table_of(landmark_map, 2 * found.sight.range_max_m)
+    np.testing.assert_array_equal(found.pair, pair)
+    np.testing.assert_allclose(found.key, pair_class * (2 * found.sight.range_max_m + 1.0) + distance, atol=1e-8)
+    assert (np.diff(found.key) >= 0).all()
+
+
+def test_of_too_many_pairs_the_farthest_are_left_out(monkeypatch):
+    landmark_map = room(200)
+    every = Places.of(landmark_map, CAMERA)
+    monkeypatch.setattr(places, "MOST_PAIRS", len(every.pair) // 2)
+    nearest = Places.of(landmark_map, CAMERA)
+    step = 2 * every.sight.range_max_m + 1.0
+    assert len(every.pair) // 3 < len(nearest.pair) <= len(every.pair) // 2
+    limit = (nearest.key % step).max()
+    assert len(nearest.pair) == ((every.key % step) <= limit).sum()
+
+
+def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monkeypatch):
+    """And in many images one of them is near the true one, though a pair of edges could be any of thousands."""
+    floor = scale.building.floor_of(3000)
+    drive = scale.building.drive_of(floor, 40, 30)
+    many = Places.of(floor.landmark_map, drive.camera)
+    assert len(many.pair) > hypotheses.MANY_PAIRS
+    looked_up = []
+    from_bearings = hypotheses.from_two_bearings
+    monkeypatch.setattr(
+        hypotheses, "from_two_bearings", lambda *some: looked_up.append(len(some[0])) or from_bearings(*some)
+    )
+    near = []
+    for pose, edges in zip(drive.truth, drive.edges, strict=True):
+        poses = hypotheses.from_feet(view_of(drive.camera, edges), many, 5000, np.random.default_rng(0))
+        near.append((np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3).any())
+    assert 0 < max(looked_up) <= 5000
+    assert np.mean(near) > 0.3
+
+
+def test_a_robot_is_found_in_a_building_of_a_thousand_landmarks(scale):
+    drive = scale.building.drive_of(scale.building.floor_of(1000), 50, 30, seed=1)
+    record = scale.run(drive, "line", 1, start=None)
+    assert record.sure.any()
+    assert record.right[record.sure].all()
+
+
+def test_the_first_rooms_of_a_larger_building_are_those_of_a_smaller_one(scale):
+    small, large = scale.building.floor_of(100), scale.building.floor_of(1000)
+    assert len(large.landmark_map) == 1000
+    apart = np.abs(small.landmark_map.points - large.landmark_map.points[:100])
+    assert apart.max() < 0.1  # but for the errors of the map
+    again = scale.building.floor_of(100)
+    np.testing.assert_array_equal(small.landmark_map.points, again.landmark_map.points)
+
+
+def test_few_hypotheses_on_a_small_map_are_the_first_of_many():
+    landmark_map = room()
+    _, frames = drawn_frames(landmark_map, 40, seed=1, clutter=10)
+    edges = max(frames, key=len)
+    small = Places.of(landmark_map, CAMERA)
+    few, many = (hypotheses.from_feet(view_of(CAMERA, edges), small, n, np.random.default_rng(3)) for n in (50, 20_000))
+    np.testing.assert_array_equal(few, many[:50])
