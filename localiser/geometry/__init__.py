@@ -9,6 +9,7 @@ image vertical, positive when the top leans right; the paper's slope is m = 1 / 
 """
 
 from localiser.geometry.angles import MANY, Array, circular_mean, cos_sin, wrap_angle, wrap_half_turn
+from localiser.geometry.compiled import private_folder, read_kept, write_kept
 from localiser.geometry.increment import Increment
 from localiser.geometry.numbers import finite_numbers
 from localiser.geometry.poses import (

@@ -85,22 +85,27 @@ def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> An
 
 @cache
 def folder() -> Path | None:
-    """Return the folder of kept machine code; None where nothing can be kept, so that every run compiles anew.
+    """Return the folder of kept machine code; None where nothing can be kept, so that every run compiles anew."""
+    return private_folder("compiled")
 
-    That is `$LOCALISER_CACHE/compiled`, else `localiser/compiled` in the user's cache folder, else a folder in the one
-    for temporary files. It is the first that can be written and belongs to this user alone, because code in it is
-    executed by this process.
+
+def private_folder(name: str) -> Path | None:
+    """Return the folder of this name in which results are kept between runs; None where none can be.
+
+    That is `$LOCALISER_CACHE/NAME`, else `localiser/NAME` in the user's cache folder, else a folder in the one for
+    temporary files. It is the first that can be written and belongs to this user alone, because this process trusts
+    what is in it: it executes the code.
     """
-    return next((place for place in _places() if _is_private(place)), None)
+    return next((place for place in _places(name) if _is_private(place)), None)
 
 
-def _places() -> Iterator[Path]:
+def _places(name: str) -> Iterator[Path]:
     if stated := os.environ.get("LOCALISER_CACHE"):
-        yield Path(stated) / "compiled"
+        yield Path(stated) / name
     with suppress(RuntimeError):  # a user without a home
-        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "localiser" / "compiled"
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "localiser" / name
     with suppress(OSError):  # no folder for temporary files
-        yield Path(tempfile.gettempdir()) / f"localiser-compiled-{_user()}"
+        yield Path(tempfile.gettempdir()) / f"localiser-{name}-{_user()}"
 
 
 def _is_private(place: Path) -> bool:
@@ -138,7 +143,7 @@ class _Kept:
         from numba.core.compiler import CompileResult
 
         path = self._path(signature, target.codegen())
-        content = _read(path) if path else None
+        content = read_kept(path) if path else None
         if content is None:
             return None
         target.refresh()
@@ -150,7 +155,7 @@ class _Kept:
 
         path = self._path(signature, result.codegen)
         if path and not result.lifted and not result.library.has_dynamic_globals:
-            _write(path, dumps(result._reduce()))
+            write_kept(path, dumps(result._reduce()), _KEPT_FILES)
 
     def flush(self) -> None:
         """Do nothing: what is kept is never out of date."""
@@ -170,7 +175,8 @@ class _Kept:
         return where / f"{function.__name__}-{digest[:40]}"
 
 
-def _read(path: Path) -> bytes | None:
+def read_kept(path: Path) -> bytes | None:
+    """Return what `write_kept` wrote there; None where there is nothing, or it is damaged."""
     try:
         content = path.read_bytes()
         os.utime(path)  # used just now
@@ -180,22 +186,25 @@ def _read(path: Path) -> bytes | None:
     return content if hashlib.sha256(content).digest() == checksum else None
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all. That it cannot be kept is no reason to fail."""
+def write_kept(path: Path, content: bytes, most: int) -> None:
+    """Write a file whole or not at all, and keep at most so many: those used last. That it cannot be is no failure.
+
+    path: in a folder of `private_folder`, and named `NAME-DIGEST`, with 40 characters of the digest.
+    """
     try:
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
             file.write(hashlib.sha256(content).digest() + content)
         Path(file.name).replace(path)
-        _forget_oldest(path.parent)
+        _forget_oldest(path.parent, most)
     except OSError:
         return
 
 
-def _forget_oldest(where: Path) -> None:
+def _forget_oldest(where: Path, most: int) -> None:
     with os.scandir(where) as files:
         ours = [file for file in files if _OUR_NAME.fullmatch(file.name)]
         by_use = sorted(ours, key=lambda file: file.stat().st_mtime)
-    for file in by_use[:-_KEPT_FILES]:
+    for file in by_use[:-most]:
         Path(file.path).unlink(missing_ok=True)
 
 

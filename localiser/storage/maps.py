@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
 
-from localiser.documents import Document, dump, load, shown, validate, write_text
-from localiser.geometry import Array
+from localiser.documents import Document, dump, parse, read_text, shown, validate, write_text
+from localiser.geometry import Array, private_folder, read_kept, write_kept
 from localiser.landmarks import FRAME, LandmarkMap, Quality
+from localiser.storage.packing import decode, encode, form_of
 
 FORMAT = "localiser-map/1"
+MOST_BYTES = 64 * 2**20
+LARGE_BYTES = 50_000  # from which on a map is kept as it was read
+KEPT_MAPS = 20
 
 Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Variance = Annotated[float, Field(ge=0, le=1e12)]
@@ -67,8 +73,30 @@ class MapFile(BaseModel):
 
 
 def read_map(path: Path | str) -> LandmarkMap:
-    """Return the map that a file describes. Raises InputError."""
-    return map_from_document(load(Path(path)))
+    """Return the map that a file describes. Raises InputError.
+
+    A large map is kept between runs as it was read, by the content of its file, because reading its text takes long.
+    """
+    path = Path(path)
+    text = read_text(path, MOST_BYTES)
+    if len(text) < LARGE_BYTES:
+        return map_from_document(parse(text, str(path)))
+    kept = _kept_path(text)
+    found = kept and read_kept(kept)
+    if found:
+        with suppress(ValueError):  # another version's
+            return decode(LandmarkMap, found)  # type: ignore[no-any-return]
+    landmark_map = map_from_document(parse(text, str(path)))
+    if kept:
+        write_kept(kept, encode(landmark_map), KEPT_MAPS)
+    return landmark_map
+
+
+def _kept_path(text: str) -> Path | None:
+    """Return where the map with this text is kept, None where nothing can be kept."""
+    where = private_folder("maps")
+    digest = sha256(f"{FORMAT} {form_of(LandmarkMap)}\n{text}".encode()).hexdigest()
+    return where and where / f"map-{digest[:40]}"
 
 
 def map_from_document(document: Document) -> LandmarkMap:
