@@ -86,7 +86,8 @@ def replay(
     from localiser.replay import FolderRun, Outputs, prepare
 
     settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
-    recorded, effective = opened(log, config, settings, format=log_format, topics=topics_by_role(topics), camera=camera)
+    how: dict[str, Any] = {"format": log_format, "topics": topics_by_role(topics), "camera": camera}
+    recorded, effective = opened(log, config, settings, up_to_fault=True, **how)
     with working("Getting ready; the first run compiles …", quiet):
         ready = prepare(recorded, effective, start, map_file=map_file)
         ready.localiser.warm_up(images=recorded.has_images)

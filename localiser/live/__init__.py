@@ -1,6 +1,6 @@
 """A running robot: messages in, poses out; the same filter as in a replay."""
 
-from localiser.live.inbound import TOPICS, CameraFinder, message_of, topic_for, type_of
+from localiser.live.inbound import TOPICS, message_of, topic_for, type_of
 from localiser.live.prepare import LiveOptions, opened
 from localiser.live.send_pose import send_pose
 from localiser.live.stand_in import Passage, StandIn

@@ -32,14 +32,32 @@ class RobotClock:
         if self._at_ns is None:
             self._newest_ns, self._lead_ns, self._at_ns = stamp_ns, float(stamp_ns - at_ns), at_ns
             return stamp_ns
-        t_ns = stamp_ns + self.offset_ns
-        lead_ns = self._lead_ns - _LEAD_DECAY * (at_ns - self._at_ns)
-        if self._newest_ns - LATE_NS <= t_ns <= at_ns + lead_ns + EARLY_NS:
+        lead_ns = self._lead_at(at_ns)
+        if (t_ns := self.possible_time(stamp_ns, at_ns)) is not None:
             self._doubtful.clear()
             self._newest_ns = max(self._newest_ns, t_ns)
             self._lead_ns, self._at_ns = max(lead_ns, t_ns - at_ns), at_ns
             return t_ns
         return self._jumped(stamp_ns, at_ns, lead_ns)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether any message has told of the clock."""
+        return self._at_ns is not None
+
+    def possible_time(self, stamp_ns: int, at_ns: int) -> int | None:
+        """Return the time of a message that tells nothing of the clock, None when its stamp cannot be true now.
+
+        at_ns: see `time_of`. Before any message that tells of the clock, no stamp can be judged: None.
+        """
+        if self._at_ns is None:
+            return None
+        t_ns = stamp_ns + self.offset_ns
+        return t_ns if self._newest_ns - LATE_NS <= t_ns <= at_ns + self._lead_at(at_ns) + EARLY_NS else None
+
+    def _lead_at(self, at_ns: int) -> float:
+        """Return by how much stamps are ahead of arrivals at most, as far as that is known at `at_ns`."""
+        return self._lead_ns - _LEAD_DECAY * (at_ns - (self._at_ns or 0))
 
     def _jumped(self, stamp_ns: int, at_ns: int, lead_ns: float) -> int | None:
         if self._doubtful:

@@ -18,7 +18,7 @@ from localiser.documents import nearest, read_text
 from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
-from localiser.live.inbound import TOPICS, CameraFinder, topic_for
+from localiser.live.inbound import TOPICS, topic_for
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, Published
 from localiser.live.publishing import Publisher
@@ -31,7 +31,7 @@ from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import Frames, outputs_named
 from localiser.storage import encode_image, read_camera, read_map
-from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, Messages, live_label_text
+from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
 _CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0), "plumb_bob", (-0.1,) * 5)
 JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
@@ -105,7 +105,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         say("getting ready; the first run compiles its loops, which takes up to a minute", "INFO")
         warm_up(landmark_map, options.config)
         say("ready; waiting for the robot", "INFO")
-        finder = CameraFinder(given, topics["image"])
+        finder = CameraFinder(given, topics["image"], topics["camera_info"])
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         run.publisher = _publisher(options, transport, recording)
         if options.checkpoint is not None:
@@ -145,9 +145,10 @@ def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None
+    topics = _topics(options.topics, options.network.prefix)
     recording = Recording(options.record, failed)
     texts = {
-        LOG_TOPIC: live_label_text(options.record.stem, "", _changed_settings(options.config)),
+        LOG_TOPIC: live_label_text(options.record.stem, _changed_settings(options.config), topics),
         MAP_TOPIC: read_text(options.map_file),
     }
     if options.camera is not None:

@@ -17,7 +17,7 @@ from localiser.errors import InputError
 from localiser.filter import LocatedFrame, Start
 from localiser.geometry import Array, Trajectory
 from localiser.live.clock import LATE_NS, RobotClock
-from localiser.live.inbound import CameraFinder, message_of, type_of
+from localiser.live.inbound import message_of, type_of
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published, pose_now
 from localiser.live.publishing import Publisher
@@ -30,6 +30,7 @@ from localiser.replay import Sink
 from localiser.storage.bags import (
     DECISIONS_TOPIC,
     STATE_TOPIC,
+    CameraFinder,
     anywhere_decision,
     clock_decision,
     floor_pose,
@@ -149,9 +150,13 @@ class LiveRun:
                 self.publisher.wheels(t_ns - self.clock.offset_ns, plain_frame(message.header.frame_id))
 
     def _take_groundtruth(self, arrival: Arrival, message: Any) -> None:
-        t_ns = stamp_of(message) + self.clock.offset_ns
-        if not self._truth or t_ns > self._truth[-1][0]:
-            self._truth.append((t_ns, np.array(floor_pose(message))))
+        pose = np.array(floor_pose(message))
+        t_ns = self.clock.possible_time(stamp_of(message), arrival.at_ns)
+        if t_ns is None:
+            if self.clock.is_known:
+                self._warn_of_stamp(arrival, stamp_of(message))
+        elif not self._truth or t_ns > self._truth[-1][0]:
+            self._truth.append((t_ns, pose))
             self._record(arrival)
 
     def _take_initialpose(self, arrival: Arrival, message: Any) -> None:
@@ -174,17 +179,20 @@ class LiveRun:
         stamp_ns = stamp_of(message)
         t_ns = self.clock.time_of(stamp_ns, arrival.at_ns)
         if t_ns is None:
-            self.monitor.warn(
-                "wrong stamps",
-                f"{arrival.topic}: left out a message with the stamp {stamp_ns} ns, which cannot be true now; do "
-                "camera and wheels share a clock?",
-            )
+            self._warn_of_stamp(arrival, stamp_ns)
         if self.clock.jumps > jumps:
             self.monitor.warn("clock jumps", "the robot's clock has jumped; going on from where it was")
             self._decide(clock_decision(self.clock.offset_ns))
             if self.publisher is not None:
                 self.publisher.clock_jumped()
         return t_ns
+
+    def _warn_of_stamp(self, arrival: Arrival, stamp_ns: int) -> None:
+        self.monitor.warn(
+            "wrong stamps",
+            f"{arrival.topic}: left out a message with the stamp {stamp_ns} ns, which cannot be true now; do camera, "
+            "wheels and truth share a clock?",
+        )
 
     def _record(self, arrival: Arrival) -> int:
         """Record a message that can be read; return how many of its role were recorded before."""

@@ -76,7 +76,10 @@ class Replay:
         return run_metrics(self, bound_of(self))
 
     def run(self, sinks: Sequence[Sink] = (), after_each: Callable[[], None] = lambda: None) -> None:
-        """Replay the log: hand every located image to the sinks, then call `after_each`. Raises InputError."""
+        """Replay the log: hand every located image to the sinks, then call `after_each`.
+
+        Raises InputError for an image that cannot be read, and in the end where the log could not be read further.
+        """
         for found in self._steps():
             for frame in found:
                 self._hand_over(self._completed(frame), sinks)
@@ -98,6 +101,8 @@ class Replay:
                 case ImageEvent():
                     yield self._image(event)
         yield localiser.finish()
+        if self.log.fault is not None:
+            raise self.log.fault
 
     def _image(self, event: ImageEvent) -> list[LocatedFrame]:
         data = event.encoded()

@@ -12,7 +12,7 @@ from short_log import CORRIDOR
 from localiser.camera import Camera
 from localiser.config import Config, read_config
 from localiser.filter import mcl
-from localiser.live import TOPICS, CameraFinder, LiveOptions
+from localiser.live import TOPICS, LiveOptions
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published
 from localiser.live.prepare import begun_recording
@@ -21,7 +21,7 @@ from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Resumed
 from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, open_log
-from localiser.storage.bags import ODOM, Messages
+from localiser.storage.bags import ODOM, CameraFinder, Messages
 
 MAKE = Messages()
 LOG = open_log(CORRIDOR)

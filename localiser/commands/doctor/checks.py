@@ -25,11 +25,11 @@ from localiser.edges import find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live import CameraFinder, message_of, topic_for, type_of
+from localiser.live import message_of, topic_for, type_of
 from localiser.live.sources import Arrival, CameraSource
 from localiser.live.transports import HearsAll, Transport
 from localiser.storage import Image, check_whole, decoded, encode_image, write_bytes
-from localiser.storage.bags import floor_pose, grey_image, image_file, stamp_of
+from localiser.storage.bags import CameraFinder, floor_pose, grey_image, image_file, stamp_of
 
 State = Literal["ok", "warning", "missing"]
 LIBRARIES = ("numpy", "opencv-python-headless", "numba", "rosbags", "rerun-sdk", "eclipse-zenoh")

@@ -15,7 +15,7 @@ from localiser.storage.bags.bag import (
     stamp_of,
     typestore,
 )
-from localiser.storage.bags.cameras import camera_of
+from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.decisions import (
     anywhere_decision,
     clock_decision,

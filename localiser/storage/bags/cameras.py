@@ -25,6 +25,16 @@ def camera_of(info: Any, mount: Mount, *, rectified: bool, name: str, source: st
     return replace(camera_from_document(document), mount=mount, name=name)
 
 
+def intrinsics_of(info: Any, *, rectified: bool) -> dict[str, Any]:
+    """Return all of a CameraInfo that a camera is made from, by name, to be compared with another's."""
+    region = info.roi
+    part = {
+        "binning": (int(info.binning_x), int(info.binning_y)),
+        "roi": (int(region.x_offset), int(region.y_offset), bool(region.do_rectify)),
+    }
+    return _camera_file(info, rectified) | part
+
+
 def _camera_file(info: Any, rectified: bool) -> dict[str, Any]:
     """Return a CameraInfo as a camera file has it; ROS 1 writes the matrices' names in capitals."""
     coefficients, matrix, projection, rotation = (_array(info, name) for name in "dkpr")

@@ -26,6 +26,7 @@ class Label(BaseModel):
     start: StartFile | None = None
     motion: dict[str, Any] | None = None
     settings: dict[str, Any] | None = None  # everything that a live run was set to, by names such as `mcl.particles`
+    topics: dict[str, str] | None = None  # what a live run listened to, by what it is for, such as `image`
 
 
 def document_of(text: str, source: str) -> Document:
@@ -45,9 +46,12 @@ def label_text(log: Log) -> str:
     return dump(data)
 
 
-def live_label_text(name: str, camera_name: str, settings: Mapping[str, Any]) -> str:
-    """Return the label of a live run as text: it starts where its decisions say, with these settings."""
-    return dump({"format": FORMAT, "name": name, "camera_name": camera_name, "settings": dict(settings)})
+def live_label_text(name: str, settings: Mapping[str, Any], topics: Mapping[str, str]) -> str:
+    """Return the label of a live run as text: it starts where its decisions say, with these settings.
+
+    topics: what it listens to, by what that is for.
+    """
+    return dump({"format": FORMAT, "name": name, "settings": dict(settings), "topics": dict(topics)})
 
 
 def motion_settings(log: Log) -> dict[str, Any]:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from base64 import b64decode
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.documents import validate
+from localiser.documents import Document, validate
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, Bag, Message, Topic
-from localiser.storage.bags.cameras import camera_of
+from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Message, Topic
+from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.decisions import Decisions
-from localiser.storage.bags.frames import FrameTree, floor_pose, mount_of, plain_frame
-from localiser.storage.bags.images import stated_size
+from localiser.storage.bags.frames import floor_pose
 from localiser.storage.bags.label import FORMAT, Label, document_of
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
@@ -27,8 +27,6 @@ from localiser.storage.folder import start_from_file
 from localiser.storage.images import check_size
 from localiser.storage.log import Log, ReadOptions, require_overlap
 from localiser.storage.maps import map_from_document
-
-_IN_RECTIFIED = "image_rect"  # what image_proc calls images with their lens distortion undone
 
 
 class BagReader:
@@ -42,27 +40,63 @@ class BagReader:
 
     def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; the bag is read once from end to end. Raises InputError."""
+        given = read_camera(options.camera) if options.camera else None
         with Bag(path) as bag:
-            roles = choose(path, bag.topics, options.topics)
-            content = _Content(path, {topic.name: role for topic, role in roles.items()})
-            for message in bag.messages(roles):
-                content.take(message)
-        image = next(topic for topic, role in roles.items() if role == "image")
-        return _log(content, image, read_camera(options.camera) if options.camera else None)
+            roles = choose(path, bag.topics, options.topics, _stated_topics(bag))
+            image = next(topic for topic, role in roles.items() if role == "image")
+            is_live = DECISIONS_TOPIC in roles.values()
+            infos = [topic.name for topic, role in roles.items() if role == "camera_info"]
+            content = _Content(
+                path,
+                {topic.name: role for topic, role in roles.items()},
+                CameraFinder(None, image.name, " ".join([str(path), *infos]), at_once=is_live),
+            )
+            fault = _taken(content, bag, roles, up_to_fault=is_live and options.up_to_fault)
+        return replace(_log(content, image, given), fault=fault)
+
+
+def _taken(content: _Content, bag: Bag, topics: Collection[Topic], *, up_to_fault: bool) -> InputError | None:
+    """Take all messages; up_to_fault: or those before the first one that is wrong, which is returned."""
+    try:
+        for message in bag.messages(topics):
+            content.take(message)
+    except InputError as error:
+        if not (up_to_fault and content.decisions.images):
+            raise
+        return error
+    return None
+
+
+def _stated_topics(bag: Bag) -> Mapping[str, str]:
+    """Return which topics a live run listened to, by what they are for, if the bag is a recording of one."""
+    stated = [topic for topic in bag.topics if (topic.name, topic.msgtype) == (LOG_TOPIC, TEXT)]
+    message = next(bag.messages(stated), None)
+    return {} if message is None else _label(bag.path, message).topics or {}
+
+
+def _label(path: Path, message: Message) -> Label:
+    """Return name and settings of a log. Raises InputError."""
+    return validate(_document(path, message), Label)
+
+
+def _document(path: Path, message: Message) -> Document:
+    try:
+        return document_of(message.content.data, f"{path} {message.topic}")
+    except ValueError as error:
+        raise InputError(str(error), path=path, field=f"{message.topic} at {message.t_ns} ns") from None
 
 
 @dataclass(slots=True, eq=False)
 class _Poses:
-    """Poses of one odometry topic. rows: (t_ns, x, z, heading). frame: whose poses they are."""
+    """Poses of one odometry topic. rows: (t_ns, x, z, heading)."""
 
     rows: list[tuple[int, float, float, float]] = field(default_factory=list)
     topic: str = ""
-    frame: str = ""
 
     def take(self, message: Message, offset_ns: int) -> None:
         """Add the floor part of a nav_msgs/Odometry. Raises ValueError."""
         self.rows.append((message.stamp_ns + offset_ns, *floor_pose(message.content)))
-        self.topic, self.frame = message.topic, plain_frame(message.content.child_frame_id)
+        self.topic = message.topic
 
     def trajectory(self, path: Path) -> Trajectory:
         """Return the poses in the order of their stamps. Raises InputError when two have the same."""
@@ -77,16 +111,12 @@ class _Content:
 
     path: Path
     roles: dict[str, str]
+    finder: CameraFinder
     images: list[ImagePlace] = field(default_factory=list)
-    size: tuple[int, int] | None = None
-    optical_frame: str = ""
     odometry: _Poses = field(default_factory=_Poses)
     groundtruth: _Poses = field(default_factory=_Poses)
-    info: Message | None = None
-    tree: FrameTree = field(default_factory=FrameTree)
     label: Label | None = None
     landmark_map: LandmarkMap | None = None
-    camera: Camera | None = None
     decisions: Decisions = field(default_factory=Decisions)
     resumed: bytes = b""
 
@@ -104,41 +134,29 @@ class _Content:
             self._take_image(message, offset_ns)
         elif role == "odometry":
             self.odometry.take(message, offset_ns)
+            self.finder.take_odometry(content)
         elif role == "groundtruth":
             self.groundtruth.take(message, offset_ns)
         elif role == "camera_info":
-            if self.info is not None and _intrinsics(self.info.content) != _intrinsics(content):
-                raise ValueError("expected one camera, found intrinsics that change")
-            self.info = message
+            self.finder.take_info(content)
         elif role == "transforms":
-            self.tree.add_all(content.transforms)
+            self.finder.take_transforms(content)
         elif role == DECISIONS_TOPIC:
             self.decisions.take(content.data)
         elif role == STATE_TOPIC:
             self.resumed = b64decode(content.data, validate=True)
-        else:
-            document = document_of(content.data, f"{self.path} {role}")
-            if role == LOG_TOPIC:
-                self.label = validate(document, Label)
-            elif role == MAP_TOPIC:
-                self.landmark_map = map_from_document(document)
-            elif role == CAMERA_TOPIC:
-                self.camera = camera_from_document(document)
+        elif role == LOG_TOPIC:
+            self.label = _label(self.path, message)
+        elif role == MAP_TOPIC:
+            self.landmark_map = map_from_document(_document(self.path, message))
+        elif role == CAMERA_TOPIC and self.finder.camera is None:
+            self.finder.camera = camera_from_document(_document(self.path, message))
 
     def _take_image(self, message: Message, offset_ns: int) -> None:
-        size = stated_size(message.content)
-        if self.size not in (None, size):
-            raise ValueError(f"expected images of one size, found {self.size} and {size} pixels")
-        self.size = size
-        self.optical_frame = plain_frame(message.content.header.frame_id)
+        self.finder.take_image(message.content)
         last = self.images[-1] if self.images else None
         later = last.later + 1 if last is not None and last.recorded_ns == message.t_ns else 0
         self.images.append(ImagePlace(message.stamp_ns + offset_ns, message.t_ns, len(self.images), later, offset_ns))
-
-
-def _intrinsics(info: Any) -> tuple[bytes, int, int]:
-    matrix = getattr(info, "k", None)
-    return bytes(info.K if matrix is None else matrix), int(info.width), int(info.height)
 
 
 # -- from what was collected to a log ---------------------------------------------------------------------------------
@@ -151,17 +169,18 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
         rows, unused = content.odometry.rows, decisions.unused_odometry
         content.odometry.rows = [row for k, row in enumerate(rows) if k not in unused]
         content.images = [place for place in content.images if place.order in decisions.images]
-    if not content.images or not content.odometry.rows or content.size is None:
+    if not content.images or not content.odometry.rows:
         raise InputError("expected images and odometry, found a bag that is cut off", path=path)
     places = sorted(content.images, key=lambda place: place.stamp_ns)
     _distinct([place.stamp_ns for place in places], path, topic.name)
     odometry = content.odometry.trajectory(path)
     label = content.label or Label(format=FORMAT, name=path.resolve().stem)
-    camera = given or content.camera or _camera(content, topic, label.camera_name)
+    camera = given or content.finder.camera or _camera(content)
+    camera = camera if given else replace(camera, name=camera.name or label.camera_name)
     first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
     starts = decisions.starts or [start_from_file(label.start, first_ns) if label.start else None]
     size = (camera.width, camera.height)
-    check_size(path, content.size, size, topic.name)
+    check_size(path, content.finder.size or size, size, topic.name)
     playback = Playback(path, topic, size)
     log = Log(
         name=label.name,
@@ -179,18 +198,13 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
     return require_overlap(log)
 
 
-def _camera(content: _Content, topic: Topic, name: str) -> Camera:
+def _camera(content: _Content) -> Camera:
     """Return the camera by camera_info and transforms. Raises InputError."""
-    path, info = content.path, content.info
-    if info is None:
-        problem = "expected a topic of sensor_msgs/CameraInfo, found none; give the camera with --camera FILE"
-        raise InputError(problem, path=path)
     try:
-        mount = mount_of(content.tree, content.odometry.frame, content.optical_frame)
+        return content.finder.made()
     except ValueError as error:
-        raise InputError(f"{error}; give camera and mount with --camera FILE", path=path, field="tf_static") from None
-    rectified = _IN_RECTIFIED in topic.name
-    return camera_of(info.content, mount, rectified=rectified, name=name, source=f"{path} {info.topic}")
+        problem = f"{error}; give camera and mount with --camera FILE"
+        raise InputError(problem, path=content.path, field="camera") from None
 
 
 def _distinct(times: list[int], path: Path, topic: str) -> np.ndarray[Any, np.dtype[np.int64]]:

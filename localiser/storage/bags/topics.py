@@ -13,6 +13,8 @@ from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY,
 LOG_TOPIC, MAP_TOPIC = "/localiser/log", "/localiser/map"
 CAMERA_TOPIC, DECISIONS_TOPIC = "/localiser/camera", "/localiser/decisions"
 STATE_TOPIC = "/localiser/state"
+OUR_NAMES = "/localiser/"
+"""What the names of this program's own topics begin with: no source of images, unless asked for."""
 LABEL_TOPICS = (LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC, DECISIONS_TOPIC, STATE_TOPIC)
 TYPES = {
     "image": (IMAGE, COMPRESSED),
@@ -24,10 +26,12 @@ _TRUTH = re.compile(r"ground_?truth", re.IGNORECASE)
 _MOST_LISTED = 12
 
 
-def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> dict[Topic, str]:
+def choose(
+    path: Path, topics: Sequence[Topic], asked: Mapping[str, str], stated: Mapping[str, str]
+) -> dict[Topic, str]:
     """Return the topics of a log and what each is for; one that this program adds to a bag stands for itself.
 
-    asked: names by what they are for, which come before any guess.
+    asked: names by what they are for, which come before any guess. stated: the same, as the bag says.
 
     An odometry whose name says ground truth is the truth. Of several camera_info the one beside the image is taken, as
     ROS names them. Raises InputError that lists the choices when several fit or none does.
@@ -38,6 +42,9 @@ def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> dic
     of_type = {
         role: [topic for topic in topics if topic.msgtype in types and topic.count] for role, types in TYPES.items()
     }
+    names = {role: {topic.name for topic in found} for role, found in of_type.items()}
+    stated = {role: name for role, name in stated.items() if name not in asked.values()}
+    asked = {role: name for role, name in stated.items() if name in names.get(role, ())} | dict(asked)
 
     def one(role: str, fitting: Sequence[Topic]) -> Topic | None:
         """Return the topic that was asked for, else the only one that fits, None where none does."""
@@ -57,7 +64,7 @@ def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> dic
         found = _listed(topics) or "no topic at all"
         raise InputError(f"expected a topic of {' or '.join(TYPES[role])}, found {found}", path=path, field=role)
 
-    image = required("image", of_type["image"])
+    image = required("image", [topic for topic in of_type["image"] if not topic.name.startswith(OUR_NAMES)])
     wheels = [topic for topic in of_type["odometry"] if topic.name != asked.get("groundtruth")]
     truths = [topic for topic in wheels if _TRUTH.search(topic.name) and topic.name != asked.get("odometry")]
     odometry = required("odometry", [topic for topic in wheels if topic not in truths])
@@ -65,7 +72,12 @@ def choose(path: Path, topics: Sequence[Topic], asked: Mapping[str, str]) -> dic
     parent = image.name.rsplit("/", 1)[0]
     near = (f"{parent}/camera_info", f"{parent.rsplit('/', 1)[0]}/camera_info")
     beside = [topic for topic in of_type["camera_info"] if topic.name in near]
-    fixed = [topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf_static"]
+    fixed = [
+        topic
+        for topic in topics
+        if topic.msgtype == TRANSFORMS
+        and (topic.name.rsplit("/", 1)[-1] == "tf_static" or topic.name == stated.get("transforms"))
+    ]
     single = {
         "image": image,
         "odometry": odometry,

@@ -443,12 +443,13 @@ def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path:
 
 
 def test_binning_is_refused(tmp_path: Path) -> None:
-    def record(recorder: Recorder) -> None:
-        record_images(recorder)
+    with recording(tmp_path / "bag") as recorder:
+        recorder.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
         recorder.info(10**9, binning_x=2)
-
+        recorder.odometry(0)
+        record_images(recorder)
     with pytest.raises(InputError, match="/cam/camera_info: binning: expected images of the whole sensor"):
-        open_log(bag(tmp_path / "bag", record))
+        open_log(tmp_path / "bag")
 
 
 def test_a_camera_file_stands_in_for_a_bag_without_camera(tmp_path: Path) -> None:

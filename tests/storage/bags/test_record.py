@@ -12,6 +12,7 @@ from small_log import CAMERA, MAP, image
 
 from localiser.errors import InputError, OutputError
 from localiser.storage import open_log
+from localiser.storage.bags import live_label_text
 from localiser.storage.bags.decisions import image_decision, odometry_decision
 from localiser.storage.bags.record import BagRecorder
 from localiser.storage.images import encode_image
@@ -80,3 +81,27 @@ def test_decisions_leave_out_what_a_live_run_left_out(tmp_path: Path) -> None:
     assert [frame.t_ns for frame in log.frames] == [100, 300, 500]
     assert [frame.by_wheels for frame in log.frames] == [True, False, True]
     assert log.odometry.t_ns.tolist() == [k * 100 for k in range(6)] and abs(log.odometry.poses[:, 1]).max() < 1
+
+
+def test_a_recording_says_which_topic_is_what(tmp_path: Path) -> None:
+    """Also where names tell nothing, and where there are images that went out."""
+    recorder = BagRecorder(tmp_path / "a.db3")
+
+    def send(topic: str, message: object) -> None:
+        recorder.write(topic, message.__msgtype__, 1, MAKE.encode(message))
+
+    stated = {"image": "/front/compressed", "odometry": "/wheels", "groundtruth": "/mocap", "transforms": "/fixed"}
+    send("/localiser/log", MAKE.text(live_label_text("a", {}, stated | {"camera_info": "/front/camera_info"})))
+    send("/fixed", MAKE.mount(0, CAMERA))
+    send("/front/camera_info", MAKE.camera_info(0, CAMERA))
+    file = encode_image(image(0), ".jpg", 90)
+    for k in range(3):
+        send("/mocap", MAKE.odometry(k * 100, "map", (1.0, -0.1 * k, 0.0)))
+        send("/wheels", MAKE.odometry(k * 100, "odom", (0.0, -0.1 * k, 0.0)))
+        for topic in ("/front/compressed", "/shown/compressed", "/localiser/image/compressed"):
+            send(topic, MAKE.compressed(k * 100, file))
+        send("/localiser/decisions", MAKE.text(image_decision(k, k * 100)))
+    recorder.close()
+    log = open_log(tmp_path / "a.db3")
+    assert len(log.frames) == 3 and log.odometry.poses[0, 0] == 0.0 and log.groundtruth.poses[0, 0] == 1.0
+    assert open_log(tmp_path / "a.db3", topics={"odometry": "/mocap"}).odometry.poses[0, 0] == 1.0

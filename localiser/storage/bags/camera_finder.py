@@ -1,0 +1,94 @@
+"""Put the camera of a robot together from its messages; the same rules for a live run and for a bag.
+
+A recording of a live run therefore has the camera that the run had, and nothing that the run refused.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from localiser.camera import Camera
+from localiser.errors import InputError
+from localiser.storage.bags.cameras import camera_of, intrinsics_of
+from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
+from localiser.storage.bags.images import stated_size
+
+_IN_RECTIFIED = "image_rect"  # what image_proc calls images with their lens distortion undone
+
+
+class CameraFinder:
+    """Puts the camera together from CameraInfo, fixed transforms, and whose frames images and odometry name first.
+
+    camera: None until it is known. problem: why it is not known. size: (width, height) of images, once that is known.
+    """
+
+    def __init__(self, given: Camera | None, image_topic: str, source: str = "", *, at_once: bool = True) -> None:
+        """Begin. given: the camera from a file, which comes before anything that a robot says. source: for errors.
+
+        at_once: whether the camera is what the messages until now say, as on a robot that drives. Otherwise it is what
+        all of them say, which `made` returns in the end.
+        """
+        self.camera = given
+        self.problem = "no camera_info"
+        self.size: tuple[int, int] | None = None
+        self._source, self._at_once = source, at_once
+        self._rectified = _IN_RECTIFIED in image_topic
+        self._info: Any = None
+        self._tree = FrameTree()
+        self._optical = self._base = ""
+
+    def take_info(self, info: Any) -> None:
+        """Take a CameraInfo. Raises ValueError when it differs from the one that the camera was made from."""
+        settled = self._info is not None and (self.camera is not None or not self._at_once)
+        if settled:
+            before, now = (intrinsics_of(one, rectified=self._rectified) for one in (self._info, info))
+            if changed := [name for name in now if repr(before[name]) != repr(now[name])]:
+                found = ", ".join(f"{name} from {before[name]} to {now[name]}" for name in changed)
+                raise ValueError(f"expected one camera, found intrinsics that change: {found:.300}")
+        self._info = info
+        self._look()
+
+    def take_transforms(self, message: Any) -> None:
+        """Take a TFMessage. Raises ValueError."""
+        self._tree.add_all(message.transforms)
+        self._look()
+
+    def take_image(self, image: Any) -> None:
+        """Take an image. Raises ValueError when it has no size, or another than the camera.
+
+        Before the camera is known, images of any size may come where the camera is looked for at once: they are not
+        used. Otherwise all have the size of the first.
+        """
+        size = stated_size(image)
+        if not self._optical:
+            self._optical = plain_frame(image.header.frame_id)
+            self._look()
+        if self._at_once:
+            self.size = None if self.camera is None else (self.camera.width, self.camera.height)
+        expected = self.size or size
+        if size != expected:
+            why = "as the camera says" if self._at_once else "as the first has"
+            raise ValueError(f"expected images of {expected[0]}×{expected[1]} pixels, {why}, found {size[0]}×{size[1]}")
+        if not self._at_once:
+            self.size = size
+
+    def take_odometry(self, odometry: Any) -> None:
+        """Take an Odometry."""
+        if not self._base:
+            self._base = plain_frame(odometry.child_frame_id)
+            self._look()
+
+    def made(self) -> Camera:
+        """Return the camera by everything until now. Raises InputError; ValueError where something is missing."""
+        if self._info is None:
+            raise ValueError("expected a topic of sensor_msgs/CameraInfo, found none")
+        mount = mount_of(self._tree, self._base, self._optical)
+        return camera_of(self._info, mount, rectified=self._rectified, name="", source=self._source)
+
+    def _look(self) -> None:
+        if not self._at_once or self.camera is not None or self._info is None:
+            return
+        try:
+            self.camera = self.made()
+        except (ValueError, InputError) as error:
+            self.problem = str(error)
