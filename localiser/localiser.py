@@ -26,6 +26,7 @@ from localiser.edges import Detector, Edges, find_edges
 from localiser.edges import warm_up as warm_up_edges
 from localiser.errors import InputError
 from localiser.filter import (
+    Anywhere,
     Event,
     FilterState,
     Image,
@@ -151,10 +152,30 @@ class Localiser:
         """
         at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
         event = Start(at_ns, finite_numbers("pose", pose, (3,)), _covariance(cov))
-        waiting = self.state.waiting
-        while waiting and (t_ns is None or waiting[0].t_ns < at_ns):
-            self._measured.pop(waiting.popleft().t_ns, None)
+        self._drop_waiting(t_ns)
         return self._step(self._mcl, event)
+
+    @property
+    def can_look_everywhere(self) -> bool:
+        """Whether a robot of which nothing is known can be looked for on the whole map."""
+        return self._mcl.search is not None
+
+    def look_everywhere(self, t_ns: int | None = None) -> list[LocatedFrame]:
+        """Forget where the robot was believed to be, and look for it on the whole map. Raises InputError.
+
+        t_ns: from when on, as for `start`.
+        """
+        if not self.can_look_everywhere:
+            raise InputError("expected an observation that can look for the robot on the whole map; state a start")
+        at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
+        self._drop_waiting(t_ns)
+        return self._step(self._mcl, Anywhere(at_ns))
+
+    def _drop_waiting(self, t_ns: int | None) -> None:
+        """Drop images that wait for the wheels and were taken before a time; all where it is None."""
+        waiting = self.state.waiting
+        while waiting and (t_ns is None or waiting[0].t_ns < t_ns):
+            self._measured.pop(waiting.popleft().t_ns, None)
 
     def odometry(self, t_ns: int, pose: ArrayLike) -> list[LocatedFrame]:
         """Take a pose (3,) of the wheels in the odometry's own frame; only increments count. Raises InputError."""

@@ -99,6 +99,14 @@ def live(
             "pose=/amcl_pose; `KIND=` for none. Repeatable.",
         ),
     ] = None,
+    services: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--service",
+            metavar="KIND=NAME",
+            help="Another name for look_everywhere, load_map or save_state; `KIND=` for none. Repeatable.",
+        ),
+    ] = None,
     frames: Annotated[
         list[str] | None,
         typer.Option(
@@ -155,6 +163,7 @@ def live(
         read_config(config, with_options(overrides, seed=seed)),
         topics_by_role(topics),
         names_by_kind(publish, "--publish"),
+        names_by_kind(services, "--service"),
         network_of(connect, listen, zenoh_config, domain, namespace, names, distro),
         camera,
         image,

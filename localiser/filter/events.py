@@ -22,6 +22,13 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Anywhere:
+    """Nothing is known of where the robot is from this time on."""
+
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
     """A pose (3,) in the odometry's own frame; only increments between two of them count."""
 
@@ -29,7 +36,7 @@ class Odometry:
     pose: Array
 
 
-Event = Start | Odometry | Sighting
+Event = Start | Anywhere | Odometry | Sighting
 
 
 @dataclass(frozen=True, slots=True, eq=False)

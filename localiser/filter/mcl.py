@@ -18,7 +18,7 @@ from pydantic import Field
 from localiser import particles
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief
-from localiser.filter.events import Event, Located, Odometry, Start
+from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -130,6 +130,9 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
             state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
             state.wheels = Wheels()
             state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
+        case Anywhere():
+            state.particles, state.at_ns, state.weighed, state.seen = None, event.t_ns, False, None
+            state.scene, state.wheels, state.pace, state.belief = Scene(), Wheels(), None, Belief.anywhere()
         case Odometry():
             state.odometry.append(event)
         case Sighting():

@@ -23,6 +23,7 @@ from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, Published
 from localiser.live.publishing import Publisher
 from localiser.live.recording import Recording
+from localiser.live.requests import Requests, serve
 from localiser.live.run import LiveRun
 from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
@@ -41,17 +42,19 @@ JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is reco
 class LiveOptions:
     """What a live run is asked to do.
 
-    topics: names by what they are for, in place of `TOPICS`. publish: names by kind, in place of those in
-    `ros.OUTPUTS`; an empty one for what is not published. network: how to take part in the robot's. image: a camera or
-    stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
-    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
-    resume: whether to go on from there, if it is there. frames, transform_tolerance_s: see `Publisher`.
+    topics: names by what they are for, in place of `TOPICS`. publish, services: names by kind, in place of those in
+    `ros.OUTPUTS` and `ros.SERVICES`; an empty one for what there shall not be. network: how to take part in the
+    robot's. image: a camera or stream that OpenCV reads, in place of a topic. start: where the robot is at the first
+    image, None where that is not known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint:
+    where the state is saved. resume: whether to go on from there, if it is there. frames, transform_tolerance_s: see
+    `Publisher`.
     """
 
     map_file: Path
     config: Config
     topics: Mapping[str, str] = field(default_factory=dict)
     publish: Mapping[str, str] = field(default_factory=dict)
+    services: Mapping[str, str] = field(default_factory=dict)
     network: NetworkOptions = field(default_factory=NetworkOptions)
     camera: Path | None = None
     image: str | None = None
@@ -108,6 +111,8 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         finder = CameraFinder(given, topics["image"], topics["camera_info"])
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         run.publisher = _publisher(options, transport, recording)
+        run.requests = Requests(options.map_file.parent)
+        serve(transport, inbox, options.network.prefix, options.services)
         if options.checkpoint is not None:
             run.checkpoints = Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why))
             if options.resume and options.checkpoint.exists():

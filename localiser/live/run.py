@@ -7,6 +7,7 @@ from base64 import b64encode
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -16,12 +17,14 @@ from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame, Start
 from localiser.geometry import Array, Trajectory
+from localiser.landmarks import LandmarkMap
 from localiser.live.clock import LATE_NS, RobotClock
 from localiser.live.inbound import message_of, type_of
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published, pose_now
 from localiser.live.publishing import Publisher
 from localiser.live.recording import Recording
+from localiser.live.requests import Requests
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Frame, Timeline
@@ -66,8 +69,10 @@ class LiveRun:
     checkpoints: Checkpoints | None = None
     sinks: Sequence[Sink] = ()
     publisher: Publisher | None = None
+    requests: Requests | None = None
     now_ns: Callable[[], int] = time.monotonic_ns
     localiser: Localiser | None = None
+    given_map: LandmarkMap | None = None
     clock: RobotClock = field(default_factory=RobotClock)
     timeline: Timeline = field(init=False)
     _counts: Counter[str] = field(default_factory=Counter)
@@ -105,10 +110,17 @@ class LiveRun:
         """Read every message, record it if it is one, and act on it."""
         for arrival in arrivals:
             try:
+                if arrival.reply is not None:
+                    self._answer(arrival)
+                    continue
                 message = message_of(arrival)
                 getattr(self, f"_take_{arrival.role}")(arrival, message)
             except ValueError as error:
                 self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
+
+    def _answer(self, arrival: Arrival) -> None:
+        if self.requests is not None:
+            self.requests.answer(self, arrival)
 
     def _take_camera_info(self, arrival: Arrival, message: Any) -> None:
         self.finder.take_info(message)
@@ -218,6 +230,8 @@ class LiveRun:
         if self.localiser is not None or self.finder.camera is None:
             return
         self.localiser = self.localiser_of(self.finder.camera)
+        if self.given_map is not None:
+            self.localiser = Localiser(self.given_map, self.finder.camera, self.localiser.config)
         self.timeline.needs_wheels = self.localiser.needs_wheels
         self.monitor.inform("the camera is known")
         if self.publisher is not None:
@@ -239,6 +253,54 @@ class LiveRun:
         self._decide(start_decision(begun))
         x, z, heading = begun.mean
         self.monitor.inform(f"started at x = {x:.2f} m, z = {z:.2f} m, heading = {np.rad2deg(heading):.1f}°")
+
+    # -- what others may ask for --------------------------------------------------------------------------------------
+
+    def look_everywhere(self) -> None:
+        """Forget where the robot is, and look for it on the whole map from the next image on."""
+        self.start = None
+        if self.localiser is None:
+            return
+        if not self.localiser.can_look_everywhere:
+            self.monitor.warn("no global localisation", "these settings cannot look for the robot on the whole map")
+            return
+        t_ns = self.timeline.restart(max(self.timeline.newest_ns, self.timeline.weighed_ns))
+        self.localiser.look_everywhere(t_ns)
+        if self.publisher is not None:
+            self.publisher.forget()
+        self._decide(anywhere_decision(t_ns))
+        self.monitor.inform("the robot is looked for on the whole map")
+
+    def load_map(self, landmark_map: LandmarkMap) -> None:
+        """Go on with another map: the robot took the lift. What was believed is forgotten. Raises InputError.
+
+        A recording belongs to one map and ends here. A state that is saved from here on belongs to the new map.
+        """
+        if self.localiser is None or self.finder.camera is None:
+            self.given_map = landmark_map
+            return
+        before = self.localiser
+        self.localiser = Localiser(landmark_map, self.finder.camera, before.config)
+        self.start, self.resumed = None, None
+        if self.recording is not None:
+            self.recording.close()
+            self.recording = None
+            self.monitor.warn("recording ended", "the recording ended, because it belongs to the map before")
+        for pose in before.state.odometry:
+            self.localiser.odometry(pose.t_ns, pose.pose)
+        if self.publisher is not None:
+            self.publisher.record = None
+            self.publisher.begin(landmark_map, self.finder.camera, self.timeline.weighed_ns - self.clock.offset_ns)
+        name = landmark_map.name or "another one"
+        self.monitor.inform(f"the map is now {name}; the robot is looked for on the whole of it")
+
+    def save_state(self) -> Path:
+        """Save the state now, and return where. Raises InputError without --checkpoint or before the first image."""
+        if self.checkpoints is None:
+            raise InputError("expected --checkpoint FILE to save the state in")
+        if self.localiser is None or not self.localiser.state.is_begun:
+            raise InputError("expected a robot that was located, found none yet")
+        return self.checkpoints.save(self.localiser, self.clock.offset_ns)
 
     def _weigh_next(self) -> None:
         """Weigh one image, or find the edges of one that waits for the wheels."""

@@ -35,6 +35,13 @@ class Checkpoints:
             self._thread = Thread(target=self._write, args=(localiser.save(-offset_ns),), name="checkpoint")
             self._thread.start()
 
+    def save(self, localiser: Localiser, offset_ns: int) -> Path:
+        """Save the state now, after what is being written; return where. Raises OutputError."""
+        if self._thread is not None:
+            self._thread.join()
+        write_bytes(self.path, localiser.save(-offset_ns), durably=True)
+        return self.path
+
     def close(self, localiser: Localiser | None, offset_ns: int) -> None:
         """Save how the run ended."""
         if self._thread is not None:

@@ -17,7 +17,7 @@ from localiser.config import Config, in_force, read_config, to_yaml, with_seed
 from localiser.edges import Detector
 from localiser.errors import InputError, LocaliserError, OutputError, RunEndedEarlyError
 from localiser.evaluate import Track, write_report
-from localiser.filter import LocatedFrame, Odometry, Sighting, Start
+from localiser.filter import Anywhere, LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser, check_settings
@@ -92,6 +92,8 @@ class Replay:
             match event:
                 case Start():
                     yield localiser.start(event.mean, event.cov, event.t_ns)
+                case Anywhere():
+                    yield localiser.look_everywhere(event.t_ns)
                 case Odometry():
                     yield localiser.odometry(event.t_ns, event.pose)
                 case Sighting() if event.measurement is not None:

@@ -2,3 +2,14 @@
 
 from localiser.ros.outgoing import Frames, Message, Outgoing
 from localiser.ros.outputs import OUTPUTS, Output, outputs_named
+from localiser.ros.services import (
+    MAP_INVALID,
+    MAP_LOADED,
+    MAP_NOT_THERE,
+    SERVICES,
+    ServiceType,
+    request_bytes,
+    request_of,
+    response_bytes,
+    response_of,
+)

@@ -14,7 +14,7 @@ from localiser.camera import Camera
 from localiser.documents import Place, shown
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
-from localiser.filter import Odometry, Sighting, Start
+from localiser.filter import Anywhere, Odometry, Sighting, Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent
@@ -24,7 +24,7 @@ NO_ODOMETRY = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 """The odometry of a log that has images alone, such as a video."""
 VISION_ALONE = {"increments.source": "vision"}
 """What such a log asks for: how the robot moved is taken from its images."""
-Event = Start | Odometry | ImageEvent | Sighting
+Event = Start | Anywhere | Odometry | ImageEvent | Sighting
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +37,9 @@ class Log:
     settings: what it says about the robot, as settings of the configuration by name, such as `motion.alpha1`.
     named: the landmarks that edges are said to belong to, by id, and where that is first said; without a map of its own
     `landmark_id` of an edge is the number of a landmark here, else in its map.
-    restarts: where the robot was said to be later on. resumed: the state that a live run went on from, in place of its
-    start, as the content of a checkpoint; empty for any other log. fault: why the log ends where it does, though more
-    was recorded; a replay raises it in the end.
+    restarts: where the robot was said to be later on, or that it was looked for. resumed: the state that a live run
+    went on from, in place of its start, as the content of a checkpoint; empty for any other log. fault: why the log
+    ends where it does, though more was recorded; a replay raises it in the end.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Log:
     groundtruth: Trajectory | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     named: Mapping[str, Place] = field(default_factory=dict)
-    restarts: Sequence[Start] = ()
+    restarts: Sequence[Start | Anywhere] = ()
     resumed: bytes = b""
     fault: InputError | None = None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Condition
 
@@ -17,7 +18,7 @@ class Arrival:
     """A message as it came. role: what its topic is for. content: its bytes, CDR as ROS 2 has it.
 
     at_ns: when it came, by this machine's monotonic clock. wall_ns: the same by the calendar. source: who sent it, b""
-    where the network does not tell.
+    where the network does not tell. reply: answers it, where it is a request of a service.
     """
 
     role: str
@@ -26,6 +27,7 @@ class Arrival:
     at_ns: int = field(default_factory=time.monotonic_ns)
     wall_ns: int = field(default_factory=time.time_ns)
     source: bytes = b""
+    reply: Callable[[bytes], None] | None = None
 
 
 class Inbox:

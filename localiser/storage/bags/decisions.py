@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from localiser.filter import Start
+from localiser.filter import Anywhere, Start
 from localiser.storage.bags.frames import check_start
 
 _LAST_NS = 2**62
@@ -44,9 +44,9 @@ def start_decision(start: Start) -> str:
     return json.dumps({"start": start.t_ns, "mean": start.mean.tolist(), "cov": start.cov.tolist()})
 
 
-def anywhere_decision() -> str:
-    """Return that the robot was looked for on the whole map."""
-    return json.dumps({"start": None})
+def anywhere_decision(t_ns: int | None = None) -> str:
+    """Return that the robot was looked for on the whole map: at the beginning, or from a later time on."""
+    return json.dumps({"start": None} if t_ns is None else {"anywhere": t_ns})
 
 
 @dataclass(slots=True, eq=False)
@@ -61,7 +61,7 @@ class Decisions:
     images: set[int] = field(default_factory=set)
     blind: set[int] = field(default_factory=set)
     unused_odometry: set[int] = field(default_factory=set)
-    starts: list[Start | None] = field(default_factory=list)
+    starts: list[Start | Anywhere | None] = field(default_factory=list)
     offset_ns: int = 0
     any: bool = False
 
@@ -84,6 +84,8 @@ class Decisions:
                 self.offset_ns = offset_ns
             case {"start": int(t_ns)} if 0 <= t_ns < _LAST_NS:
                 self.starts.append(_start(t_ns, data))
+            case {"anywhere": int(t_ns)} if 0 <= t_ns < _LAST_NS and self.starts:
+                self.starts.append(Anywhere(t_ns))
             case {"start": None} if not self.starts:
                 self.starts.append(None)
             case _:

@@ -13,6 +13,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.documents import Document, validate
 from localiser.errors import InputError
+from localiser.filter import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Message, Topic
@@ -189,7 +190,7 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
         odometry=odometry,
         frames=[playback.event(place, by_wheels=place.order not in decisions.blind) for place in places],
         landmark_map=content.landmark_map,
-        start=starts[0],
+        start=starts[0] if isinstance(starts[0], Start) else None,
         restarts=[start for start in starts[1:] if start is not None],
         resumed=content.resumed,
         groundtruth=content.groundtruth.trajectory(path) if content.groundtruth.rows else None,

@@ -1,0 +1,82 @@
+"""Answer requests of services between two images: look everywhere, load another map, save the state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from localiser.documents import nearest
+from localiser.errors import InputError, LocaliserError
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.transports import ServesRequests, Service, Transport
+from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, request_of, response_bytes
+from localiser.storage import read_map
+
+if TYPE_CHECKING:
+    from localiser.live.run import LiveRun
+
+
+def serve(transport: Transport, inbox: Inbox, prefix: str = "", names: Mapping[str, str] | None = None) -> None:
+    """Let the requests of all services come into the inbox. names: in place of those in SERVICES, "" for none.
+
+    prefix: a namespace, put before names that are not given. Raises InputError for an unknown kind.
+    """
+    names = names or {}
+    for kind in names:
+        if kind not in SERVICES:
+            raise InputError(f"unknown kind of service; {nearest(kind, list(SERVICES))}", field="--service")
+    if not isinstance(transport, ServesRequests):
+        return
+    for kind, service in SERVICES.items():
+        if name := names.get(kind, f"{prefix}{service.name}"):
+            take = _taker(inbox, kind, name)
+            transport.serve(Service(name, service.srvtype, service.type_hash), take)
+
+
+def _taker(inbox: Inbox, kind: str, name: str) -> Callable[[bytes, Callable[[bytes], None]], None]:
+    return lambda content, reply: inbox.put(Arrival(kind, name, content, reply=reply))
+
+
+@dataclass(slots=True, eq=False)
+class Requests:
+    """Answers requests. folder: where maps may be loaded from; a path that leads elsewhere is refused."""
+
+    folder: Path
+    _answers: dict[str, Callable[[LiveRun, Any], dict[str, Any]]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._answers = {
+            "look_everywhere": self._look_everywhere,
+            "load_map": self._load_map,
+            "save_state": self._save_state,
+        }
+
+    def answer(self, run: LiveRun, arrival: Arrival) -> None:
+        """Do what a request asks for, and answer it. Raises ValueError when it is none."""
+        fields = self._answers[arrival.role](run, request_of(arrival.role, arrival.content))
+        if arrival.reply is not None:
+            arrival.reply(response_bytes(arrival.role, **fields))
+
+    def _look_everywhere(self, run: LiveRun, _request: Any) -> dict[str, Any]:
+        run.look_everywhere()
+        return {}
+
+    def _load_map(self, run: LiveRun, request: Any) -> dict[str, Any]:
+        path = self.folder / str(request.map_url).removeprefix("file://")
+        if not path.resolve().is_relative_to(self.folder.resolve()) or not path.is_file():
+            run.monitor.warn("no such map", f"expected a map in {self.folder}, asked for {request.map_url!r}")
+            return {"result": MAP_NOT_THERE}
+        try:
+            run.load_map(read_map(path))
+        except InputError as error:
+            run.monitor.warn("bad map", f"the map stays as it was: {error}")
+            return {"result": MAP_INVALID}
+        return {"result": MAP_LOADED}
+
+    def _save_state(self, run: LiveRun, _request: Any) -> dict[str, Any]:
+        try:
+            return {"success": True, "message": str(run.save_state())}
+        except LocaliserError as error:
+            return {"success": False, "message": str(error)}

@@ -1,0 +1,145 @@
+"""Services of a live run, answered in its loop: look everywhere, load another map, save the state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_feed import BEGIN_NS, LOG, Feed, camera, drive
+from live_transport import KeepingTransport
+from short_log import CORRIDOR, Localiser
+
+from localiser.errors import InputError
+from localiser.live.publishing import Publisher
+from localiser.live.requests import Requests, serve
+from localiser.live.sources import Arrival, Inbox
+from localiser.live.state import Checkpoints
+from localiser.localiser import Localiser as RobotLocaliser
+from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, outputs_named, request_bytes, response_of
+from localiser.storage import read_track, write_map
+
+N = 8
+
+
+def asked(feed: Feed, kind: str, **fields: Any) -> Any:
+    """Ask a service in the middle of a run; return its answer."""
+    replies: list[bytes] = []
+    arrival = Arrival(kind, SERVICES[kind].name, request_bytes(kind, **fields), feed.now_ns, reply=replies.append)
+    feed([arrival])
+    return response_of(kind, replies[0]) if replies else None
+
+
+def fed(folder: Path, **settings: Any) -> tuple[Feed, KeepingTransport]:
+    transport = KeepingTransport(heard={"/tf"})
+    feed = Feed(**settings)
+    feed.run.publisher = Publisher(transport, outputs_named())
+    feed.run.requests = Requests(folder)
+    return feed, transport
+
+
+def test_a_robot_that_is_looked_for_again_is_found_and_the_recording_replays(
+    localiser: Localiser, tmp_path: Path
+) -> None:
+    feed, transport = fed(tmp_path, record=tmp_path / "drive.db3")
+    feed([*camera(), *drive(N)])
+    before = len(transport.sent["/tf"])
+    assert asked(feed, "look_everywhere") is not None
+    assert feed.run.localiser is not None and not feed.run.localiser.state.is_begun
+    rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    feed(rest).close()
+    assert len(feed.times) == N + 6 and feed.published[-1].located.p_correct > 0.5
+    assert len(transport.sent["/tf"]) > before
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
+    track = read_track(run / "trajectory.csv")
+    assert (track.t_ns - BEGIN_NS).tolist() == feed.times
+    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
+def test_another_map_is_loaded_while_running(tmp_path: Path) -> None:
+    """Shifted by 100 m: the poses are, the landmarks go out again, the recording ends."""
+    shifted = replace(LOG.landmark_map, name="upstairs", points=LOG.landmark_map.points + np.array([100.0, 0.0]))
+    write_map(shifted, tmp_path / "upstairs.yaml")
+    feed, transport = fed(tmp_path, record=tmp_path / "drive.db3")
+    feed([*camera(), *drive(N)])
+    assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
+    assert feed.run.recording is None and len(transport.sent["/localiser/landmarks"]) == 2
+    rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
+    feed(rest)
+    assert len(feed.times) == N + 6
+    truth = LOG.groundtruth.at(feed.times[-1])
+    assert np.hypot(*(feed.poses[-1] - truth - [100.0, 0.0, 0.0])[:2]) < 0.5
+    assert any("upstairs" in text for text in feed.said)
+    feed.close()
+
+
+@pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", ""])
+def test_a_map_that_is_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str) -> None:
+    (tmp_path / "other").mkdir()
+    write_map(LOG.landmark_map, tmp_path / "other" / "map.yaml")
+    (tmp_path / "maps").mkdir()
+    feed, _ = fed(tmp_path / "maps")
+    feed([*camera(), *drive(2)])
+    kept = feed.run.localiser
+    assert asked(feed, "load_map", map_url=name).result == MAP_NOT_THERE
+    assert feed.run.localiser is kept
+
+
+def test_a_map_that_is_none_changes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text("format: something else\n")
+    feed, _ = fed(tmp_path)
+    feed([*camera(), *drive(2)])
+    kept = feed.run.localiser
+    assert asked(feed, "load_map", map_url="file://map.yaml").result == MAP_INVALID
+    assert feed.run.localiser is kept and any("the map stays" in text for text in feed.said)
+
+
+def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Path) -> None:
+    write_map(replace(LOG.landmark_map, name="upstairs"), tmp_path / "map.yaml")
+    feed, _ = fed(tmp_path)
+    assert asked(feed, "load_map", map_url="map.yaml").result == MAP_LOADED
+    feed([*camera(), *drive(2)])
+    assert feed.run.localiser is not None and feed.run.localiser.landmark_map.name == "upstairs"
+
+
+def test_the_state_is_saved_when_asked_for(tmp_path: Path) -> None:
+    feed, _ = fed(tmp_path)
+    feed([*camera(), *drive(3)])
+    answer = asked(feed, "save_state")
+    assert not answer.success and "--checkpoint" in answer.message
+    feed.run.checkpoints = Checkpoints(tmp_path / "state", feed.said.append)
+    answer = asked(feed, "save_state")
+    assert answer.success and answer.message == str(tmp_path / "state")
+    again = RobotLocaliser(LOG.landmark_map, LOG.camera, feed.config)
+    again.restore((tmp_path / "state").read_bytes())
+    assert again.state.is_begun
+
+
+def test_a_request_that_is_none_is_told() -> None:
+    feed, _ = fed(CORRIDOR)
+    replies: list[bytes] = []
+    feed([Arrival("load_map", "/localiser/load_map", b"\0", 0, reply=replies.append)])
+    assert not replies and any("expected a request of nav2_msgs/srv/LoadMap" in text for text in feed.said)
+
+
+def test_hashes_are_those_of_another_implementation() -> None:
+    utils = pytest.importorskip("zenoh_ros2_sdk.utils")
+    from localiser.storage.bags import typestore
+
+    grid, _ = typestore(ros1=False).generate_msgdef("nav_msgs/msg/OccupancyGrid", ros_version=2)
+    first, *parts = grid.split("=" * 80 + "\n")
+    named = {"nav_msgs/msg/OccupancyGrid": first}
+    for part in parts:
+        head, _, text = part.partition("\n")
+        package, name = head.removeprefix("MSG: ").split("/")[:: 1 if head.count("/") == 1 else 2]
+        named[f"{package}/msg/{name}"] = text
+    for service in SERVICES.values():
+        found = utils.compute_service_type_hash(service.srvtype, service.request, service.response, named)
+        assert found == service.type_hash, service.kind
+
+
+def test_unknown_services_are_refused() -> None:
+    with pytest.raises(InputError, match="unknown kind of service"):
+        serve(KeepingTransport(), Inbox(), names={"fly": "/fly"})
