@@ -2,6 +2,7 @@
 
 from localiser.calibration.board import Board, BoardView
 from localiser.calibration.check import MountCheck, check_mount
+from localiser.calibration.clock import MOST_PAIRS, ClockOffset, clock_offset
 from localiser.calibration.intrinsics import FEWEST_VIEWS, FloorMount, Intrinsics, calibrated, mount_over_board
 from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
 from localiser.calibration.log_mount import LogMount, mount_of_images, mount_of_lines, spread, views_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import evaluate, motion
-from localiser.calibration import check_mount
+from localiser.calibration import check_mount, clock_offset
 from localiser.edges import Edges
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
@@ -21,6 +21,7 @@ from localiser.replay.about import about
 if TYPE_CHECKING:
     from localiser.replay.run import Replay
 
+CLOCK_PAIRS = 60  # of images, for the offset of the clocks: about a second of computing
 WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on that is told
 
 
@@ -39,7 +40,9 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         distance_scale=_learnt(located[-1].estimate, "distance_scale"),
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges)
-    figures["warnings"] += _map_warnings(run) + _wheel_warnings(run)
+    clock, clock_warnings = _clock(run, edges)
+    figures |= clock
+    figures["warnings"] += clock_warnings + _map_warnings(run) + _wheel_warnings(run)
     in_view, matched = (landmark_use(run) > 0).T
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
@@ -145,6 +148,18 @@ def _wheel_warnings(run: Replay) -> list[str]:
         f"The wheels contradict the images in {wrong.sum()} of {len(wrong)} images, the first after {first:.1f} s and "
         f"the last after {last:.1f} s: do they slip, stand still or fall silent? There the edges alone were followed."
     ]
+
+
+def _clock(run: Replay, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
+    """Return by how much images are stamped later than wheels, and a warning where that matters; see `ClockOffset`."""
+    log, config = run.log, run.localiser.config
+    if not log.has_images or config.increments.source == "vision":
+        return {}, []
+    times = [frame.located.t_ns for frame in run.frames]
+    found = clock_offset(times, edges.__getitem__, log.odometry, log.camera, most=CLOCK_PAIRS)
+    warning = found.warning(log.path, config.motion.bias.delay_sigma_s)
+    figures = {"clock_offset_s": round(found.offset_s, 6), "clock_offset_sigma_s": round(found.sigma_s, 6)}
+    return figures, [] if warning is None else [warning]
 
 
 def _mount(run: Replay, edges: Sequence[Edges]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from localiser.storage.maps import read_map, write_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import fingerprint
 from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan
+from localiser.storage.restamp import images_table, move_images
 from localiser.storage.run_tables import CHOICE, csv_text, read_runs, write_runs_csv, write_runs_parquet
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
 from localiser.storage.tracks import TrackWriter, read_track

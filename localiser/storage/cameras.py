@@ -6,7 +6,6 @@ import copy
 import math
 import re
 from collections.abc import Mapping
-from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,20 +13,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount
 from localiser.documents import (
-    MAX_DOCUMENT_BYTES,
     Document,
     dump,
     load,
-    output_errors,
     parse,
-    read_bytes,
     read_text,
     shown,
     validate,
     write_text,
 )
 from localiser.errors import InputError
-from localiser.storage.files import inside
+from localiser.storage.files import inside, keep_beside
 
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
@@ -183,7 +179,7 @@ def update_mount(path: Path, changes: Mapping[str, float]) -> Path:
     if changed != wanted:  # written in a way that cannot be changed in place: then comments are lost
         text = dump(wanted)
     camera_from_document(parse(text, str(path)))
-    kept = _keep_beside(path)
+    kept = keep_beside(path)
     write_text(path, text)
     return kept
 
@@ -207,21 +203,6 @@ def _with_mount_value(text: str, source: str, key: str, value: float) -> str:
     else:
         lines.insert(line + 1, f"{before}{key}: {value!r}")
     return "\n".join(lines)
-
-
-def _keep_beside(path: Path) -> Path:
-    """Copy a file to the first free name of FILE.bak, FILE.bak2, … and return that."""
-    with output_errors(path):
-        content = read_bytes(path, MAX_DOCUMENT_BYTES)
-        for number in count(1):
-            kept = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
-            try:
-                with kept.open("xb") as file:
-                    file.write(content)
-            except FileExistsError:
-                continue
-            return kept
-    raise AssertionError("numbers do not end")
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -17,8 +19,10 @@ from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 from small_log import write_edge_log, write_small_log
 
 from localiser.calibration import Board
+from localiser.commands.doctor.checks import offset_finding
+from localiser.edges import find_edges
 from localiser.errors import InputError
-from localiser.storage import read_camera
+from localiser.storage import open_log, read_camera
 
 
 @pytest.fixture
@@ -30,7 +34,7 @@ def log(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", [["tilt"], ["calibrate"], ["board"]])
+@pytest.mark.parametrize("command", [["tilt"], ["sync"], ["calibrate"], ["board"]])
 def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
     result = localiser("camera", *command, "--help")
     assert result.exit_code == 0
@@ -100,6 +104,81 @@ def test_an_image_that_cannot_be_read_is_named(localiser: Localiser, log: Path) 
     image.write_bytes(image.read_bytes()[:5000])
     result = localiser("camera", "tilt", log)
     assert result.exit_code == 2 and image.name in result.err and "Traceback" not in result.err
+
+
+# -- sync -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def shifted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A corner of the corridor, in 9 s of which the robot turns by 100°; the images are stamped 0.4 s late."""
+    folder = tmp_path_factory.mktemp("shifted") / "log"
+    cut_log(CORRIDOR, folder, 0)
+    header, *rows = (CORRIDOR / "images.csv").read_text().splitlines()
+    shutil.copytree(CORRIDOR / "images", folder / "images", dirs_exist_ok=True)
+    times, names = zip(*(row.split(",") for row in rows[85:130]), strict=True)
+    moved = [f"{int(t_ns) + 400_000_000},{name}" for t_ns, name in zip(times, names, strict=True)]
+    (folder / "images.csv").write_text("\n".join([header, *moved]) + "\n")
+    return folder
+
+
+def offset_told(text: str) -> tuple[float, float]:
+    """Return offset and sigma that a text tells, later being positive."""
+    (found,) = re.findall(r"stamped ([\d.]+) s ± ([\d.]+) s (later|earlier) than", text)
+    return float(found[0]) * (1 if found[2] == "later" else -1), float(found[1])
+
+
+def test_sync_tells_the_offset_and_writes_it(localiser: Localiser, shifted: Path, tmp_path: Path) -> None:
+    log = shutil.copytree(shifted, tmp_path / "log")
+    before = (log / "images.csv").read_text()
+    offset_s, sigma_s = offset_told(localiser("camera", "sync", log).out)
+    assert abs(offset_s - 0.4) < 3 * sigma_s < 0.15
+    assert (log / "images.csv").read_text() == before
+    result = localiser("camera", "sync", log, "--write", "--quiet")
+    assert result.exit_code == 0 and result.err == "" and "images.csv.bak" in result.out
+    assert (log / "images.csv.bak").read_text() == before
+    again_s, _ = offset_told(localiser("camera", "sync", log).out)
+    assert abs(again_s) < sigma_s
+    first_ns = int((log / "images.csv").read_text().splitlines()[1].split(",")[0])
+    assert first_ns == pytest.approx(int(before.splitlines()[1].split(",")[0]) - offset_s * 1e9, abs=1e6)
+
+
+def test_an_offset_that_nothing_tells_is_not_written(localiser: Localiser, tmp_path: Path) -> None:
+    log = write_small_log(tmp_path / "log")  # two tenths of a second
+    result = localiser("camera", "sync", log)
+    assert result.exit_code == 0 and "hardly tells the offset" in result.err
+    result = localiser("camera", "sync", log, "--write")
+    assert result.exit_code == 2 and "not written" in result.err and "images.csv" in result.err
+    assert not list(log.glob("*.bak*"))
+    result = localiser("camera", "sync", write_edge_log(tmp_path / "edges"))
+    assert result.exit_code == 2 and "expected a log with images" in result.err
+
+
+def test_replay_and_map_build_warn_of_clocks_that_differ(localiser: Localiser, shifted: Path, tmp_path: Path) -> None:
+    result = localiser("replay", shifted, "--out", tmp_path / "out", "--no-rrd", "--start", "truth", *FEW_PARTICLES)
+    assert result.exit_code == 0
+    (text,) = re.findall(r"The images are stamped .*?camera sync", result.err)
+    offset_s, sigma_s = offset_told(text)
+    assert abs(offset_s - 0.4) < 3 * sigma_s < 0.15
+    (metrics,) = (tmp_path / "out").glob("*/1/metrics.json")
+    figures = json.loads(metrics.read_text())
+    assert figures["clock_offset_s"] == pytest.approx(offset_s, abs=0.001)
+    assert figures["clock_offset_sigma_s"] == pytest.approx(sigma_s, abs=0.001)
+    assert any(f"camera sync {shifted}" in warning for warning in figures["warnings"])
+    built = localiser("map", "build", shifted, "--poses", "odometry", "-o", tmp_path / "map.yaml", "--quiet")
+    assert built.exit_code == 2 and "poses do not fit" in built.err, "and it is told what may be the reason"
+    offset_s, sigma_s = offset_told(built.err)
+    assert abs(offset_s - 0.4) < 3 * sigma_s < 0.15
+
+
+def test_doctor_tells_the_offset_of_clocks(shifted: Path) -> None:
+    log = open_log(shifted)
+    frames = [find_edges(frame.load(), log.camera) for frame in log.frames]
+    times = [frame.t_ns for frame in log.frames]
+    finding = offset_finding(times, frames, log.odometry, log.camera)
+    assert finding.state == "warning" and abs(offset_told(finding.text)[0] - 0.4) < 0.05
+    finding = offset_finding(times[:3], frames[:3], log.odometry, log.camera)
+    assert finding.state == "ok" and "turn the robot" in finding.text
 
 
 # -- replay -----------------------------------------------------------------------------------------------------------

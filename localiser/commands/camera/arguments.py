@@ -1,4 +1,4 @@
-"""The commands `camera tilt`, `camera calibrate` and `camera board`: their arguments."""
+"""The commands `camera tilt`, `camera sync`, `camera calibrate` and `camera board`: their arguments."""
 
 from __future__ import annotations
 
@@ -8,13 +8,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Quiet, progress, show
+from localiser.commands.options import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Quiet,
+    Topics,
+    opened,
+    progress,
+    show,
+    topics_by_role,
+)
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from localiser.calibration import Board
+    from localiser.calibration import Board, ClockOffset
     from localiser.commands.camera.calibrate import Calibration
     from localiser.commands.camera.tilt import Tilt
 
@@ -86,6 +96,45 @@ def tilt(
         typer.echo(f"Drawn in {plot}")
     if write:
         path, kept = write_tilt(found, settings)
+        typer.echo(f"Written to {path}; what it was is in {kept}")
+
+
+@camera_app.command(
+    epilog="""Examples:
+
+`localiser camera sync logs/corridor`
+
+`localiser camera sync drive --write`"""
+)
+def sync(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log with images and odometry, in which the robot turns.")],
+    write: Annotated[
+        bool,
+        typer.Option("--write", help="Write the images' times by the clock of the wheels; the old table is kept."),
+    ] = False,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    log_format: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="Format of the log; by default found out.")
+    ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find the offset between the clocks of images and wheels, from the turns that both of them show."""
+    from localiser.calibration import MOST_PAIRS
+    from localiser.commands.camera.sync import find_offset, images_of, write_offset
+
+    recorded, settings = opened(
+        log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+    )
+    images = images_of(recorded)
+    with progress("Looking", MOST_PAIRS, quiet) as advance:
+        found = find_offset(recorded, images, settings, advance)
+    if not quiet:
+        _show_offset(found)
+    if write:
+        path, kept = write_offset(recorded, found)
         typer.echo(f"Written to {path}; what it was is in {kept}")
 
 
@@ -246,6 +295,17 @@ def _show_tilt(tilt: Tilt) -> None:
     typer.echo(
         f"{found.lines} lines in {len(tilt.seconds)} images, {share:.0%} of them vertical edges; "
         f"the images show {found.views} different views."
+    )
+    if problem := found.problem:
+        typer.secho(problem, fg="yellow", err=True)
+
+
+def _show_offset(found: ClockOffset) -> None:
+    import numpy as np
+
+    typer.echo(
+        f"Images are stamped {found.text} than wheels (1σ), by {np.rad2deg(found.turned_rad):.0f}° of turning in "
+        f"{found.pairs} pairs of images."
     )
     if problem := found.problem:
         typer.secho(problem, fg="yellow", err=True)

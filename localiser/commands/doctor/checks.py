@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 
 from localiser import __version__, mapping
-from localiser.calibration import check_mount
+from localiser.calibration import check_mount, clock_offset
 from localiser.camera import Camera
 from localiser.commands.edges.overlay import save_overlay
 from localiser.config import Config
-from localiser.edges import find_edges
+from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
@@ -183,7 +183,7 @@ def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
 
 
 def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Finding]:
-    """Yield what the edges say of tilt and roll against what is stated."""
+    """Yield what the edges say of tilt and roll against what is stated, and of the clocks."""
     wheels = {stamp_of(message): floor_pose(message) for _, message in heard.messages("odometry")}
     if len(wheels) < 2:
         return
@@ -202,6 +202,16 @@ def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Findin
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"
         yield Finding(name, "warning" if check.disagrees else "ok", text)
+    yield offset_finding([t_ns for t_ns, _ in images], frames, track, camera)
+
+
+def offset_finding(times: Sequence[int], frames: Sequence[Edges], track: Trajectory, camera: Camera) -> Finding:
+    """Return by how much images are stamped later than wheels, by the turns that both of them show."""
+    found = clock_offset(times, frames.__getitem__, track, camera)
+    text = f"images are stamped {found.text} than wheels, by {np.rad2deg(found.turned_rad):.0f}° of turning"
+    if found.problem:
+        text = "the turns do not tell the offset of images against wheels: turn the robot, with --seconds 15"
+    return Finding("offset of clocks", "warning" if found.disagrees() else "ok", text)
 
 
 def newest_image(heard: Heard, camera: Camera) -> Image | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,7 @@ from localiser.commands.options import (
     show,
     topics_by_role,
 )
+from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from localiser.config import Config
@@ -82,11 +84,16 @@ def build(
     track, source = poses_named(poses)
     with MapWatch(recorded, settings.mapping, rrd, view) as watch:
         with progress("Finding edges", len(recorded.frames), quiet) as advance:
-            built = build_map(
-                recorded, track, settings, progress=advance, watch=watch, cache=cache_folder(), source=source
-            )
-        if recorded.has_images and (warning := _mount_warning(recorded, settings, built)) is not None:
-            typer.secho(warning, fg="yellow", err=True)
+            try:
+                built = build_map(
+                    recorded, track, settings, progress=advance, watch=watch, cache=cache_folder(), source=source
+                )
+            except InputError:
+                with suppress(InputError):  # the images themselves may be at fault
+                    _warn(_clock_warning(recorded, settings))
+                raise
+        _warn(_mount_warning(recorded, settings, built))
+        _warn(_clock_warning(recorded, settings))
         header: dict[str, object] = {"built_from_frames": len(built.trajectory)}
         write_map(replace(built.landmark_map, header=header), out)
     if trajectory is not None:
@@ -97,6 +104,11 @@ def build(
         _stay(watch.viewer)
 
 
+def _warn(text: str | None) -> None:
+    if text is not None:
+        typer.secho(text, fg="yellow", err=True)
+
+
 def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
     """Return the warning that the edges contradict the stated tilt and roll, with which the map was made."""
     import numpy as np
@@ -104,10 +116,24 @@ def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
     from localiser.calibration import check_mount
     from localiser.mapping import cache_folder, edges_of_log
 
+    if not log.has_images:
+        return None
     edges = edges_of_log(log, config.edges, cache=cache_folder())  # kept by the build
     poses = built.trajectory.sampled([frame.t_ns for frame in log.frames]).poses
     stated_sigma_rad = np.deg2rad([config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg])
     return check_mount(edges, poses, log.camera, stated_sigma_rad).warning(log.path)
+
+
+def _clock_warning(log: Log, config: Config) -> str | None:
+    """Return the warning that images and wheels were stamped by clocks that differ, which also explains a failure."""
+    from localiser.calibration import clock_offset
+    from localiser.mapping import cache_folder, edges_of_log
+
+    if not log.has_images:
+        return None
+    edges = edges_of_log(log, config.edges, cache=cache_folder())  # kept by the build
+    times = [frame.t_ns for frame in log.frames]
+    return clock_offset(times, edges.__getitem__, log.odometry, log.camera).warning(log.path)
 
 
 def poses_named(poses: str) -> tuple[str | Trajectory, str]:
