@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from localiser.camera import Camera, Mount
+    from localiser.camera import Camera, Mount, MountSigma
     from localiser.config import Config, read_config
     from localiser.edges import BearingSensor, Detector, EdgeParameters, Edges, find_edges
     from localiser.errors import InputError, LocaliserError
@@ -60,6 +60,7 @@ __all__ = [
     "MapBuilt",
     "MotionModel",
     "Mount",
+    "MountSigma",
     "Observation",
     "Particles",
     "Replay",
@@ -86,7 +87,7 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "camera": ("Camera", "Mount"),
+    "camera": ("Camera", "Mount", "MountSigma"),
     "config": ("Config", "read_config"),
     "edges": ("BearingSensor", "Detector", "EdgeParameters", "Edges", "find_edges"),
     "errors": ("InputError", "LocaliserError"),

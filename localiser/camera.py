@@ -9,7 +9,7 @@ in the level frame: measured from the camera's forward axis, at the camera's pos
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -23,11 +23,25 @@ _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 
 
 @dataclass(frozen=True, slots=True)
+class MountSigma:
+    """How certain the values of a mount are, 1 sigma each; None: not stated."""
+
+    tilt_rad: float | None = None
+    roll_rad: float | None = None
+    yaw_rad: float | None = None
+    height_m: float | None = None
+    right_m: float | None = None
+    back_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Mount:
     """Where the camera sits on the robot: turned by yaw (anticlockwise), then tilted, then rolled.
 
     tilt_rad: positive looks down. roll_rad: positive has the camera's right side down. height_m: above the floor.
-    right_m, back_m: from the robot's centre (15 cm ahead of it: back_m = -0.15).
+    right_m, back_m: from the robot's centre (15 cm ahead of it: back_m = -0.15). sigma: of a mount that was measured
+    for one image; its errors are then of this image alone. None: errors of tilt and roll are as the configuration says
+    and change slowly.
     """
 
     tilt_rad: float
@@ -36,6 +50,7 @@ class Mount:
     yaw_rad: float = 0.0
     right_m: float = 0.0
     back_m: float = 0.0
+    sigma: MountSigma | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +105,11 @@ class Camera:
 
     def with_mount(self, **changes: float) -> Camera:
         """Return this camera with some values of its mount changed."""
-        return replace(self, mount=replace(self.mount, **changes))
+        return replace(self, mount=replace(self.mount, **changes))  # type: ignore[arg-type]
+
+    def at(self, mount: Mount | None) -> Camera:
+        """Return the camera as it was mounted for one image; None: as it is. The last few are kept."""
+        return self if mount is None or mount == self.mount else _mounted(self, mount)
 
     def undistorted(self) -> Camera:
         """Return the ideal pinhole camera with the same matrix and mount."""
@@ -263,3 +282,8 @@ class Camera:
         by_tilt = -a * (e * c - s) / depth**2
         by_roll = e / depth + a**2 * s / depth**2
         return from_lean, np.stack([by_tilt, by_roll], axis=-1) * per_tangent[..., None]
+
+
+@lru_cache(maxsize=16)
+def _mounted(camera: Camera, mount: Mount) -> Camera:
+    return replace(camera, mount=mount)

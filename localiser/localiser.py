@@ -11,7 +11,7 @@ import math
 import operator
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -195,23 +195,22 @@ class Localiser:
     def measure(self, image: Image, mount: Mount | None = None) -> MeasuredImage:
         """Return the edges of an image, for `edges` to take now or later. Changes nothing.
 
-        image: (H, W) grey or (H, W, 3) BGR uint8, or a JPEG or PNG file's bytes. mount: of the camera at this image;
-        another one than the camera's is not supported yet. Raises InputError when the image is damaged or of another
-        size than the camera's.
+        image: (H, W) grey or (H, W, 3) BGR uint8, or a JPEG or PNG file's bytes. mount: of the camera when it took this
+        image; None: as the camera says. Raises InputError when the image is damaged or of another size than the
+        camera's, or the mount is none with which anything could be seen.
         """
-        self._check(images=True)
-        self._require_own(mount)
+        self._check(self._camera and self._camera.at(valid_mount(mount)), images=True)
         begin = perf_counter()
         pixels = decoded_file(image, self.camera) if isinstance(image, bytes) else image
         loaded = perf_counter()
-        edges = find_edges(pixels, self.camera, self.config.edges, detector=self._detector)
+        edges = find_edges(pixels, self.camera, self.config.edges, mount=mount, detector=self._detector)
         found = perf_counter()
         return MeasuredImage(edges, image, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
 
     def edges(
         self, t_ns: int, edges: Edges | MeasuredImage, mount: Mount | None = None, *, by_wheels: bool = True
     ) -> list[LocatedFrame]:
-        """Take the edges of an image. mount: see `measure`. Raises InputError.
+        """Take the edges of an image. mount: see `measure`; None: as the edges say. Raises InputError.
 
         by_wheels: False where the wheels were silent until this image; then its edges alone tell how the robot moved,
         and it is located at once.
@@ -220,11 +219,13 @@ class Localiser:
             raise InputError(f"expected Edges, found {type(edges).__name__}", field="edges")
         t_ns = _nanoseconds(t_ns)
         measured = edges if isinstance(edges, MeasuredImage) else MeasuredImage(edges)
+        if mount is not None:
+            measured = replace(measured, edges=replace(measured.edges, mount=mount))
         found = measured.edges
         of_image = bool(found.profile.size and (found.landmark_id < 0).all())  # only images show grey values
         has_ends, started = bool(np.isfinite(found.ends_px).all()), self.state.is_begun
-        self._check(images=measured.image is not None or of_image, has_ends=has_ends, has_start=started)
-        self._require_own(mount)
+        camera = self._camera and self._camera.at(valid_mount(found.mount))
+        self._check(camera, images=measured.image is not None or of_image, has_ends=has_ends, has_start=started)
         self._require_known(found)
         self._require_ready(t_ns, "image")
         self._measured[t_ns] = measured
@@ -338,10 +339,6 @@ class Localiser:
             problem = f"expected at most {landmarks - 1}, the map's last landmark, found {most}"
             raise InputError(problem, field="landmark_id")
 
-    def _require_own(self, mount: Mount | None) -> None:
-        if mount is not None and mount != self.camera.mount:
-            raise InputError("an image with a mount of its own is not supported yet", field="mount")
-
 
 # -- settings that cannot work ----------------------------------------------------------------------------------------
 
@@ -387,6 +384,26 @@ def check_settings(
             "without tilt every vertical edge is vertical in the image; use --set observation.kind=line",
             field="mount.tilt_deg",
         )
+
+
+def valid_mount(mount: Mount | None) -> Mount | None:
+    """Return the mount of an image, if a camera can be mounted so. Raises InputError."""
+    if mount is None:
+        return None
+    if not isinstance(mount, Mount):
+        raise InputError(f"expected a Mount, found {type(mount).__name__}", field="mount")
+    values, sigmas = (asdict(part) if part else {} for part in (mount, mount.sigma))
+    values.pop("sigma")
+    for name, value in values.items():
+        finite_numbers(f"mount.{name}", value, ())
+    for name, sigma in sigmas.items():
+        if sigma is not None and not finite_numbers(f"mount.sigma.{name}", sigma, ()) >= 0:
+            raise InputError(f"expected a number of at least 0, found {sigma!r}", field=f"mount.sigma.{name}")
+    if abs(mount.tilt_rad) >= math.pi / 2:
+        raise InputError(f"expected a tilt within ±π/2, found {mount.tilt_rad!r}", field="mount.tilt_rad")
+    if mount.height_m <= 0:
+        raise InputError(f"expected a height above 0, found {mount.height_m!r}", field="mount.height_m")
+    return mount
 
 
 def decoded_file(data: bytes, camera: Camera) -> NDArray[np.uint8]:

@@ -133,6 +133,7 @@ def _to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
         camera=log.camera,
         odometry=log.odometry,
         images=images() if log.has_images else None,
+        mounts=[frame.mount for frame in log.frames if isinstance(frame, ImageEvent)],
         sightings=None if log.has_images else [frame for frame in log.frames if isinstance(frame, Sighting)],
         landmark_map=log.landmark_map,
         landmark_ids=log.landmark_ids,

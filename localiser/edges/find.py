@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera, Mount, MountSigma
 from localiser.edges.column_detector import Columns
 from localiser.edges.detectors import Detector, detector_of, register
 from localiser.edges.foot import foot_probability
@@ -21,6 +21,7 @@ from localiser.edges.undistort import Image, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
+from localiser.geometry import Array
 
 END_SIGMA_PX = 0.5
 """Error of an end across the line, for detectors that do not state it."""
@@ -35,30 +36,32 @@ def find_edges(
     camera: Camera,
     parameters: EdgeParameters | None = None,
     *,
+    mount: Mount | None = None,
     detector: Detector | None = None,
     with_probabilities: bool = False,
 ) -> Edges:
     """Return the vertical edges of an image.
 
-    image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. detector: what finds segments, by
+    image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. mount: of the camera when it took the
+    image; None: as the camera says. detector: what finds segments, by
     default the one that the parameters name; see `Detector`. with_probabilities: state how likely each edge is vertical
     and each lower end stands on the floor, to look at; neither localising nor mapping uses them. Raises InputError.
     """
-    parameters = parameters or EdgeParameters()
+    parameters, camera = parameters or EdgeParameters(), camera.at(mount)
     grey = grey_image(image, camera)
     found = (detector or detector_of(parameters))(grey, camera)
     segments = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
-    mount_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
+    mount_sigma_rad = tilt_and_roll_sigma_rad(parameters, camera)
     plumb_sigma_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
-    vertical, mount = vertical_segments(segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma)
+    vertical, error = vertical_segments(segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma)
     kept, others = segments.take(vertical), segments.take(~vertical)
     if not kept.polarity.all():
         kept = replace(kept, polarity=polarity_of_profiles(profiles(kept.ends_px, grey, camera)))
-    edge = same_edge(kept, camera, mount, parameters.gate_sigma)
+    edge = same_edge(kept, camera, error, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
     edges = edges.take(edges.length_px >= parameters.min_length_px)
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
-    edges = replace(edges, rejected_px=camera.pixels_from_image(rejected))
+    edges = replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
     if not with_probabilities:
         return edges
     return replace(
@@ -68,7 +71,14 @@ def find_edges(
     )
 
 
-def _segments_of_lines(lines: np.ndarray[tuple[int, ...], np.dtype[np.float64]], camera: Camera) -> Segments:
+def tilt_and_roll_sigma_rad(parameters: EdgeParameters, camera: Camera) -> Array:
+    """Return how certain the tilt and the roll of a camera are (2,): as its mount states, else as the parameters do."""
+    stated = camera.mount.sigma or MountSigma()
+    sigmas = ((stated.tilt_rad, parameters.tilt_sigma_deg), (stated.roll_rad, parameters.roll_sigma_deg))
+    return np.array([np.deg2rad(usual_deg) if sigma is None else sigma for sigma, usual_deg in sigmas])
+
+
+def _segments_of_lines(lines: Array, camera: Camera) -> Segments:
     """Return lines (S, 4) of the image as taken as segments. Raises InputError when they have another shape."""
     if lines.size and (lines.ndim != 2 or lines.shape[1] != 4):
         raise InputError(f"expected lines (S, 4) of a detector, found an array {lines.shape}", field="detector")

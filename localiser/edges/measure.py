@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.camera import Camera
+from localiser.camera import Camera, MountSigma
 from localiser.edges.foot import foot_of_edges
 from localiser.edges.groups import Groups
 from localiser.edges.profile import profiles
@@ -13,6 +13,9 @@ from localiser.edges.segments import Segments
 from localiser.edges.types import CommonError, Edges
 from localiser.edges.undistort import Image, ideal_camera
 from localiser.geometry import Array
+
+_TYPICAL_INVERSE_RANGE = 0.4
+"""1/m: rooms are some metres wide."""
 
 
 def edges_of_segments(
@@ -83,6 +86,23 @@ def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[
 
 
 def common_error(bearing: Array, middle_e: Array, camera: Camera, mount_sigma_rad: Array) -> CommonError:
-    """Return what an error of tilt and roll (2,) does to the bearings (E,) of a frame (design equation 8)."""
+    """Return what an error of tilt and roll (2,) does to the bearings (E,) of a frame (design equation 8).
+
+    And what errors of the other values of the mount do, where their sigma is stated. How far edges stand off decides
+    what an offset does; it is taken as typical.
+    """
     from_lean, from_line = camera.bearing_jacobians(bearing, middle_e)
-    return CommonError(("tilt", "roll"), np.diag(mount_sigma_rad**2), from_lean, from_line)
+    names, variances = ["tilt", "roll"], list(mount_sigma_rad**2)
+    stated, zero = camera.mount.sigma or MountSigma(), np.zeros_like(bearing)
+    others = {
+        "yaw": (stated.yaw_rad, zero + 1.0),
+        "height": (stated.height_m, zero),
+        "right": (stated.right_m, -np.cos(bearing) * _TYPICAL_INVERSE_RANGE),
+        "back": (stated.back_m, -np.sin(bearing) * _TYPICAL_INVERSE_RANGE),
+    }
+    for name, (sigma, per_unit) in others.items():
+        if sigma:
+            names.append(name)
+            variances.append(sigma**2)
+            from_lean, from_line = np.column_stack([from_lean, per_unit]), np.column_stack([from_line, per_unit])
+    return CommonError(tuple(names), np.diag(variances), from_lean, from_line)

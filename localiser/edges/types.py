@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from localiser.camera import Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, finite_numbers
 
@@ -16,8 +17,9 @@ from localiser.geometry import Array, finite_numbers
 class CommonError:
     """Errors that move all edges of a frame together: K terms, such as tilt and roll (design equation 8).
 
-    names: K names. cov: (K, K), rad². bearing_from_lean: (E, K) derivative of the bearing computed from lean alone.
-    bearing_from_line: (E, K) derivative of the bearing of the line held through the nadir point.
+    names: K names, tilt and roll first where known. cov: (K, K), rad², or m² for lengths. bearing_from_lean: (E, K)
+    derivative of the bearing computed from lean alone. bearing_from_line: (E, K) derivative of the bearing of the line
+    held through the nadir point.
     """
 
     names: tuple[str, ...]
@@ -51,6 +53,8 @@ class Edges:
     landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
     common: errors shared by all edges of the frame.
     rejected_px: (R, 2, 2) segments that were found and are not vertical edges, to look at.
+    mount: of the camera when it took this image, which bearings and ranges hold for; None: as the camera says. What
+        takes edges and a camera uses `camera.at(edges.mount)`.
     """
 
     bearing: Array
@@ -69,6 +73,7 @@ class Edges:
     landmark_id: NDArray[np.int64]
     common: CommonError
     rejected_px: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    mount: Mount | None = None
 
     def __len__(self) -> int:
         return len(self.bearing)
@@ -115,6 +120,6 @@ class Edges:
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Edges:
         """Return the edges at `index` (indices or mask (E,)), in that order."""
-        whole = {"common": self.common.take(index), "rejected_px": self.rejected_px}
+        whole = {"common": self.common.take(index), "rejected_px": self.rejected_px, "mount": self.mount}
         columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in whole}
         return Edges(**columns, **whole)  # type: ignore[arg-type]

@@ -10,6 +10,10 @@ has the uncertainty of this estimate.
 Tilt and roll change slowly, because floors are uneven and a load shifts. They are modelled as an Ornstein-Uhlenbeck
 process that forgets over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm,
 which is what DIN 18202 allows a floor.
+
+A mount may be stated for each image. Without a sigma, as an encoder tells it, its error is the same for all images, as
+above: a zero that is off. With a sigma of its own, as an inertial sensor tells it, its error is another in each image,
+and each image is levelled by its own edges alone.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from localiser import geometry
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.edges import Edges, mount_error_of_edges
 from localiser.geometry import Array
 from localiser.observation import at_border
@@ -49,9 +53,9 @@ class Attitude:
     def given(self, edges: Edges, camera: Camera, plumb_sigma_rad: float, novelty: float) -> Attitude:
         """Return what is known after an image. novelty: how much of its evidence is new, 0 … 1.
 
-        plumb_sigma_rad: how far real edges are from plumb.
+        camera: as it was mounted then. plumb_sigma_rad: how far real edges are from plumb.
         """
-        prior_sigma = np.maximum(np.sqrt(np.diag(edges.common.cov)), _LEAST_SIGMA_RAD)
+        prior_sigma = np.maximum(np.sqrt(np.diag(_of_attitude(edges.common.cov))), _LEAST_SIGMA_RAD)
         image = mount_error_of_edges(edges, camera, prior_sigma, plumb_sigma_rad)
         # What the image tells beside the prior, which counts once and not with every image.
         certain = np.linalg.inv(image.cov)
@@ -61,20 +65,25 @@ class Attitude:
         return Attitude(self.mean + cov @ (pull - information @ self.mean), cov)
 
     def levelled(self, edges: Edges, camera: Camera) -> Edges:
-        """Return the edges as a camera mounted as stated would have measured them; what is common to them is `cov`."""
-        common = edges.common
-        bearing = edges.bearing + common.bearing_from_line @ self.mean
+        """Return the edges as a camera mounted as stated would have measured them; what is common to them is `cov`.
+
+        camera: whatever its mount is, that of the edges counts.
+        """
+        common, camera, known = edges.common, camera.at(edges.mount), len(MOUNT)
+        bearing = edges.bearing + common.bearing_from_line[:, :known] @ self.mean
         lean = edges.lean
         if camera.mount.tilt_rad != 0:  # else a lean tells no bearing
-            lean = lean + common.bearing_from_lean @ self.mean / geometry.bearing_per_lean(
+            lean = lean + common.bearing_from_lean[:, :known] @ self.mean / geometry.bearing_per_lean(
                 edges.bearing, camera.mount.tilt_rad
             )
+        cov = common.cov.copy()
+        cov[:known, :known] = self.cov
         return replace(
             edges,
             bearing=bearing,
             lean=lean,
             ends_px=self._levelled_px(edges.ends_px, camera),
-            common=replace(common, cov=self.cov),
+            common=replace(common, cov=cov),
         )
 
     def _levelled_px(self, ends_px: Array, camera: Camera) -> Array:
@@ -101,9 +110,21 @@ class Level:
         attitude: what was known at the last image. Edges of which it is not known what the mount does to them stay as
         they are.
         """
-        if edges.common.names != MOUNT or not np.isfinite(edges.ends_px).all():
+        if edges.common.names[: len(MOUNT)] != MOUNT or not np.isfinite(edges.ends_px).all():
             return edges, attitude
-        stated_cov = edges.common.cov
+        stated_cov, camera = _of_attitude(edges.common.cov), self.camera.at(edges.mount)
+        if measured_for_image(camera.mount):
+            attitude, novelty = None, 1.0
         before = Attitude.stated(stated_cov) if attitude is None else attitude.after(path_m, stated_cov)
-        now = before.given(edges, self.camera, self.plumb_sigma_rad, novelty)
-        return now.levelled(edges, self.camera), now
+        now = before.given(edges, camera, self.plumb_sigma_rad, novelty)
+        return now.levelled(edges, camera), now
+
+
+def measured_for_image(mount: Mount) -> bool:
+    """Return whether tilt or roll were measured for one image, with a sigma: their errors tell nothing of the next."""
+    return mount.sigma is not None and not (mount.sigma.tilt_rad is None and mount.sigma.roll_rad is None)
+
+
+def _of_attitude(cov: Array) -> Array:
+    """Return the part (2, 2) of a covariance of common errors that is of tilt and roll."""
+    return cov[: len(MOUNT), : len(MOUNT)]

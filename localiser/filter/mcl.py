@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from localiser import particles
-from localiser.filter.attitude import Attitude, Level
+from localiser.filter.attitude import Attitude, Level, measured_for_image
 from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
 from localiser.filter.moves import moves_between
@@ -237,7 +237,9 @@ def _checked(
         return drive, driven
     if not len(sighting.edges) or not len(seen.edges):
         return drive, driven
-    edges = sighting.edges if state.attitude is None else state.attitude.levelled(sighting.edges, odometer.camera)
+    edges, camera = sighting.edges, odometer.camera
+    if state.attitude is not None and not measured_for_image(camera.at(edges.mount).mount):
+        edges = state.attitude.levelled(edges, camera)
 
     def fit(cloud: Particles) -> Array:
         by_rate = likelihood_by_rate(observation, cloud, replace(sighting, edges=edges), mcl.landmark_map)
@@ -250,7 +252,7 @@ def _checked(
 
     follows = continued if isinstance(observation, PredictsScenes) else None
     state.wheels, other = state.wheels.after(
-        Evidence(odometer.camera, seen.edges, sighting.edges, fit, follows),
+        Evidence(camera, seen.edges, sighting.edges, fit, follows),
         drive.increment,
         covariance_of(mcl.motion, drive.increment),
         driven,
@@ -292,9 +294,8 @@ def _proposed(
         return None
     rate = state.inliers.after(image.novelty).mean
     targets = observation.targets(few, image.sighting, mcl.landmark_map, rate)
-    proposal = OptimalProposal(
-        observation.camera, targets, image.novelty, parameters.stage_below, parameters.resample_below
-    )
+    camera = observation.camera.at(image.sighting.edges.mount)
+    proposal = OptimalProposal(camera, targets, image.novelty, parameters.stage_below, parameters.resample_below)
     *earlier, last = image.moves
     return proposal.moved(mcl.moved(cloud, earlier, rng), last, motion, rng)
 

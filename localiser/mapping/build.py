@@ -138,9 +138,9 @@ def build_map(
         sigma, built = slam.sigma, slam.built
     else:
         sigma = measured_sigma(sightings, camera.focal_px, parameters)
-        cameras = camera.pose_in_map(trajectory.poses)
+        cameras = sightings.camera_poses(camera, trajectory.poses)
         built = _built_along(cameras, sightings, sigma, turn_sigma, parameters, exact=exact)
-    cameras = camera.pose_in_map(trajectory.poses)
+    cameras = sightings.camera_poses(camera, trajectory.poses)
     landmark_map = landmark_map_of(
         sightings, built, cameras, sigma, camera, parameters, log.name, f"{log.name}, poses: {name}"
     )

@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from localiser.filter import Sighting
 from localiser.mapping.recorded import RecordedImage, RecordedLog
 
 # What was rejected is only looked at; a map is not built from it.
-_COLUMNS = tuple(field.name for field in fields(Edges) if field.name not in ("common", "rejected_px"))
+_COLUMNS = tuple(field.name for field in fields(Edges) if field.name not in ("common", "rejected_px", "mount"))
 _SHARED = ("bearing_from_lean", "bearing_from_line")
 _PACKED = (*_COLUMNS, *_SHARED)
 _OUR_NAME = re.compile(r"edges-[0-9a-f]{32}\.npz")
@@ -65,14 +65,15 @@ def _found(log: RecordedLog, parameters: EdgeParameters, cache: Path | None) -> 
     path = cache / f"edges-{_key(images, log.camera, parameters)}.npz" if cache and images else None
     known = _load(path, len(images)) if path else None
     if known is not None:
-        yield from zip((image.t_ns for image in images), known, strict=True)
+        for image, edges in zip(images, known, strict=True):
+            yield image.t_ns, replace(edges, mount=image.mount)
         return
     found = []
     for image in images:
-        edges = find_edges(image.load(), log.camera, parameters)
-        found.append(Edges(**{name: getattr(edges, name) for name in _COLUMNS}, common=edges.common))
+        edges = find_edges(image.load(), log.camera, parameters, mount=image.mount)
+        found.append(Edges(**{name: getattr(edges, name) for name in _COLUMNS}, common=edges.common, mount=image.mount))
         yield image.t_ns, found[-1]
-    if path:
+    if path and len({edges.common.names for edges in found if len(edges)}) <= 1:
         _save(path, found)
 
 
@@ -92,6 +93,8 @@ def _key(images: Sequence[RecordedImage], camera: Camera, parameters: EdgeParame
     values = {field.name: getattr(camera, field.name) for field in fields(camera)}
     digest.update(repr((sorted(values.items(), key=lambda item: item[0]), parameters)).encode())
     for image in images:
+        if image.mount is not None:
+            digest.update(repr(image.mount).encode())
         digest.update(hashlib.sha256(image.encoded()).digest())
     return digest.hexdigest()[:32]
 

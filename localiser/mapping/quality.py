@@ -69,8 +69,9 @@ def expected(
     plain = LandmarkMap.from_points(built.fit.points, bottom_m=heights[0], top_m=heights[1])
     limits = SightParameters(range_max_m=parameters.range_max_m, length_min_px=30.0, margin_px=-10.0)
     count = np.zeros(len(built), dtype=np.int64)
-    for start in range(0, sightings.frames, 256):
-        pairs = sight(camera, cameras[start : start + 256], plain, limits)
+    at_once = 1 if sightings.mounts else 256
+    for start in range(0, sightings.frames, at_once):
+        pairs = sight(sightings.camera_at(start, camera), cameras[start : start + at_once], plain, limits)
         heading, range_m = direction_of(built.fit.points[pairs.landmark], cameras[start + pairs.pose])
         known = np.isin(_views(pairs.landmark, heading, range_m), seen_from)
         count += np.bincount(pairs.landmark[known], minlength=len(built))
@@ -93,7 +94,8 @@ def height_span(sightings: Sightings, built: Built, cameras: Array, camera: Came
     pose = cameras[sightings.frame[built.used]]
     _, range_m = direction_of(built.fit.points[landmark], pose)
     ahead = range_m * np.cos(sightings.bearing[built.used])
-    height = camera.mount.height_m + ahead[:, None] * sightings.slope_up[built.used]
+    camera_m = np.array([sightings.camera_at(t, camera).mount.height_m for t in range(sightings.frames)])
+    height = camera_m[sightings.frame[built.used], None] + ahead[:, None] * sightings.slope_up[built.used]
     cut = sightings.cut[built.used]
     bottom = _outermost(landmark, len(built), -height[:, 0], cut[:, 0])
     top = _outermost(landmark, len(built), height[:, 1], cut[:, 1])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import motion
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.geometry import Array, Increment, Trajectory, between, compose
@@ -34,6 +34,8 @@ class RecordedImage(Protocol):
     def load(self) -> Callable[[], NDArray[np.uint8]]: ...  # noqa: D102
     @property
     def encoded(self) -> Callable[[], bytes]: ...  # noqa: D102
+    @property
+    def mount(self) -> Mount | None: ...  # noqa: D102
 
 
 class RecordedLog(Protocol):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.edges import Edges, foot_of_edges
 from localiser.geometry import Array
 
@@ -26,7 +26,8 @@ class Sightings:
     polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown. length_px: (S,).
     slope_up: (S, 2) height above the camera of the lower and the upper end per metre ahead. cut: (S, 2) whether
     that end lies at the image's border, so that the edge may go on. foot_m, foot_sigma_m: (S,) range of the foot if it
-    stands on the floor, nan where no foot is seen. profile: (S, P).
+    stands on the floor, nan where no foot is seen. profile: (S, P). mounts: (T,) of the camera at each frame, None: as
+    the camera says; empty where it always is so.
     """
 
     first: Index
@@ -41,6 +42,7 @@ class Sightings:
     foot_m: Array
     foot_sigma_m: Array
     profile: Array
+    mounts: tuple[Mount | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -52,7 +54,7 @@ class Sightings:
 
     @classmethod
     def from_edges(cls, frames: Sequence[Edges], camera: Camera) -> Sightings:
-        """Return the table of the edges of T frames, all seen by one camera."""
+        """Return the table of the edges of T frames, seen by one camera, as it was mounted in each."""
         count = np.array([len(edges) for edges in frames], dtype=np.int64)
         first = np.concatenate([[0], np.cumsum(count)])
 
@@ -62,9 +64,8 @@ class Sightings:
 
         profile = _profiles(frames)
         ends_px = column("ends_px", (2, 2))
-        slope_up, cut = _ends(ends_px, camera)
         # Edges that were not measured in an image may know their ends, and not what follows from them.
-        foot_m, foot_sigma_m = foot_of_edges(ends_px[:, 0], camera)
+        slope_up, cut, foot_m, foot_sigma_m = _by_mount(ends_px, frames, camera)
         return cls(
             first=first,
             frame=np.repeat(np.arange(len(frames)), count),
@@ -78,11 +79,28 @@ class Sightings:
             foot_m=foot_m,
             foot_sigma_m=foot_sigma_m,
             profile=profile,
+            mounts=_mounts(frames),
         )
+
+    def camera_at(self, frame: int, camera: Camera) -> Camera:
+        """Return the camera as it was mounted at a frame."""
+        return camera.at(self.mounts[frame]) if self.mounts else camera
+
+    def camera_poses(self, camera: Camera, robot_poses: Array) -> Array:
+        """Return the floor poses (T, 3) of the camera in the map, for robots at `robot_poses` (T, 3)."""
+        if not self.mounts:
+            return camera.pose_in_map(robot_poses)
+        return np.array([self.camera_at(t, camera).pose_in_map(pose) for t, pose in enumerate(robot_poses)])
 
     def direction(self, camera_poses: Array) -> Array:
         """Return the heading (S,) rad in the map along which each edge was seen; camera_poses: (T, 3)."""
         return np.asarray(camera_poses[self.frame, 2] - self.bearing)
+
+
+def _mounts(frames: Sequence[Edges]) -> tuple[Mount | None, ...]:
+    """Return the mount of each frame; empty where the camera always sits as it says."""
+    mounts = tuple(edges.mount for edges in frames)
+    return () if all(mount is None for mount in mounts) else mounts
 
 
 def _profiles(frames: Sequence[Edges]) -> Array:
@@ -101,6 +119,19 @@ def _sides(profile: Array) -> Array:
     # The samples next to the edge hold its blur, the outermost ones perhaps the next edge.
     left, right = profile[:, middle - _SIDE : middle], profile[:, middle + 1 : middle + 1 + _SIDE]
     return np.stack([np.median(left, axis=1), np.median(right, axis=1)], axis=-1)
+
+
+def _by_mount(ends_px: Array, frames: Sequence[Edges], camera: Camera) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+    """Return slopes and cuts of the ends (S, 2, 2) of all edges, range of the feet, and its sigma."""
+
+    def of(ends: Array, mounted: Camera) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+        return *_ends(ends, mounted), *foot_of_edges(ends[:, 0], mounted)
+
+    if not _mounts(frames):
+        return of(ends_px, camera)
+    parts = [of(edges.ends_px, camera.at(edges.mount)) for edges in frames]
+    slope_up, cut, foot_m, foot_sigma_m = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return slope_up, cut, foot_m, foot_sigma_m
 
 
 def _ends(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,10 +47,18 @@ _FEW = 64  # particles that tell how wide the cloud is
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeObservation:
-    """The observation of vertical edges, as `slope` or as `line`, seen by one camera."""
+    """The observation of vertical edges, as `slope` or as `line`, seen by one camera.
+
+    An image whose edges state a mount of their own is seen by the camera as it was mounted then.
+    """
 
     camera: Camera
     parameters: ObservationParameters
+
+    def at(self, edges: Edges) -> Self:
+        """Return the observation by the camera as it was mounted when it took the image of these edges."""
+        camera = self.camera.at(edges.mount)
+        return self if camera is self.camera else replace(self, camera=camera)
 
     @property
     def angle(self) -> Angle:
@@ -98,7 +107,8 @@ class EdgeObservation:
     ) -> Array:
         if len(sighting.edges) == 0:
             return np.zeros((len(rates), len(particles)))
-        scene = likelihood.scene_of(self.angle, self.parameters, sighting.edges, landmark_map, blur_rad)
+        angle = self.at(sighting.edges).angle
+        scene = likelihood.scene_of(angle, self.parameters, sighting.edges, landmark_map, blur_rad)
         yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
         columns = np.vstack([particles.columns[:3], yaw])
         return likelihood.by_rate(scene, columns, rates, self.parameters.threads, of_edges=of_edges)
@@ -110,6 +120,7 @@ class EdgeObservation:
         count, edges = len(particles), sighting.edges
         if len(edges) == 0:
             return np.zeros((len(INLIER_RATES), count))
+        self = self.at(edges)  # noqa: PLW0642
         seen = sight(self.camera, self.camera_poses(particles), landmark_map, self.parameters.sight)
         pair, edge, density = self._near(edges, landmark_map, seen, blur_rad)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
@@ -139,6 +150,7 @@ class EdgeObservation:
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
+        self = self.at(sighting.edges)  # noqa: PLW0642
         few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
         seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight)
         predicted, position_var = self._predicted(seen, landmark_map)
@@ -165,7 +177,7 @@ class EdgeObservation:
 
         where s_k² is the variance of the particles' predictions of it. A landmark is certain from `SETTLED` on.
         """
-        edges = sighting.edges
+        edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
         mean = self.camera.pose_in_map(estimate(particles).pose_as_seen)
         seen = sight(self.camera, mean[None], landmark_map, self.parameters.sight)
         measured, measured_var = self.angle.measured(edges)
@@ -188,9 +200,10 @@ class EdgeObservation:
         self, sighting: Sighting, before: Sighting, increment: Increment, turn_var: float
     ) -> Sighting:
         """Return the sighting with the clutter density at each edge, from the edges of the image before."""
-        now, then = self.angle.bearings(sighting.edges), self.angle.bearings(before.edges)
-        span_rad = field_of_view_rad(self.camera)
-        density = clutter_density(*now, *then, self._camera_motion(increment), turn_var, span_rad)
+        now, then = (self.at(image.edges) for image in (sighting, before))
+        measured = *now.angle.bearings(sighting.edges), *then.angle.bearings(before.edges)
+        motion, span_rad = _camera_motion(then.camera, now.camera, increment), field_of_view_rad(now.camera)
+        density = clutter_density(*measured, motion, turn_var, span_rad)
         return replace(sighting, edges=replace(sighting.edges, clutter=density))
 
     def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, float]:
@@ -198,18 +211,17 @@ class EdgeObservation:
 
         See `observation.scene_clutter`.
         """
-        images = [EarlierEdges(one.sighting.edges, self._camera_motion(one.since), one.turn_var) for one in earlier]
-        return scene_clutter(self.angle, sighting.edges, images)
-
-    def _camera_motion(self, increment: Increment) -> Array:
-        """Return how the camera moved (3,), in its own frame before, while the robot did."""
-        mount = self.camera.robot_from_level
-        right, back, _ = between(mount, compose(increment.mean, mount))
-        return np.array([right, back, increment.mean[2]])
+        now, images = self.at(sighting.edges), []
+        for one in earlier:
+            edges, then = one.sighting.edges, self.at(one.sighting.edges)
+            images.append(
+                EarlierEdges(edges, _camera_motion(then.camera, now.camera, one.since), one.turn_var, then.camera)
+            )
+        return scene_clutter(now.angle, sighting.edges, images)
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
-        edges = sighting.edges
+        edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
         seen = sight(self.camera, self.camera.pose_in_map(pose[None]), landmark_map, self.parameters.sight)
         matches = Matches.none(len(edges), len(landmark_map))
         matches.visible[seen.landmark] = True
@@ -282,6 +294,13 @@ class EdgeObservation:
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
         predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
         return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
+
+
+def _camera_motion(before: Camera, now: Camera, increment: Increment) -> Array:
+    """Return how the camera moved (3,), in its own frame before, while the robot did, and the camera on the robot."""
+    mount, then = now.robot_from_level, before.robot_from_level
+    right, back, _ = between(then, compose(increment.mean, mount))
+    return np.array([right, back, increment.mean[2] + (mount[2] - then[2])])
 
 
 def _placed(values: Array, edge: Indices, count: int) -> Array:

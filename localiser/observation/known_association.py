@@ -32,6 +32,7 @@ class IdentifiedObservation(EdgeObservation):
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
     ) -> Array:
         """Return log p(edges | particle, w_k) (K, N) for every inlier rate, relative to all edges being clutter."""
+        self = self.at(sighting.edges)  # noqa: PLW0642
         residual, variance = self._residuals(particles, sighting.edges, landmark_map)
         variance = variance + blur_rad**2
         density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
@@ -42,6 +43,7 @@ class IdentifiedObservation(EdgeObservation):
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, inlier_rate: float
     ) -> Targets:
         """Return the edges that are said to belong to a landmark."""
+        self = self.at(sighting.edges)  # noqa: PLW0642
         edges = sighting.edges.take(sighting.edges.landmark_id >= 0)
         variance = np.nanmedian(self._residuals(particles, edges, landmark_map)[1], axis=0)
         measured = self.angle.measured(edges)[0]
@@ -55,7 +57,7 @@ class IdentifiedObservation(EdgeObservation):
         landmark = sighting.edges.landmark_id
         residual, sigma = np.full((2, len(landmark)), np.nan)
         one = Particles(POSE, np.asarray(pose, dtype=np.float64)[:, None], np.zeros(1))
-        residuals, variance = self._residuals(one, sighting.edges, landmark_map)
+        residuals, variance = self.at(sighting.edges)._residuals(one, sighting.edges, landmark_map)
         residual[landmark >= 0], sigma[landmark >= 0] = residuals[0], np.sqrt(variance[0])
         return Matches(landmark, residual, visible, sigma, np.where(landmark >= 0, np.inf, np.nan))
 

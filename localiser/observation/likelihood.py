@@ -96,7 +96,7 @@ def scene_of(
 
 
 def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float) -> Array:
-    """Return the landmarks of a scene (L, 6) for a camera at this height, worked out once."""
+    """Return the landmarks of a scene (L, 6) for a camera at this height, worked out again when that changes."""
 
     def make() -> Array:
         bottom, top = landmark_map.bottom_m - height_m, landmark_map.top_m - height_m
@@ -109,8 +109,11 @@ def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float) -> Ar
         ]
         return np.column_stack(columns)
 
-    found: Array = kept_with(landmark_map, ("scene", height_m, sigma_m), make)
-    return found
+    kept: dict[float, Array] = kept_with(landmark_map, ("scene", sigma_m), dict)
+    if height_m not in kept:
+        kept.clear()
+        kept[height_m] = make()
+    return kept[height_m]
 
 
 def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_edges: bool = True) -> Array:

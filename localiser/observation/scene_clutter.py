@@ -18,10 +18,11 @@ All hypotheses about where the robot is share this intensity. A place must predi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose
 from localiser.observation.angle import Angle
@@ -39,12 +40,18 @@ SHORT = 0.3  # how often an end is not where the same edge ended before
 class EarlierEdges:
     """The edges of an earlier image.
 
-    motion: (3,) of the camera since, in its own frame then (m, m, rad). turn_var: variance of its turn (rad²).
+    motion: (3,) of the camera since, in its own frame then (m, m, rad). turn_var: variance of its turn (rad²). camera:
+    as it was mounted then; None: as now.
     """
 
     edges: Edges
     motion: Array
     turn_var: float
+    camera: Camera | None = None
+
+    def angle(self, now: Angle) -> Angle:
+        """Return the angle that this image compares; now: that of the image it is compared with."""
+        return now if self.camera is None or self.camera is now.camera else replace(now, camera=self.camera)
 
 
 def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -> tuple[Array, float]:
@@ -79,7 +86,8 @@ def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]
     for other in others:
         since = compose(image.motion, between(other.motion, np.zeros(3)))
         turn_var = max(image.turn_var - other.turn_var, 0.0)
-        shows = _continued(angle, other.edges, EarlierEdges(image.edges, since, turn_var)).sum(axis=0)
+        before = EarlierEdges(image.edges, since, turn_var, image.angle(angle).camera)
+        shows = _continued(other.angle(angle), other.edges, before).sum(axis=0)
         missed *= 1.0 / (1.0 + SEEN_AGAIN * shows)
     return missed
 
@@ -88,13 +96,14 @@ def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
     """Return K (E, B), relative to an even density."""
     before, motion = image.edges, image.motion
     with_ends = bool(np.isfinite(edges.ends_px).all() and np.isfinite(before.ends_px).all())
-    earlier, earlier_sigma = angle.bearings(before)
+    of_before = image.angle(angle)
+    earlier, earlier_sigma = of_before.bearings(before)
     bearing, sigma = angle.bearings(edges)
     error, variance = errors_of_continuing(bearing, sigma, earlier, earlier_sigma, motion, image.turn_var)
     density = _normal(error, variance) * angle.span_at(bearing)[:, None]
     if with_ends:
         ahead = motion[0] * np.sin(earlier) - motion[1] * np.cos(earlier)
-        density *= _ends_alike(angle, edges, before, ahead / NEAR_M, SIGMA_PX)
+        density *= _ends_alike(angle, edges, of_before, before, ahead / NEAR_M, SIGMA_PX)
     return density
 
 
@@ -104,32 +113,46 @@ def _grouped(angle: Angle, edges: Edges) -> Array:
     density = _normal(bearing[:, None] - bearing, GROUP_RAD**2 + np.nan_to_num(sigma)[:, None] ** 2)
     density *= angle.span_at(bearing)[:, None]
     if np.isfinite(edges.ends_px).all():
-        density *= _ends_alike(angle, edges, edges, np.zeros(len(edges)), ROW_PX)
+        density *= _ends_alike(angle, edges, angle, edges, np.zeros(len(edges)), ROW_PX)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
 
 
-def _ends_alike(angle: Angle, edges: Edges, others: Edges, approach: Array, sigma_px: float) -> Array:
+def _ends_alike(angle: Angle, edges: Edges, of_others: Angle, others: Edges, approach: Array, sigma_px: float) -> Array:
     """Return how much likelier the ends of edges (E) are if they are those of others (B), (E, B).
 
     approach: (B,) by how much of the nearest distance the camera came nearer to each of the others. An end at upright
-    height e of a thing at distance D has the slope t = (e c - s) / (c + e s), which grows by t · approach / D.
+    height e of a thing at distance D has the slope t = (e c - s) / (c + e s), which grows by t · approach / D. A camera
+    that was mounted higher by h sees it lower by h / D.
     """
-    camera = angle.camera
+    camera, then = angle.camera, of_others.camera
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-    ends, of_others = endpoints_of(edges, camera), endpoints_of(others, camera)
-    earlier = of_others.e
-    slope = (earlier * c - s) / (c + earlier * s)
-    shift = slope * approach[:, None] / (c - slope * s) ** 2
+    ends, earlier_ends = endpoints_of(edges, camera), endpoints_of(others, then)
+    earlier, slope = _ends_from(earlier_ends.e, then, camera)
+    rise = (then.mount.height_m - camera.mount.height_m) / NEAR_M
+    shift = (slope * approach[:, None] + rise) / (c - slope * s) ** 2
     result = np.ones((len(edges), len(others)))
     for end in (0, 1):
         variance = shift[:, end] ** 2 / 12 + (sigma_px / camera.focal_px) ** 2
         room = ends.room[:, end, None]
         at = _normal(ends.e[:, end, None] - earlier[:, end] - shift[:, end] / 2, variance)
-        alike = SHORT * np.minimum(room * of_others.per_length, 1.0) + (1.0 - SHORT) * room * at
+        alike = SHORT * np.minimum(room * earlier_ends.per_length, 1.0) + (1.0 - SHORT) * room * at
         # The border ends an edge wherever the thing itself does.
-        result *= np.where(ends.cut[:, end, None], np.where(of_others.cut[:, end], 1.0, SHORT), alike)
+        result *= np.where(ends.cut[:, end, None], np.where(earlier_ends.cut[:, end], 1.0, SHORT), alike)
     return result
+
+
+def _ends_from(e: Array, before: Camera, now: Camera) -> tuple[Array, Array]:
+    """Return upright image heights as the camera of now would see them from the place before, and their slopes.
+
+    e: as the camera was mounted before.
+    """
+    s, c = np.sin(before.mount.tilt_rad), np.cos(before.mount.tilt_rad)
+    slope = (e * c - s) / (c + e * s)
+    if now.mount.tilt_rad == before.mount.tilt_rad:
+        return e, slope
+    s, c = np.sin(now.mount.tilt_rad), np.cos(now.mount.tilt_rad)
+    return (slope * c + s) / (c - slope * s), slope
 
 
 def _normal(error: Array, variance: Array) -> Array:

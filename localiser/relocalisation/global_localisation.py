@@ -16,6 +16,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
@@ -119,7 +120,7 @@ class GlobalLocalisation:
         edges = sighting.edges
         clutter = np.ones(len(edges)) if sighting.clutter is None else sighting.clutter
         edges = replace(edges, clutter=clutter)
-        view = view_of(self.observation.camera, edges, self.observation.parameters.kind)
+        view = view_of(self.observation.camera.at(edges.mount), edges, self.observation.parameters.kind)
         return Clues(view, replace(sighting, edges=edges), self.observation, self.landmark_map)
 
     def proposed(
@@ -140,20 +141,25 @@ class GlobalLocalisation:
             return unknown.log_mean(clues.by_pose(poses))
 
         parameters = ProposalParameters().scaled(effort)
-        poses, log_prior_over_q = propose(clues.view, self.places, log_likelihood, rng, parameters).drawn(count, rng)
+        places = self.places.seen_by(clues.view.camera)
+        poses, log_prior_over_q = propose(clues.view, places, log_likelihood, rng, parameters).drawn(count, rng)
         by_rate = clues.by_pose(poses)
         fits = (unknown.log_mean(by_rate) > 0.0) & np.isfinite(log_prior_over_q)
         if not fits.any():
             return None, -np.inf
-        candidates = Candidates.unknown(self._robots(like, poses[fits], log_prior_over_q[fits], rng))
+        robots = self._robots(like, poses[fits], log_prior_over_q[fits], clues.view.camera, rng)
+        candidates = Candidates.unknown(robots)
         candidates, _ = candidates.weighed(by_rate[:, fits], 1.0, needs_landmarks=False)
         return candidates, log_sum(candidates.particles.log_weight) - float(np.log(count))
 
     def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
         """Return `count` candidates drawn evenly over the region; like: as for `proposed`."""
-        return Candidates.unknown(self._robots(like, self.places.region.drawn(count, rng), np.zeros(count), rng))
+        poses = self.places.region.drawn(count, rng)
+        return Candidates.unknown(self._robots(like, poses, np.zeros(count), self.observation.camera, rng))
 
-    def _robots(self, like: Particles, poses: Array, log_weight: Array, rng: np.random.Generator) -> Particles:
+    def _robots(
+        self, like: Particles, poses: Array, log_weight: Array, camera: Camera, rng: np.random.Generator
+    ) -> Particles:
         """Return particles at which a camera that sits as stated sees what is seen from `poses` (N, 3).
 
         Their other columns are drawn from `like`. One of them may be the camera's yaw, for which the robot is turned.
@@ -161,7 +167,7 @@ class GlobalLocalisation:
         columns = like.columns[:, multinomial_resample(like.weight, len(poses), rng)]
         columns[:3] = poses.T
         if CAMERA_YAW in like.names:
-            turned, camera = poses.copy(), self.observation.camera
+            turned = poses.copy()
             turned[:, 2] = wrap_angle(poses[:, 2] - columns[like.names.index(CAMERA_YAW)])
             turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
             columns[:3] = turned.T

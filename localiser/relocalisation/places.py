@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ Indices = NDArray[np.int64]
 
 BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched together
 ENDLESS_M = 1e3
+_WIDER_RAD = np.radians(5.0)  # steps of the half view that tables are made for while a mount moves
 FEWEST_AS_INTEGERS = 400_000  # pairs, which are sorted faster so
 MOST_PAIRS = 5_000_000  # of landmarks in the table, 16 bytes each; those farthest apart are left out
 
@@ -29,7 +31,8 @@ class Places:
     visible. class_m: (B,) heights that lower ends are grouped to, ascending. pair: (M, 2) landmarks no farther apart
     than both can be in sight, sorted by `key` (M,), their distance plus a step for the group of the first times B plus
     that of the second. region: where the robot may be. index: which landmarks can be in view from where in it. reach:
-    which landmarks are within range.
+    which landmarks are within range. half_view_rad: largest angle to either side that the camera sees; height_m: its
+    height above the floor.
     """
 
     points: Array
@@ -44,6 +47,8 @@ class Places:
     region: Region
     index: LandmarkIndex
     reach: Reach
+    half_view_rad: float
+    height_m: float
 
     def __len__(self) -> int:
         return len(self.points)
@@ -73,21 +78,33 @@ class Places:
         top_m = np.where(np.isnan(landmark_map.top_m), ENDLESS_M, landmark_map.top_m)
         step, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
         pair, key = _pairs(points, group.ravel(), len(step), 2 * sight.range_max_m)
-        mount = camera.mount
+        height_m, half_view = camera.mount.height_m, half_view_rad(camera)
         return cls(
             points=points,
             bottom_m=bottom_m,
             top_m=top_m,
             sigma_m=landmark_map.sigma_m(sigma_m),
-            from_camera=np.stack([*points.T, bottom_m - mount.height_m, top_m - mount.height_m], axis=-1),
+            from_camera=_from_camera(points, bottom_m, top_m, height_m),
             sight=sight,
             class_m=step.astype(np.float64) * BOTTOM_STEP_M,
             pair=pair,
             key=key,
             region=region,
-            index=LandmarkIndex.of(points, *_corners(region, camera), half_view_rad(camera), sight.range_max_m),
+            index=LandmarkIndex.of(points, *_corners(region, camera), half_view, sight.range_max_m),
             reach=reach_of(landmark_map, sight.range_max_m),
+            half_view_rad=half_view,
+            height_m=height_m,
         )
+
+    def seen_by(self, camera: Camera) -> Places:
+        """Return the places for the camera as it is mounted now, which may sit higher and see farther to the side."""
+        places, height_m, half_view = self, camera.mount.height_m, half_view_rad(camera)
+        if half_view > self.half_view_rad:
+            places = _widened(self, int(np.ceil(half_view / _WIDER_RAD)))
+        if height_m != self.height_m:
+            heights = _from_camera(self.points, self.bottom_m, self.top_m, height_m)
+            places = replace(places, from_camera=heights, height_m=height_m)
+        return places
 
     def pairs_between(self, pair_class: Indices, low_m: Array, high_m: Array) -> tuple[Indices, Indices]:
         """Return for queries (Q,) the slice first … last (Q,) of the pairs of this class at low_m … high_m (Q,)."""
@@ -95,6 +112,20 @@ class Places:
         first = np.searchsorted(self.key, pair_class * step + np.clip(low_m, 0.0, step - 1e-9))
         last = np.searchsorted(self.key, pair_class * step + np.clip(high_m, 0.0, step - 1e-9), side="right")
         return first, np.maximum(last, first)
+
+
+def _from_camera(points: Array, bottom_m: Array, top_m: Array, height_m: float) -> Array:
+    """Return x, z, and the heights of both ends above a camera at this height, (L, 4)."""
+    return np.stack([*points.T, bottom_m - height_m, top_m - height_m], axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _widened(places: Places, steps: int) -> Places:
+    """Return the places with an index for so many steps of half view. The last few are kept."""
+    half, low = min(steps * _WIDER_RAD, np.pi), places.index.corner
+    high = low + np.array(places.index.shape[:2]) * places.index.cell_m
+    index = LandmarkIndex.of(places.points, low, high, half, places.sight.range_max_m)
+    return replace(places, half_view_rad=half, index=index)
 
 
 def _key_step(farthest_m: float) -> float:

@@ -109,7 +109,7 @@ class Replay:
     def _image(self, event: ImageEvent) -> list[LocatedFrame]:
         data = event.encoded()
         try:
-            return self.localiser.image(event.t_ns, data, by_wheels=event.by_wheels)
+            return self.localiser.image(event.t_ns, data, event.mount, by_wheels=event.by_wheels)
         except InputError as error:
             raise InputError(error.problem, path=self.log.path, field=event.name) from None
 

@@ -85,7 +85,7 @@ def camera_from_document(document: Document) -> Camera:
         # A stereo camera's, which would turn the image and is not applied.
         problem = f"expected the unit matrix, found {shown(rectification.data)}"
         raise document.error(("rectification_matrix", "data"), problem)
-    mount = {f"{name}_rad": math.radians(getattr(file.mount, f"{name}_deg")) for name in _ANGLES}
+    mount: dict[str, Any] = {f"{name}_rad": math.radians(getattr(file.mount, f"{name}_deg")) for name in _ANGLES}
     mount |= {name: getattr(file.mount, name) for name in _LENGTHS}
     model, distortion = file.distortion_model, _distortion(document, file)
     size = (file.image_width, file.image_height)

@@ -111,7 +111,7 @@ def write_edges(frames: Iterable[Sighting], camera: Camera, path: Path, ids: Seq
     table.writerow([column.name for column in COLUMNS])
     for frame in frames:
         edges = frame.edges
-        bearing = wrap_angle(edges.bearing - camera.mount.yaw_rad)
+        bearing = wrap_angle(edges.bearing - camera.at(edges.mount).mount.yaw_rad)
         measured = (bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, edges.length_px)
         for row in range(len(edges)):
             cells = [str(frame.t_ns)]

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.documents import drafted, dump, load, validate, write_bytes, write_text
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
@@ -25,6 +25,7 @@ from localiser.storage.files import inside, require_new
 from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of, whole_image
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import read_map, write_map
+from localiser.storage.mounts import MOUNT_COLUMNS, mount_cells, mounts_of_table
 from localiser.storage.tables import Column, integer, read_table, text
 from localiser.storage.trajectories import read_poses, write_poses
 
@@ -110,9 +111,9 @@ class FolderReader:
 
 
 def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
-    table = read_table(path, (Column("t_ns", integer), Column("file", text)), rows_at_least=1)
+    table = read_table(path, (Column("t_ns", integer), Column("file", text), *MOUNT_COLUMNS), rows_at_least=1)
     table.require_time_order(strictly=True)
-    size = (camera.width, camera.height)
+    size, mounts = (camera.width, camera.height), mounts_of_table(table, camera.mount)
     events = []
     for row, (t_ns, name) in enumerate(zip(table.columns["t_ns"], table.columns["file"], strict=True)):
         try:
@@ -121,7 +122,7 @@ def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
             raise table.error(row, "file", f"{error}, found {name!r}") from None
         here = _named_by(path, table.lines[row])
         here(check_head)(image, size)
-        event = image_event(t_ns, name, partial(whole_image, image, size), size, path=image)
+        event = image_event(t_ns, name, partial(whole_image, image, size), size, path=image, mount=mounts[row])
         events.append(replace(event, load=here(event.load), encoded=here(event.encoded)))
     return events
 
@@ -160,6 +161,7 @@ def write_log(
     camera: Camera,
     odometry: Trajectory,
     images: Iterable[tuple[int, Image | bytes]] | None = None,
+    mounts: Sequence[Mount | None] = (),
     sightings: Iterable[Sighting] | None = None,
     landmark_map: LandmarkMap | None = None,
     landmark_ids: Sequence[int | str] = (),
@@ -171,7 +173,8 @@ def write_log(
 ) -> None:
     """Write a log folder, either whole or not at all; images or sightings, in the order of time, are taken one by one.
 
-    images: (t_ns, (H, W) grey or (H, W, 3) BGR uint8); JPEG or PNG files are written as they are. start: the covariance
+    images: (t_ns, (H, W) grey or (H, W, 3) BGR uint8); JPEG or PNG files are written as they are. mounts:
+    of the camera at each image, None where it is as the camera says; left out where it always is. start: the covariance
     is written as one sigma for the position and one for the heading. motion: quality of this robot's odometry.
     landmark_ids: of the landmarks that edges belong to, where there is no map.
     Raises OutputError when the folder holds something already or cannot be written, ValueError unless there are images
@@ -193,8 +196,12 @@ def write_log(
         part("odometry", "odometry.csv", write_poses, odometry if len(odometry) else None)
         part("groundtruth", "groundtruth.csv", write_poses, groundtruth)
         part("map", "map.yaml", write_map, landmark_map)
+        of_mounts = mount_cells(mounts, camera)
         part(
-            "images", "images.csv", lambda images, path: _write_images(images, path, image_suffix, jpeg_quality), images
+            "images",
+            "images.csv",
+            lambda images, path: _write_images(images, of_mounts, path, image_suffix, jpeg_quality),
+            images,
         )
         ids = landmark_ids if landmark_map is None else landmark_map.ids
         part("edges", "edges.csv", lambda frames, path: write_edges(frames, camera, path, ids), sightings)
@@ -205,11 +212,19 @@ def write_log(
         write_text(draft / LOG_FILE, dump(data))
 
 
-def _write_images(images: Iterable[tuple[int, Image | bytes]], table: Path, suffix: str, jpeg_quality: int) -> None:
-    lines = ["t_ns,file"]
+def _write_images(
+    images: Iterable[tuple[int, Image | bytes]],
+    of_mounts: tuple[list[str], list[list[str]]],
+    table: Path,
+    suffix: str,
+    jpeg_quality: int,
+) -> None:
+    """Write the images and their table. of_mounts: names and rows of the columns of how the camera was mounted."""
+    names, rows = of_mounts
+    lines = [",".join(["t_ns", "file", *names])]
     for index, (t_ns, image) in enumerate(images):
         data = image if isinstance(image, bytes) else encode_image(image, suffix, jpeg_quality)
         name = f"images/{index:06d}{suffix_of(data)}"
         write_bytes(table.parent / name, data)
-        lines.append(f"{t_ns},{name}")
+        lines.append(",".join([str(t_ns), name, *(rows[index] if names else ())]))
     write_text(table, "\n".join(lines) + "\n")

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.camera import Mount
 from localiser.documents import open_regular, read_bytes
 from localiser.errors import InputError
 
@@ -38,7 +39,8 @@ class ImageEvent:
 
     load: returns the image as (H, W) uint8 grey values. encoded: returns the file as it is (JPEG or PNG), in colour if
     it has any, for the view. Both raise InputError when the file is not an image of the size that the camera has.
-    by_wheels: False where a live run did without the wheels, because they were silent.
+    by_wheels: False where a live run did without the wheels, because they were silent. mount: of the camera when it
+    took this image, None: as the camera says.
     """
 
     t_ns: int
@@ -46,6 +48,7 @@ class ImageEvent:
     load: Callable[[], Image]
     encoded: Callable[[], bytes]
     by_wheels: bool = True
+    mount: Mount | None = None
 
 
 def image_event(
@@ -57,12 +60,13 @@ def image_event(
     path: Path,
     field: str | None = None,
     by_wheels: bool = True,
+    mount: Mount | None = None,
 ) -> ImageEvent:
     """Return the event of an image file of `size` (width, height), which is decoded when it is asked for.
 
-    path, field: where the image is from, for errors.
+    path, field: where the image is from, for errors. by_wheels, mount: see there.
     """
-    return ImageEvent(t_ns, name, lambda: decoded(encoded(), size, path=path, field=field), encoded, by_wheels)
+    return ImageEvent(t_ns, name, lambda: decoded(encoded(), size, path=path, field=field), encoded, by_wheels, mount)
 
 
 def whole_image(path: Path, size: tuple[int, int]) -> bytes:

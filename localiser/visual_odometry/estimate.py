@@ -23,7 +23,7 @@ from localiser.visual_odometry import pairs as pairing
 from localiser.visual_odometry.fuse import at_least, mixture
 from localiser.visual_odometry.pairs import Pairs, candidates
 from localiser.visual_odometry.search import likely_motions
-from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights
+from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights, errs_apart, with_errors_apart
 from localiser.visual_odometry.twist import Gaussian, motion_gaussian
 
 if TYPE_CHECKING:
@@ -66,16 +66,25 @@ class Followed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Two frames, made ready once to be followed under one belief or another."""
+    """Two frames, made ready once to be followed under one belief or another.
+
+    mount: (5,) of the camera, see `twist_kernel.camera_moved`.
+    """
 
     sights: tuple[Sights, Sights]
     pairs: Pairs
     camera: Camera
+    mount: Array
 
     @classmethod
     def of(cls, before: Edges, after: Edges, camera: Camera) -> Frames:
-        """Return the frames with these edges, seen by one camera."""
-        return cls((Sights.of(before, camera), Sights.of(after, camera)), candidates(before, after), camera)
+        """Return the frames with these edges, seen by one camera, whose mount may differ from one to the other."""
+        sights = Sights.of(before, camera), Sights.of(after, camera)
+        if len(before) and len(after) and errs_apart(before, after):
+            sights = with_errors_apart(*sights)
+        one, two = (camera.at(edges.mount).robot_from_level[:2] for edges in (before, after))
+        mount = np.array([*one, camera.mount.yaw_rad, *(two - one)])
+        return cls(sights, candidates(before, after), camera, mount)
 
     def model(self) -> kernel.Model:
         """Return what edges are like, as the compiled loops take it."""
@@ -102,7 +111,7 @@ class Frames:
 
     def likely_motions(self, prior: Gaussian) -> list[Array]:
         """Return the twists (3,) that most pairs agree on, among those that the prior allows."""
-        return likely_motions(self.pairs, self.sights, self.camera, prior.mean, prior.cov, _PEAKS)
+        return likely_motions(self.pairs, self.sights, self.mount, prior.mean, prior.cov, _PEAKS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +185,7 @@ class _Solver:
             np.ones(len(self._pairs), dtype=np.bool_) if usable is None else usable,
             self._one,
             self._two,
-            self._frames.camera.robot_from_level,
+            self._frames.mount,
             kernel.Belief(prior.mean, self._information, on_floor),
             start,
             _START_SIGMA**2,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from localiser.camera import Camera
 from localiser.geometry import Array
 from localiser.visual_odometry.pairs import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, Pairs
 from localiser.visual_odometry.sights import Sights
@@ -22,9 +21,12 @@ _KERNEL_REACH = 3.0  # sigmas
 
 
 def likely_motions(
-    pairs: Pairs, sights: tuple[Sights, Sights], camera: Camera, prior_mean: Array, prior_cov: Array, count: int
+    pairs: Pairs, sights: tuple[Sights, Sights], mount: Array, prior_mean: Array, prior_cov: Array, count: int
 ) -> list[Array]:
-    """Return up to `count` motions (3,) that have most votes, of turns apart from one another, best first."""
+    """Return up to `count` motions (3,) that have most votes, of turns apart from one another, best first.
+
+    mount: (5,) of the camera, see `twist_kernel.camera_moved`.
+    """
     from localiser.visual_odometry import twist_kernel as kernel
     from localiser.visual_odometry import votes
 
@@ -36,7 +38,6 @@ def likely_motions(
     offset = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2) * _REACH * 0.8
     grid = prior_mean[:2] + offset * sigma[:2]
     cell = (_GRID[1] - _GRID[0]) * _REACH * 0.8 * sigma[:2] / 2
-    mount = camera.robot_from_level
     moves = np.array([kernel.camera_moved(np.array([*step, 0.0]), mount)[:2] for step in grid])
 
     kernels = _kernels(turns[1] - turns[0])

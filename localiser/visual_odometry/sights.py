@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,8 @@ class Sights:
 
     @classmethod
     def of(cls, edges: Edges, camera: Camera) -> Sights:
-        """Return what these edges say, seen by this camera."""
+        """Return what these edges say, seen by this camera. Bearings are from the axis of its usual mount."""
+        yaw_rad, camera = camera.mount.yaw_rad, camera.at(edges.mount)
         height_m = camera.mount.height_m
         inverse = 1.0 / np.where(_runs_out(edges.ends_px[:, 0], camera), np.nan, edges.foot_range_m)
         inverse_sigma = inverse**2 * edges.foot_range_sigma_m
@@ -57,13 +58,33 @@ class Sights:
         depression = {"tilt": np.cos(edges.bearing), "roll": np.sin(edges.bearing)}
         for column, name in enumerate(mount.names):
             by_mount[:, 1, column] = per_depression * depression.get(name, 0.0)
+            if name == "height":
+                by_mount[:, 1, column] = -inverse / height_m
         by_foot_height = np.zeros((len(edges), 2, 1))
         by_foot_height[:, 1, 0] = inverse * FOOT_HEIGHT_SIGMA_M / height_m
+        bearing = edges.bearing + (yaw_rad - camera.mount.yaw_rad)
         return cls(
-            np.stack([edges.bearing, inverse], axis=-1),
+            np.stack([bearing, inverse], axis=-1),
             np.stack([edges.bearing_sigma, inverse_sigma], axis=-1),
             np.nan_to_num(np.concatenate([by_mount @ _root(mount.cov), by_foot_height], axis=-1)),
         )
+
+
+def errs_apart(before: Edges, after: Edges) -> bool:
+    """Return whether errors of the mount differ between two images: those of a mount that was measured for each."""
+    measured = any(edges.mount is not None and edges.mount.sigma is not None for edges in (before, after))
+    return measured or before.common.names != after.common.names
+
+
+def with_errors_apart(one: Sights, two: Sights) -> tuple[Sights, Sights]:
+    """Return two frames whose mounts err each in its own way; by how much feet end too high is the same in both."""
+
+    def wider(sights: Sights, left: int, right: int) -> Sights:
+        own, feet = sights.common[:, :, :-1], sights.common[:, :, -1:]
+        no_left, no_right = (np.zeros((len(own), 2, count)) for count in (left, right))
+        return replace(sights, common=np.concatenate([no_left, own, no_right, feet], axis=-1))
+
+    return wider(one, 0, two.common.shape[2] - 1), wider(two, one.common.shape[2] - 1, 0)
 
 
 def _runs_out(end_px: Array, camera: Camera) -> NDArray[np.bool_]:

@@ -65,9 +65,11 @@ class Model(NamedTuple):
 
 @compiled
 def camera_moved(twist: Array, mount: Array) -> tuple[float, float, Array]:
-    """Return where a camera at `mount` (3,) on the robot gets to, x and z in its own frame, and ∂(x, z)/∂twist (2, 3).
+    """Return where a camera at `mount` gets to, x and z in its own frame, and ∂(x, z)/∂twist (2, 3).
 
-    The robot moves by ∫ R(ψ t) dt (right, backward) over the unit of time, an arc.
+    mount: (5,) right, backward, yaw of the camera on the robot before; how far it moves on the robot until the second
+    image, right and backward in the robot frame. The robot moves by ∫ R(ψ t) dt (right, backward) over the unit of
+    time, an arc.
     """
     turn = twist[2]
     if abs(turn) < 1e-4:
@@ -80,10 +82,13 @@ def camera_moved(twist: Array, mount: Array) -> tuple[float, float, Array]:
     sin, cos = np.sin(turn), np.cos(turn)
     x = along * twist[0] + across * twist[1] + (cos - 1.0) * mount[0] + sin * mount[1]
     z = along * twist[1] - across * twist[0] - sin * mount[0] + (cos - 1.0) * mount[1]
+    right, back = cos * mount[3] + sin * mount[4], cos * mount[4] - sin * mount[3]
+    x += right
+    z += back
     jac = np.empty((2, 3))
     jac[0, 0], jac[0, 1], jac[1, 0], jac[1, 1] = along, across, -across, along
-    jac[0, 2] = d_along * twist[0] + d_across * twist[1] - sin * mount[0] + cos * mount[1]
-    jac[1, 2] = d_along * twist[1] - d_across * twist[0] - cos * mount[0] - sin * mount[1]
+    jac[0, 2] = d_along * twist[0] + d_across * twist[1] - sin * mount[0] + cos * mount[1] + back
+    jac[1, 2] = d_along * twist[1] - d_across * twist[0] - cos * mount[0] - sin * mount[1] - right
     sin, cos = np.sin(mount[2]), np.cos(mount[2])
     for column in range(3):
         right, back = jac[0, column], jac[1, column]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -97,13 +97,13 @@ def unit(values: np.ndarray) -> tuple[float, float, float, float]:
 @given(mounts)
 def test_a_mount_that_was_read_once_stays_the_same_bit_by_bit(mount: Mount) -> None:
     def through_transforms(mount: Mount) -> Mount:
-        camera = CAMERA.with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))
+        camera = replace(CAMERA, mount=mount)
         tree = FrameTree()
         tree.add_all([Stamped("base", "optical", base_from_optical(mount, camera.level_from_camera))])
         return mount_of(tree, "base", "optical")
 
     once = through_transforms(mount)
-    np.testing.assert_allclose(astuple(once), astuple(mount), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(astuple(once)[:-1], astuple(mount)[:-1], rtol=0, atol=1e-9)  # all but the sigma
     assert astuple(through_transforms(once)) == astuple(once)
 
 

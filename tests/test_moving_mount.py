@@ -1,0 +1,171 @@
+"""A mount that moves: one world seen by a camera that tilts, turns and rises gives one answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from edge_images import camera_of, wall_image
+
+from localiser.camera import Camera, Mount, MountSigma
+from localiser.edges import CommonError, EdgeParameters, Edges, find_edges, foot_of_edges
+from localiser.errors import InputError
+from localiser.filter import Level
+from localiser.geometry import Array, Increment, compose
+from localiser.landmarks import LandmarkMap
+from localiser.localiser import Localiser
+from localiser.observation import EarlierImage, EdgeObservation, ObservationParameters, Sighting
+from localiser.particles import POSE, Particles
+from localiser.visual_odometry import Belief, Frames, Gaussian, follow
+
+USUAL = camera_of(roll_deg=1.0, k1=-0.25)
+MOVED = Mount(np.radians(26.0), 1.7, np.radians(-3.0), np.radians(15.0), 0.1, -0.3)
+PLACES = np.array(
+    [[x, z] for x, z in zip(np.linspace(-3.5, 3.5, 24), np.tile([-4.0, -3.0, -4.6, -3.4], 6), strict=True)]
+)
+MAP = LandmarkMap.from_points(PLACES, bottom_m=np.zeros(24), top_m=np.full(24, 0.9))
+
+
+def seen(camera: Camera, mount: Mount | None, pose: Array, places: Array = PLACES) -> Edges:
+    """Return the edges of all landmarks in view exactly as the camera sees them from a robot pose (3,)."""
+    mounted = camera.at(mount)
+    points = np.stack([places[:, [0, 0]], np.tile([0.0, 0.9], (len(places), 1)), places[:, [1, 1]]], axis=-1)
+    ends_px = mounted.project(pose, points)
+    inside = (ends_px > 3.0) & (ends_px < np.array([camera.width, camera.height]) - 4.0)
+    ends_px = ends_px[inside.all(axis=(1, 2))]
+    bearing = mounted.bearing_of_segments(ends_px)
+    foot = foot_of_edges(ends_px[:, 0], mounted)
+    jacobians = mounted.bearing_jacobians(bearing, mounted.upright_from_pixels(ends_px).mean(axis=1)[:, 1])
+    edges = Edges.from_columns(
+        bearing,
+        np.full(len(bearing), 2e-3),
+        mounted.lean_of_segments(ends_px),
+        np.full(len(bearing), 2e-3),
+        length_px=np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=-1),
+        ends_px=ends_px,
+        foot_range_m=foot[0],
+        foot_range_sigma_m=foot[1],
+        common=CommonError(("tilt", "roll"), np.diag([1e-8, 1e-8]), *jacobians),
+    )
+    assert len(edges) >= min(len(places), 5)
+    return replace(edges, mount=mount)
+
+
+def test_edges_of_an_image_are_those_of_a_camera_mounted_so() -> None:
+    mounted = USUAL.at(MOVED)
+    image = wall_image(mounted, [-20.0, -8.0, 3.0, 14.0], [60.0, 120.0, 70.0, 150.0, 110.0], noise_sigma=1.0)
+    expected, found = find_edges(image, mounted), find_edges(image, USUAL, mount=MOVED)
+    assert found.mount == MOVED and expected.mount is None
+    np.testing.assert_array_equal(found.bearing, expected.bearing)
+    np.testing.assert_array_equal(found.foot_range_m, expected.foot_range_m)
+    assert len(find_edges(image, USUAL)) < len(found)
+
+
+def test_the_usual_mount_is_the_camera_itself() -> None:
+    assert USUAL.at(None) is USUAL and USUAL.at(replace(USUAL.mount)) is USUAL
+    assert USUAL.at(MOVED) is USUAL.at(replace(MOVED))
+
+
+def test_sigmas_of_the_mount_are_those_of_the_image() -> None:
+    sigma = MountSigma(tilt_rad=0.001, yaw_rad=0.02, back_m=0.1)
+    image = wall_image(USUAL, [-10.0, 5.0], [60.0, 120.0, 70.0])
+    common = find_edges(image, USUAL, mount=replace(USUAL.mount, sigma=sigma)).common
+    assert common.names == ("tilt", "roll", "yaw", "back")
+    usual = np.radians(EdgeParameters().roll_sigma_deg)
+    np.testing.assert_allclose(np.sqrt(np.diag(common.cov)), [0.001, usual, 0.02, 0.1])
+    np.testing.assert_array_equal(common.bearing_from_line[:, 2], 1.0)
+
+
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_particles_are_weighed_by_the_mount_of_the_image(kind) -> None:
+    pose = np.array([0.1, -0.2, 0.1])
+    observation = EdgeObservation(USUAL, ObservationParameters(kind=kind))
+    cloud = Particles(
+        POSE, np.stack([pose, pose + np.array([0.0, 0.0, 0.2]), pose + np.array([0.3, 0.0, 0.0])], axis=1), np.zeros(3)
+    )
+    sighting = Sighting(0, seen(USUAL, MOVED, pose))
+    by_rate = observation.by_rate(cloud, sighting, MAP)
+    np.testing.assert_allclose(by_rate, observation.by_rate_plain(cloud, sighting, MAP), atol=0.05)
+    alone = EdgeObservation(USUAL.at(MOVED), observation.parameters)
+    np.testing.assert_array_equal(by_rate, alone.by_rate(cloud, Sighting(0, replace(sighting.edges, mount=None)), MAP))
+    assert by_rate[-2].argmax() == 0
+    assert (observation.associate(pose, sighting, MAP).landmark >= 0).all()
+
+
+def test_edges_continue_those_of_an_image_under_another_mount() -> None:
+    observation = EdgeObservation(USUAL, ObservationParameters())
+    pose, move, few = np.zeros(3), np.array([0.0, -0.05, 0.05]), PLACES[[12]]
+    turned = replace(USUAL.mount, tilt_rad=np.radians(22.0), roll_rad=MOVED.roll_rad, yaw_rad=MOVED.yaw_rad)
+    before = Sighting(0, seen(USUAL, turned, pose, few))
+    now = Sighting(1, seen(USUAL, None, compose(pose, move), few))
+    increment = Increment(move, np.zeros((3, 3)), 0.05, 0.05)
+
+    def densities(earlier: Sighting) -> list[float]:
+        persistent = observation.with_persistent_clutter(now, earlier, increment, 1e-4).edges.clutter
+        return [float(persistent.max()), *observation.scene_clutter(now, [EarlierImage(earlier, increment, 1e-4)])[0]]
+
+    forgotten = replace(before, edges=replace(before.edges, mount=None))  # as if the camera had not been turned
+    for right, wrong in zip(densities(before), densities(forgotten), strict=True):
+        assert right > 2.0 * wrong
+
+
+def test_motion_between_images_under_two_mounts() -> None:
+    move = np.array([0.05, -0.2, 0.1])
+    later = replace(MOVED, height_m=1.4, yaw_rad=np.radians(-5.0), right_m=-0.1, tilt_rad=np.radians(20.0))
+    frames = Frames.of(seen(USUAL, MOVED, np.zeros(3)), seen(USUAL, later, move), USUAL)
+    prior = Gaussian(np.array([0.0, -0.2, 0.0]), np.diag([0.1, 0.1, 0.2]) ** 2)
+    found = follow(frames, [Belief(prior, frames.likely_motions(prior))])
+    np.testing.assert_allclose(found.motion.mean, move, atol=0.02)
+
+
+def test_a_tilt_that_was_measured_for_one_image_tells_nothing_of_the_next() -> None:
+    level = Level(USUAL, 0.005)
+    off = replace(USUAL.mount, tilt_rad=USUAL.mount.tilt_rad + 0.01)
+    edges = seen(USUAL, None, np.zeros(3))
+    believed = USUAL.at(off)
+    wrong = replace(
+        edges,
+        bearing=believed.bearing_of_segments(edges.ends_px),
+        lean=believed.lean_of_segments(edges.ends_px),
+        mount=off,
+    )
+    common = replace(wrong.common, cov=np.diag([0.01, 0.001]) ** 2)
+    _, kept = level.levelled(None, replace(wrong, common=common), 0.0, 1.0)
+    assert kept is not None and kept.mean[0] == pytest.approx(-0.01, abs=0.003)
+    measured = replace(USUAL.mount, sigma=MountSigma(tilt_rad=0.01, roll_rad=0.001))
+    _, renewed = level.levelled(kept, replace(edges, mount=measured, common=common), 0.0, 0.1)
+    assert renewed is not None and renewed.mean[0] == pytest.approx(0.0, abs=0.003)
+
+
+def test_images_with_and_without_a_mount_are_located_by_one_localiser() -> None:
+    localiser = Localiser(MAP, USUAL, seed=1)
+    localiser.start(np.zeros(3), np.diag([0.05, 0.05, 0.02]) ** 2, 0)
+    frames = []
+    for index, mount in enumerate([None, MOVED, None, replace(MOVED, yaw_rad=-0.2)]):
+        pose, t_ns = np.array([0.0, -0.1 * index, 0.0]), 10**8 * (index + 1)
+        frames += localiser.odometry(t_ns, pose)
+        frames += localiser.edges(t_ns, replace(seen(USUAL, mount, pose), mount=None), mount)
+    assert [frame.located.edges.mount for frame in frames] == [None, MOVED, None, replace(MOVED, yaw_rad=-0.2)]
+    for index, frame in enumerate(frames):
+        error = frame.located.estimate.pose - [0.0, -0.1 * index, 0.0]
+        assert np.hypot(*error[:2]) < 0.05 and abs(error[2]) < 0.02
+    content = localiser.save()
+    localiser.restore(content)
+    assert localiser.state.seen is not None and localiser.state.seen.edges.mount == replace(MOVED, yaw_rad=-0.2)
+
+
+@pytest.mark.parametrize(
+    ("mount", "field"),
+    [
+        ("down", "mount"),
+        (replace(MOVED, tilt_rad=np.nan), "mount.tilt_rad"),
+        (replace(MOVED, tilt_rad=1.6), "mount.tilt_rad"),
+        (replace(MOVED, height_m=0.0), "mount.height_m"),
+        (replace(MOVED, sigma=MountSigma(roll_rad=-1.0)), "mount.sigma.roll_rad"),
+    ],
+)
+def test_a_mount_that_cannot_be_is_refused(mount, field) -> None:
+    with pytest.raises(InputError) as error:
+        Localiser(MAP, USUAL, seed=1).measure(np.zeros((USUAL.height, USUAL.width), dtype=np.uint8), mount)
+    assert error.value.field == field
