@@ -345,13 +345,12 @@ def test_measurements_that_cannot_be_are_refused() -> None:
         one.image(2 * SECOND, np.zeros((240, 320), dtype=np.uint8))
 
 
-def test_a_mount_of_its_own_is_refused_and_the_cameras_is_not() -> None:
+def test_an_image_may_have_the_cameras_mount_or_one_of_its_own() -> None:
     one = of_corridor()
     one.start([0, 0, 0], np.eye(3))
     one.edges(1, Edges.none(), LOG.camera.mount)
-    for take in (lambda mount: one.edges(2, Edges.none(), mount), lambda mount: one.image(2, b"", mount)):
-        with pytest.raises(InputError, match="mount: an image with a mount of its own is not supported yet"):
-            take(Mount(0.1, 1.0))
+    one.edges(2, Edges.none(), Mount(0.1, 1.0))
+    assert [sighting.edges.mount for sighting in one.state.waiting] == [LOG.camera.mount, Mount(0.1, 1.0)]
 
 
 NOT_KNOWN = "observation.association: `known` believes edges that say which landmark they belong to, found images"
