@@ -36,6 +36,8 @@ EPILOG = """Examples:
 
 `localiser replay logs/corridor --view web --speed 1`
 
+`localiser replay logs/corridor --bag corridor.mcap`
+
 `localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`
 
 `localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
@@ -75,6 +77,13 @@ def replay(
         "results"
     ),
     rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.mcap",
+            help="Also write the log and what is located as a ROS 2 bag (or .db3), for RViz, Foxglove, PlotJuggler.",
+        ),
+    ] = None,
     view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = "none",
     speed: Annotated[
         float | None,
@@ -91,7 +100,7 @@ def replay(
     with working("Getting ready; the first run compiles …", quiet):
         ready = prepare(recorded, effective, start, map_file=map_file)
         ready.localiser.warm_up(images=recorded.has_images)
-        run = FolderRun.open(ready, Outputs(out, rrd, view))
+        run = FolderRun.open(ready, Outputs(out, rrd, view, bag=bag))
     if run.viewer is not None and run.viewer.address:
         typer.echo(f"Watch at {run.viewer.address}", err=True)
     if ready.start is None and not quiet:

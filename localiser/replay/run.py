@@ -24,6 +24,7 @@ from localiser.localiser import Localiser, check_settings
 from localiser.motion import MotionModel
 from localiser.observation import Observation
 from localiser.replay.about import described, identity_of
+from localiser.replay.bag import ReplayBag
 from localiser.replay.figures import bound_of, landmark_use, run_metrics, track_of, truth_of
 from localiser.replay.sinks import Outputs, Sink, all_of, close_all, sinks_of, without_bulk
 from localiser.replay.start import has_start, start_of
@@ -243,9 +244,11 @@ class FolderRun:
     def open(cls, replay: Replay, outputs: Outputs, folder: RunFolder | None = None) -> FolderRun:
         """Make the folder, unless there is one, and open the sinks. Raises OutputError."""
         log, landmark_map = replay.log, replay.localiser.landmark_map
+        by_wheels = replay.localiser.config.increments.source == "wheel"
+        bags = [ReplayBag(path, log, landmark_map, by_wheels=by_wheels) for path in (outputs.bag,) if path is not None]
         folder = folder or RunFolder.create(outputs.results, log.name)
         context = Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-        return cls(replay, folder, sinks_of(outputs, folder.path, context), outputs.report)
+        return cls(replay, folder, [*sinks_of(outputs, folder.path, context), *bags], outputs.report)
 
     @property
     def viewer(self) -> LiveView | None:

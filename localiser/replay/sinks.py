@@ -32,12 +32,14 @@ class Outputs:
     """What a replay writes and shows.
 
     results: folder of all results. rrd: whether to record. view: a live viewer. report: whether to draw report.png.
+    bag: a ROS 2 bag of the log and what was located, None for none.
     """
 
     results: Path
     rrd: bool = True
     view: Literal["native", "web", "none"] = "none"
     report: bool = True
+    bag: Path | None = None
 
 
 SINKS: list[Callable[[Outputs, Path, Context], Sink | None]] = [

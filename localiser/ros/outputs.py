@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from localiser.documents import nearest
 from localiser.errors import InputError
-from localiser.storage.bags import COMPRESSED, DIAGNOSTICS, MARKERS, PATH, POSE, POSES, TRANSFORMS
+from localiser.storage.bags import ANNOTATIONS, COMPRESSED, DIAGNOSTICS, MARKERS, PATH, POSE, POSES, TRANSFORMS
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,7 @@ _ALL = (
     Output("matches", "/localiser/matches", MARKERS),
     Output("path", "/localiser/path", PATH),
     Output("image", "/localiser/image/compressed", COMPRESSED),
+    Output("annotations", "/localiser/annotations", ANNOTATIONS),
     Output("diagnostics", "/diagnostics", DIAGNOSTICS),
 )
 

@@ -1,6 +1,7 @@
 """Read and write ROS bags with no ROS installed: ROS 1, ROS 2 with sqlite3, ROS 2 with MCAP."""
 
 from localiser.storage.bags.bag import (
+    ANNOTATIONS,
     CAMERA_INFO,
     COMPRESSED,
     DIAGNOSTICS,
@@ -30,4 +31,15 @@ from localiser.storage.bags.messages import MAP, ODOM, Messages, header
 from localiser.storage.bags.read import BagReader
 from localiser.storage.bags.record import BagRecorder
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC
-from localiser.storage.bags.write import FILE_KINDS, KINDS, write_bag
+from localiser.storage.bags.write import (
+    FILE_KINDS,
+    KINDS,
+    WHEELS_TOPIC,
+    NewBag,
+    check_times,
+    log_messages,
+    new_bag,
+    require_new,
+    write_bag,
+    write_message,
+)

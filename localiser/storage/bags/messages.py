@@ -97,6 +97,11 @@ class Messages:
         moved = [x - cos * x_odom + sin * y_odom, y - sin * x_odom - cos * y_odom, 0.0]
         return self._transform(t_ns, *frames, moved, _about_up(turn))
 
+    def robot_in_odometry(self, t_ns: int, odometry: Array) -> Any:
+        """Return the tf2_msgs/TFMessage from the odometry's frame to the robot, for a pose (3,) of the odometry."""
+        x, y, yaw = (float(value) for value in ros_from_pose(odometry))
+        return self._transform(t_ns, ODOM, BASE, [x, y, 0.0], _about_up(yaw))
+
     def poses(self, poses: Array) -> list[Any]:
         """Return a geometry_msgs/Pose for each of the poses (N, 3) in the map."""
         types = self.store.types

@@ -25,29 +25,44 @@ KINDS = ("mcap", "sqlite3", "ros1")
 FILE_KINDS = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 
 _MOUNT, _INFO, _IMAGE = "/tf_static", "/camera/camera_info", "/camera/image_raw/compressed"
-_WHEELS, _TRUTH = "/odom", "/ground_truth/odom"
-_TYPES = {_MOUNT: TRANSFORMS, _INFO: CAMERA_INFO, _IMAGE: COMPRESSED, _WHEELS: ODOMETRY, _TRUTH: ODOMETRY}
+WHEELS_TOPIC, _TRUTH = "/odom", "/ground_truth/odom"
+_TYPES = {_MOUNT: TRANSFORMS, _INFO: CAMERA_INFO, _IMAGE: COMPRESSED, WHEELS_TOPIC: ODOMETRY, _TRUTH: ODOMETRY}
 _LATCHED = (_MOUNT, LOG_TOPIC, MAP_TOPIC)
 _LAST_NS = (2**31 - 1) * 10**9  # a stamp's seconds have 32 bits
 
 
-def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = lambda: None) -> None:
-    """Write a log with images as a bag of one of KINDS, calling `progress` after every image.
+class NewBag:
+    """A bag that is being written."""
+
+    def __init__(self, writer: Any, make: Messages) -> None:
+        """Take an open writer of `rosbags`. make: what makes the messages of this kind of bag."""
+        self.make = make
+        self._writer = writer
+        self._connections: dict[str, Any] = {}
+
+    def write(self, topic: str, msgtype: str, t_ns: int, content: bytes, *, latched: bool = False) -> None:
+        """Add a message. latched: whether players of bags keep it for those who subscribe later."""
+        if topic not in self._connections:
+            options = _kept(self.make) if latched else {}
+            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self.make.store, **options)
+        self._writer.write(self._connections[topic], t_ns, content)
+
+
+@contextmanager
+def new_bag(path: Path, kind: str) -> Iterator[NewBag]:
+    """Yield a bag of one of KINDS to write to; it takes its place at `path` in the end, or is removed after an error.
 
     A path that ends in .mcap or .db3 becomes that one file, any other of these kinds a folder, as ROS 2 records it.
-    Raises OutputError when the path exists or cannot be written, InputError for a log without images or with times
-    that ROS cannot tell, or when an image cannot be read.
+    Raises OutputError when the path exists or cannot be written.
     """
-    _check(log, kind)
-    if path.exists():
-        raise OutputError(f"{path}: expected a path where nothing is, found something there")
+    require_new(path)
     with drafted(path, is_new=True) as draft:
         folder = draft.with_suffix(".bag.part")
         try:
             folder.mkdir()
             written = folder / path.stem
             with _writer(written, kind) as writer:
-                _write(writer, log, Messages(ros1=kind == "ros1"), progress)
+                yield NewBag(writer, Messages(ros1=kind == "ros1"))
             if path.suffix in FILE_KINDS and kind != "ros1":
                 (written,) = folder.glob(f"*/{glob.escape(path.stem)}.*")  # the file without its metadata.yaml
             written.replace(draft)
@@ -57,15 +72,41 @@ def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = la
             remove(folder)
 
 
-def _check(log: Log, kind: str) -> None:
+def require_new(path: Path) -> None:
+    """Raise OutputError when there is something at a path."""
+    if path.exists():
+        raise OutputError(f"{path}: expected a path where nothing is, found something there")
+
+
+def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = lambda: None) -> None:
+    """Write a log with images as a bag of one of KINDS, calling `progress` after every image; see `new_bag`.
+
+    Raises OutputError, InputError for a log without images or with times that ROS cannot tell, or when an image cannot
+    be read.
+    """
     if kind not in KINDS:
         raise InputError(f"expected {', '.join(KINDS)}, found {kind!r}", field="kind")
     if not log.has_images:
         raise InputError("expected a log with images, found edges: ROS has no message for them", path=log.path)
     require_odometry(log, "a ROS bag")
+    check_times(log)
+    with new_bag(path, kind) as bag:
+        for topic, t_ns, message in log_messages(log, bag.make):
+            write_message(bag, topic, t_ns, message)
+            if topic == _IMAGE:
+                progress()
+
+
+def write_message(bag: NewBag, topic: str, t_ns: int, message: Any) -> None:
+    """Write one of `log_messages`."""
+    bag.write(topic, _TYPES.get(topic, TEXT), t_ns, bag.make.encode(message), latched=topic in _LATCHED)
+
+
+def check_times(log: Log) -> None:
+    """Raise InputError when a log has times that ROS cannot tell."""
     times: list[Any] = [log.odometry.t_ns, [frame.t_ns for frame in log.frames]]
     times += [log.groundtruth.t_ns] if log.groundtruth is not None else []
-    for t_ns in (end for series in times for end in (series[0], series[-1])):
+    for t_ns in (end for series in times if len(series) for end in (series[0], series[-1])):
         if not 0 <= t_ns <= _LAST_NS:
             raise InputError(f"expected times from 0 to {_LAST_NS} ns, as ROS has them, found {t_ns}", path=log.path)
 
@@ -83,19 +124,7 @@ def _writer(path: Path, kind: str) -> Iterator[Any]:
         yield writer
 
 
-def _write(writer: Any, log: Log, make: Messages, progress: Callable[[], None]) -> None:
-    connections: dict[str, Any] = {}
-    for topic, t_ns, message in _messages(log, make):
-        if topic not in connections:
-            connections[topic] = writer.add_connection(
-                topic, _TYPES.get(topic, TEXT), typestore=make.store, **_options(topic, make)
-            )
-        writer.write(connections[topic], t_ns, make.encode(message))
-        if topic == _IMAGE:
-            progress()
-
-
-def _messages(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
+def log_messages(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time and message of everything that the log holds, in the order of time."""
     first_ns = log.start_ns
     yield _MOUNT, first_ns, make.mount(first_ns, log.camera)
@@ -111,16 +140,14 @@ def _measured(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
     for event in log.events(anywhere=True):
         t_ns = event.t_ns
         if isinstance(event, Odometry):
-            yield _WHEELS, t_ns, make.odometry(t_ns, ODOM, event.pose)
+            yield WHEELS_TOPIC, t_ns, make.odometry(t_ns, ODOM, event.pose)
         elif isinstance(event, ImageEvent):
             yield _INFO, t_ns, make.camera_info(t_ns, log.camera)
             yield _IMAGE, t_ns, make.compressed(t_ns, event.encoded())
 
 
-def _options(topic: str, make: Messages) -> dict[str, Any]:
+def _kept(make: Messages) -> dict[str, Any]:
     """Return what makes a player of bags keep a message for those who subscribe later."""
-    if topic not in _LATCHED:
-        return {}
     if make.ros1:
         return {"latching": 1}
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
