@@ -4,11 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
+_LONGEST = 2000
+
 
 class LocaliserError(Exception):
-    """Something that the user can mend; the message says what and where."""
+    """Something that the user can mend; the message says what and where.
+
+    It is one paragraph, whatever a file or a library put into it: characters that a terminal would act on are escaped.
+    """
 
     exit_code = 2
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_paragraph(message))
+
+
+def one_paragraph(text: str) -> str:
+    """Return a text on one line, not too long, with characters that cannot be printed as their escapes."""
+    line = " ".join(text[: 2 * _LONGEST].split())
+    if not line.isprintable():
+        line = "".join(mark if mark.isprintable() else repr(mark)[1:-1] for mark in line)
+    return line if len(line) <= _LONGEST else line[:_LONGEST] + "…"
 
 
 class InputError(LocaliserError):

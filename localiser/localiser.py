@@ -49,10 +49,11 @@ from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel
 from localiser.observation import EdgeObservation, LocalisesGlobally, Observation, observation_of
 from localiser.relocalisation import GlobalLocalisation
-from localiser.storage import check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
+from localiser.storage import check_start, check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
 from localiser.visual_odometry import Odometer
 
 _LEAST_SIN = math.sin(math.radians(0.1))  # of a tilt with which slopes tell anything
+_FARTHEST_ODOMETRY = 1e9  # as in files
 _AT_NEXT = -(2**62)  # the time of a start that holds from the next measurement on
 
 
@@ -147,11 +148,17 @@ class Localiser:
     def start(self, pose: ArrayLike, cov: ArrayLike, t_ns: int | None = None) -> list[LocatedFrame]:
         """Take where the robot is said to be: pose (3,) in the map, covariance (3, 3). Raises InputError.
 
+        The position is within 1000 km, sigmas are at most 1000 m and a whole turn, as in files and messages.
+
         t_ns: when; None for the time of the next measurement. What was believed before is forgotten. Images that wait
         for the wheels and were taken before the start are dropped; all that wait where t_ns is None.
         """
         at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
         event = Start(at_ns, finite_numbers("pose", pose, (3,)), _covariance(cov))
+        try:
+            check_start(event.mean, event.cov)
+        except ValueError as error:
+            raise InputError(str(error), field="start") from None
         self._drop_waiting(t_ns)
         return self._step(self._mcl, event)
 
@@ -180,6 +187,9 @@ class Localiser:
     def odometry(self, t_ns: int, pose: ArrayLike) -> list[LocatedFrame]:
         """Take a pose (3,) of the wheels in the odometry's own frame; only increments count. Raises InputError."""
         t_ns, pose = _nanoseconds(t_ns), finite_numbers("odometry", pose, (3,))
+        if not (np.abs(pose) <= _FARTHEST_ODOMETRY).all():
+            problem = f"expected a pose within ±{_FARTHEST_ODOMETRY:.0e} m and rad, found {pose.tolist()}"
+            raise InputError(problem, field="odometry")
         wheels = self.state.odometry
         if wheels and t_ns <= wheels[-1].t_ns:
             raise InputError(f"expected a time after {wheels[-1].t_ns} ns, found {t_ns} ns", field="odometry")

@@ -19,7 +19,7 @@ from localiser.storage import (
     CHOICE,
     json_text,
     output_errors,
-    read_json,
+    read_figures,
     read_map,
     safe_name,
     write_runs_csv,
@@ -152,7 +152,7 @@ def _done(folder: Path, run: _Run) -> Row | None:
     if run.error is not None:
         return run.about
     path = folder / run.folder / ROW
-    return _row(run, read_json(path)) if path.is_file() else None
+    return _row(run, read_figures(path)) if path.is_file() else None
 
 
 def _tasks(batch: Batch, runs: Sequence[_Run], done: dict[int, Row]) -> list[Task]:
@@ -172,7 +172,7 @@ def _finished(folder: Path, run: _Run, outcome: Outcome) -> Row:
     if outcome.metrics is None:
         return run.about | {"error": outcome.error}
     write_text(folder / run.folder / ROW, json_text(flat_figures(outcome.metrics)))
-    return _row(run, read_json(folder / run.folder / ROW))
+    return _row(run, read_figures(folder / run.folder / ROW))
 
 
 def _row(run: _Run, figures: Row) -> Row:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.options import BagCamera, Quiet, Topics, progress, topics_by_role
+from localiser.documents import encodable
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def convert(
         log = open_log(source, topics=topics_by_role(topics), camera=camera)
     target = _target_of(out, log, to)
     path = out.resolve()
-    log = replace(log, name=path.name if target == FOLDER else path.stem)
+    log = replace(log, name=encodable(path.name if target == FOLDER else path.stem))
     if every_s is not None:
         log = thinned(log, every_s)
     with progress("Converting", len(log.frames), quiet) as advance:

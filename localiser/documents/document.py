@@ -116,10 +116,30 @@ def shown(value: Any, longest: int = 60) -> str:
 
 
 def dump(value: Any) -> str:
-    """Return plain data as YAML: keys in the order given, innermost lists and mappings each on one line."""
+    """Return plain data as YAML: keys in the order given, innermost lists and mappings each on one line.
+
+    Of a text, what UTF-8 cannot tell is written as its escape.
+    """
+    return _dumped(_encodable(value))
+
+
+def _dumped(value: Any) -> str:
     if isinstance(value, dict) and value:
         return "".join(_dump({key: part}, isinstance(part, (dict, list))) for key, part in value.items())
     return _dump(value, True)
+
+
+def encodable(text: str) -> str:
+    """Return a text that UTF-8 can tell; the bytes of a file's name that are no text become their escapes."""
+    return text if text.isascii() else text.encode(errors="backslashreplace").decode()
+
+
+def _encodable(value: Any) -> Any:
+    if isinstance(value, str):
+        return encodable(value)
+    if isinstance(value, dict):
+        return {_encodable(key): _encodable(part) for key, part in value.items()}
+    return [_encodable(part) for part in value] if isinstance(value, (list, tuple)) else value
 
 
 def _dump(value: Any, compact: bool) -> str:

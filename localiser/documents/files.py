@@ -42,6 +42,19 @@ def require_regular(path: Path, what: str = "file") -> None:
         pass
 
 
+def text_of(path: Path | str) -> str:
+    """Return a path, or an address, for a library that takes text alone. Raises InputError where it is no text.
+
+    Libraries in C and Rust end the whole program over the name of a file that has other bytes than UTF-8.
+    """
+    text = str(path)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError("expected a name of UTF-8 text, found other bytes in it", path=text) from None
+    return text
+
+
 def _require_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise InputError("expected a file, found a folder", path=path)

@@ -178,7 +178,8 @@ def _set_equal_limits(axes: Axes, box: Array) -> None:
     left, top = (low + high - span) / 2
     right, bottom = (low + high + span) / 2
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    step = next((step for step in GRID_STEPS_M if span.max() <= 12 * step), GRID_STEPS_M[-1])
+    longest = float(span.max())
+    step = next((step for step in GRID_STEPS_M if longest <= 12 * step), 10.0 ** np.ceil(np.log10(longest / 12)))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(step))
 

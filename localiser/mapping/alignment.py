@@ -11,6 +11,7 @@ from localiser.geometry import Array, map_from_robot, wrap_angle
 from localiser.landmarks import LandmarkMap
 
 _BIN_M = 0.3  # places of votes for a shift
+_MOST_BINS = 2**22  # from which on most are empty, and are not counted
 _TURN_STEP_RAD = np.deg2rad(1.5)
 _SCALES = np.exp(np.arange(-18, 19) * 0.02)  # 0.70 to 1.43, in steps of 2 %
 _MOST_VOTERS, _MOST_VOTERS_OF_SCALE = 200, 60  # landmarks of each map that vote at every turn; with a scale, too
@@ -108,11 +109,23 @@ def _most_voted(first: Array, second: Array, turn: float, scale: float) -> tuple
     low = shifts.min(axis=0)
     cell = ((shifts - low) / _BIN_M).astype(np.int64)
     size = cell.max(axis=0) + 2
+    if float(size[0]) * float(size[1]) > _MOST_BINS:
+        most, place = _most_voted_of_few(cell, int(size[1]))
+        return most, low + _BIN_M * (place + 1.0)
     votes = np.bincount(cell[:, 0] * size[1] + cell[:, 1], minlength=int(size[0] * size[1])).reshape(size)
     # A peak on the border of two bins votes in both.
     around = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
     row, column = np.unravel_index(int(around.argmax()), around.shape)
     return int(around[row, column]), low + _BIN_M * np.array([row + 1.0, column + 1.0])
+
+
+def _most_voted_of_few(cell: NDArray[np.int64], columns: int) -> tuple[int, Array]:
+    """Return the most votes and their place (2,), as `_most_voted` finds them, of cells (S, 2) that lie far apart."""
+    around = np.concatenate([cell - step for step in ([0, 0], [0, 1], [1, 0], [1, 1])])
+    around = around[(around >= 0).all(axis=1)]
+    key, count = np.unique(around[:, 0] * columns + around[:, 1], return_counts=True)
+    best = int(count.argmax())
+    return int(count[best]), np.array(divmod(int(key[best]), columns), dtype=np.float64)
 
 
 def _refined(first: Array, second: Array, pose: Array, scale: float, within_m: float, similarity: bool) -> Alignment:

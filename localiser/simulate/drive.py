@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.simulate.robot import DriveSpec, OdometrySpec
 from localiser.simulate.world import World
+
+MOST_POSES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,12 +47,20 @@ def drive_of(world: World, rng: np.random.Generator) -> Drive:
 
 
 def truth_of(spec: DriveSpec) -> Trajectory:
-    """Return the exact poses at the odometry's times, from the start to the first time after the end."""
+    """Return the exact poses at the odometry's times, from the start to the first time after the end.
+
+    Raises InputError for a drive without an end in sight.
+    """
     pieces = [piece for piece in _pieces(spec) if piece.duration_s > 1e-12]
     begin_s = np.concatenate([[0.0], np.cumsum([piece.duration_s for piece in pieces])])
     poses = [np.array([*spec.path[0].to, spec.headings[0]])]
     for piece in pieces:
         poses.append(_after(poses[-1], piece, piece.duration_s))
+    if begin_s[-1] * max(spec.odometry_hz, spec.image_hz) > MOST_POSES:
+        raise InputError(
+            f"expected a drive of at most {MOST_POSES} poses and images, found one of {begin_s[-1]:.3g} s",
+            field="drive",
+        )
     count = int(np.ceil(begin_s[-1] * spec.odometry_hz - 1e-9)) + 1
     t_ns = np.round(np.arange(count) * 1e9 / spec.odometry_hz).astype(np.int64)
     index = np.clip(np.searchsorted(begin_s, t_ns / 1e9, side="right") - 1, 0, len(pieces) - 1)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.simulate.solids import Solids
 from localiser.simulate.textures import look_up
@@ -19,6 +20,7 @@ _SHADOW_M = 0.16  # how far a solid darkens the floor around it
 _SHADOW = 0.75  # share of the light that it takes away right at its foot, from both sides together
 _UNDERSIDE = 0.6
 _MARGIN_M = 0.5
+MOST_FLOOR_M2 = 20_000  # around all that is in the world
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,10 +49,19 @@ class Lighting:
 
 
 def lighting_of(light: Light, solids: Solids, path: Array) -> Lighting:
-    """Return the light of a world of solids; path: (T, 2) points that the floor must reach as well."""
+    """Return the light of a world of solids; path: (T, 2) points that the floor must reach as well.
+
+    Raises InputError for a floor that is too large to be drawn.
+    """
     points = np.concatenate([solids.corners.reshape(-1, 2), path])
     origin = points.min(axis=0) - _MARGIN_M
-    width, height = np.ceil((points.max(axis=0) + _MARGIN_M - origin) / _CELL_M).astype(int) + 1
+    extent = points.max(axis=0) + _MARGIN_M - origin
+    if extent.prod() > MOST_FLOOR_M2:
+        problem = (
+            f"expected a floor of at most {MOST_FLOOR_M2} m² to be drawn, found {extent[0]:.0f} m × {extent[1]:.0f} m"
+        )
+        raise InputError(problem, field="walls")
+    width, height = np.ceil(extent / _CELL_M).astype(int) + 1
     covered = np.zeros((height, width), dtype=np.float32)
     for corners in solids.corners[(solids.bottom_m < 0.3) & ~solids.is_flat]:
         fine = np.round((corners - origin) / _CELL_M * 16).astype(np.int32)

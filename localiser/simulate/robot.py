@@ -12,9 +12,12 @@ from localiser.camera import DISTORTION_COUNTS, Camera, Mount
 from localiser.geometry import Array
 
 # YAML knows lists, not tuples; the numbers inside stay strict.
-Point = Annotated[tuple[float, float], Field(strict=False)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
+Degrees = Annotated[float, Field(ge=-3600, le=3600)]
+Point = Annotated[tuple[Metres, Metres], Field(strict=False)]
+Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+Positive = Annotated[float, Field(gt=0, le=1e5)]
+NotNegative = Annotated[float, Field(ge=0, le=1e5)]
 
 
 class Model(BaseModel):
@@ -29,9 +32,9 @@ class MountSpec(Model):
     tilt_deg: Annotated[float, Field(ge=-45, le=60)]
     height_m: Positive
     roll_deg: Annotated[float, Field(ge=-45, le=45)] = 0.0
-    yaw_deg: float = 0.0
-    right_m: float = 0.0
-    back_m: float = 0.0
+    yaw_deg: Degrees = 0.0
+    right_m: Metres = 0.0
+    back_m: Metres = 0.0
 
 
 class CameraSpec(Model):
@@ -40,10 +43,10 @@ class CameraSpec(Model):
     width: Annotated[int, Field(ge=16, le=4096)] = 640
     height: Annotated[int, Field(ge=16, le=4096)] = 480
     focal_px: Positive
-    cx: float | None = None
-    cy: float | None = None
+    cx: Pixels | None = None
+    cy: Pixels | None = None
     distortion_model: Literal["none", "plumb_bob", "rational_polynomial", "equidistant"] = "none"
-    distortion: tuple[float, ...] = Field(default=(), strict=False)
+    distortion: tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...] = Field(default=(), strict=False)
     mount: MountSpec
 
     @model_validator(mode="after")
@@ -98,10 +101,10 @@ class DriveSpec(Model):
     end_turn_deg: turn on the spot at the end. image_offset_s: time of the first image.
     """
 
-    path: Annotated[tuple[WayPoint, ...], Field(strict=False, min_length=2)]
+    path: Annotated[tuple[WayPoint, ...], Field(strict=False, min_length=2, max_length=10_000)]
     speed_m_s: Positive = 0.5
     turn_deg_s: Positive = 40.0
-    end_turn_deg: float = 0.0
+    end_turn_deg: Degrees = 0.0
     image_hz: Annotated[float, Field(gt=0, le=1000)] = 5.0
     image_offset_s: NotNegative = 0.0
     odometry_hz: Annotated[float, Field(gt=0, le=1000)] = 20.0
@@ -141,9 +144,9 @@ class DriveSpec(Model):
 class OdometrySpec(Model):
     """Errors of the odometry, systematic first. The slow scales are Ornstein–Uhlenbeck processes in time."""
 
-    distance_scale: Annotated[float, Field(gt=-1)] = 0.0
-    rotation_scale: Annotated[float, Field(gt=-1)] = 0.0
-    veer_deg_per_m: float = 0.0
+    distance_scale: Annotated[float, Field(gt=-1, le=100)] = 0.0
+    rotation_scale: Annotated[float, Field(gt=-1, le=100)] = 0.0
+    veer_deg_per_m: Degrees = 0.0
     distance_noise_m_per_sqrt_m: NotNegative = 0.0
     heading_walk_deg_per_sqrt_m: NotNegative = 0.0
     turn_noise_deg_per_sqrt_deg: NotNegative = 0.0

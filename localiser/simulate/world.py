@@ -12,8 +12,10 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from localiser.simulate.robot import (
     CameraSpec,
+    Degrees,
     DriveSpec,
     ImageSpec,
+    Metres,
     Model,
     NotNegative,
     OdometrySpec,
@@ -21,6 +23,8 @@ from localiser.simulate.robot import (
     Positive,
     StartSpec,
 )
+
+MOST_SOLIDS = 10_000  # an image asks each of them for each of its columns
 
 Colour = Annotated[
     tuple[
@@ -83,8 +87,8 @@ class Wall(Model):
     thickness_m: Positive = 0.12
     height_m: Positive | None = None
     material: str = "wall"
-    doors: tuple[Door, ...] = Field(default=(), strict=False)
-    posters: tuple[Poster, ...] = Field(default=(), strict=False)
+    doors: tuple[Door, ...] = Field(default=(), strict=False, max_length=1000)
+    posters: tuple[Poster, ...] = Field(default=(), strict=False, max_length=1000)
 
     @property
     def length_m(self) -> float:
@@ -106,11 +110,11 @@ class Wall(Model):
 class Post(Model):
     """A pillar: a regular polygon of 3 to 8 sides with this circumscribed diameter (4 sides: width_m is the side)."""
 
-    x: float
-    z: float
+    x: Metres
+    z: Metres
     width_m: Positive
     sides: Annotated[int, Field(ge=3, le=8)] = 4
-    rotation_deg: float = 0.0
+    rotation_deg: Degrees = 0.0
     bottom_m: NotNegative = 0.0
     top_m: Positive | None = None
     material: str
@@ -119,11 +123,11 @@ class Post(Model):
 class Box(Model):
     """A piece of furniture, or a part of one: an upright block, turned anticlockwise about its middle."""
 
-    x: float
-    z: float
+    x: Metres
+    z: Metres
     width_m: Positive
     depth_m: Positive
-    rotation_deg: float = 0.0
+    rotation_deg: Degrees = 0.0
     bottom_m: NotNegative = 0.0
     top_m: Positive
     material: str
@@ -139,14 +143,14 @@ class Surface(Model):
     """The floor or the ceiling; boards run at `direction_deg`, anticlockwise from map −z."""
 
     material: str
-    direction_deg: float = 0.0
+    direction_deg: Degrees = 0.0
 
 
 class Lamp(Model):
     """A lamp: adds `strength` to the light right below it, at `height_m` above the floor."""
 
-    x: float
-    z: float
+    x: Metres
+    z: Metres
     height_m: Positive = 2.4
     strength: Positive = 0.3
 
@@ -156,8 +160,8 @@ class Light(Model):
 
     ambient: Annotated[float, Field(gt=0, le=2)] = 0.8
     directional: Annotated[float, Field(ge=0, le=1)] = 0.25
-    from_deg: float = 30.0
-    lamps: tuple[Lamp, ...] = Field(default=(), strict=False)
+    from_deg: Degrees = 30.0
+    lamps: tuple[Lamp, ...] = Field(default=(), strict=False, max_length=1000)
 
 
 class World(Model):
@@ -178,6 +182,13 @@ class World(Model):
     odometry: OdometrySpec = OdometrySpec()
     image: ImageSpec = ImageSpec()
     start: StartSpec = StartSpec()
+
+    @model_validator(mode="after")
+    def _is_not_too_much(self) -> World:
+        openings = sum(1 + len(wall.doors) + len(wall.posters) for wall in self.walls)
+        if (found := openings + len(self.posts) + len(self.furniture)) > MOST_SOLIDS:
+            raise ValueError(f"expected at most {MOST_SOLIDS} walls, openings, posts and boxes, found {found}")
+        return self
 
 
 Location = tuple[int | str, ...]

@@ -1,7 +1,7 @@
 """Read and write every file format: logs, cameras, maps, trajectories, results."""
 
 from localiser.documents import output_errors, write_bytes, write_text
-from localiser.storage.bags import KINDS, write_bag
+from localiser.storage.bags import KINDS, check_start, write_bag
 from localiser.storage.bags.label import motion_settings
 from localiser.storage.cameras import camera_error, camera_file, read_camera, update_mount, write_camera
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
@@ -23,7 +23,7 @@ from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import fingerprint
 from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan
 from localiser.storage.restamp import images_table, move_images
-from localiser.storage.run_tables import CHOICE, csv_text, read_runs, write_runs_csv, write_runs_parquet
+from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv, write_runs_parquet
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
 from localiser.storage.tracks import TrackWriter, read_track
 from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum

@@ -19,6 +19,7 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.filter import FilterState
 from localiser.storage.packing import decode, encode, fingerprint, form_of
+from localiser.storage.sound import require_sound
 
 FORMAT = "localiser-checkpoint/2"
 
@@ -84,7 +85,9 @@ def checkpoint_of(content: bytes, path: Path, identity: Mapping[str, str] | None
             raise ValueError("the filter keeps other things")
         rng = np.random.default_rng()
         rng.bit_generator.state = json.loads(file.rng)
-        return Checkpoint(decode(FilterState, file.state), rng, file.identity)
+        state = decode(FilterState, file.state)
+        require_sound(state)
+        return Checkpoint(state, rng, file.identity)
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         problem = f"expected a checkpoint that this version of the program made; {error}"
         raise InputError(problem, path=path) from None

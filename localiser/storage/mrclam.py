@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.documents import encodable
 from localiser.edges import BearingSensor, Edges, complete
 from localiser.errors import InputError
 from localiser.filter import Sighting
@@ -69,7 +71,7 @@ class MrclamReader:
         if not frames:
             problem = "expected measurements while there is odometry and truth, found none"
             raise InputError(problem, path=folder / f"Robot{robot}_Measurement.dat")
-        name = f"{folder.resolve().name}-robot{robot}"
+        name = f"{encodable(folder.resolve().name)}-robot{robot}"
         return Log(
             name=name,
             path=folder,
@@ -126,11 +128,12 @@ def _landmarks(path: Path) -> LandmarkMap:
     measured = (Column(name, number) for name in ("x", "y", "x std-dev", "y std-dev"))
     table = read_columns(path, (Column("subject", integer), *measured))
     ids = tuple(table.columns["subject"])
+    counts = Counter(ids)
     for row, subject in enumerate(ids):
-        if ids.count(subject) > 1:
+        if counts[subject] > 1:
             raise table.error(row, "subject", f"landmark {subject} given twice")
     points = table.numbers("x", "y") * [1.0, -1.0]
-    landmark_map = LandmarkMap.from_points(points, name=path.parent.name, ids=ids, source="motion capture")
+    landmark_map = LandmarkMap.from_points(points, name=encodable(path.parent.name), ids=ids, source="motion capture")
     return replace(landmark_map, cov=table.numbers("x std-dev", "y std-dev")[..., None] ** 2 * np.eye(2))
 
 

@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from localiser.documents import write_bytes, write_text
+from localiser.documents import encodable, field_name, read_bytes, shown, write_bytes, write_text
 from localiser.errors import InputError
-from localiser.storage.tables import Column, read_table
+from localiser.storage.runs import read_json
+from localiser.storage.tables import MAX_TABLE_BYTES, MOST_CELLS, Column, read_table
 
 Row = Mapping[str, Any]
 
@@ -27,6 +28,7 @@ TEXTS = (
     "observation", "association", "odometry", "start", "map", "inputs", "version",
 )  # fmt: skip
 INTEGERS = ("seed", "frames", "particles")
+_LARGEST = 2**62
 _REQUIRED = ("log", "log_id", "seed")
 
 
@@ -60,6 +62,25 @@ def write_runs_parquet(path: Path, rows: Sequence[Row]) -> None:
     write_bytes(path, buffer.getvalue())
 
 
+def read_figures(path: Path) -> dict[str, Any]:
+    """Return the figures of one run that a JSON file holds, as tables have them: by name. Raises InputError."""
+    figures = read_json(path)
+    for name, value in figures.items():
+        kind = _type_of(name)
+        if not _is_of(kind, value) and value is not None:
+            expected = {str: "a text", int: "a whole number", float: "a number"}[kind]
+            raise InputError(f"expected {expected}, found {shown(value)}", path=path, field=field_name((name,)))
+    return figures
+
+
+def _is_of(kind: type, value: Any) -> bool:
+    if kind is str:
+        return isinstance(value, str)
+    if not isinstance(value, (int, float)) or not abs(value) < _LARGEST:
+        return False
+    return kind is float or value == int(value)
+
+
 def read_runs(path: Path) -> list[dict[str, Any]]:
     """Return the rows of a table (CSV, or Parquet by the ending .parquet), None where something is not known.
 
@@ -91,16 +112,30 @@ def _read_parquet(path: Path) -> list[dict[str, Any]]:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path)
-    except FileNotFoundError:
-        raise InputError("no such file", path=path) from None
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"expected a Parquet file, found something else: {error}", path=path) from None
-    for name in _REQUIRED:
-        if name not in table.column_names:
-            raise InputError("expected such a column, found none", path=path, field=name)
-    rows: list[dict[str, Any]] = table.to_pylist()
-    return rows
+        file = pq.ParquetFile(pa.BufferReader(read_bytes(path, MAX_TABLE_BYTES)))
+        cells = file.metadata.num_rows * file.metadata.num_columns  # a few bytes can stand for a billion of them
+        if cells > MOST_CELLS:
+            raise InputError(f"expected at most {MOST_CELLS} cells, found {cells}", path=path)
+        table = file.read()
+        for name in _REQUIRED:
+            if name not in table.column_names:
+                raise InputError("expected such a column, found none", path=path, field=name)
+        columns = {name: _checked(name, table.column(name)) for name in table.column_names}
+    except (OSError, TypeError, ValueError, KeyError, pa.ArrowException) as error:
+        raise InputError(f"expected a Parquet file of runs, found something else: {error}", path=path) from None
+    return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
+
+
+def _checked(name: str, column: Any) -> list[Any]:
+    """Return the cells of a column, None where not known. Raises TypeError, ArrowException for another type."""
+    import pyarrow as pa
+
+    types = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    kind = _type_of(name)
+    if kind is not str and pa.types.is_string(column.type):
+        raise TypeError(f"{shown(name)} is text")
+    cells: list[Any] = column.cast(types[kind]).to_pylist()
+    return [None if isinstance(cell, float) and not math.isfinite(cell) else cell for cell in cells]
 
 
 def _columns(rows: Sequence[Row]) -> list[str]:
@@ -116,7 +151,8 @@ def _type_of(name: str) -> type:
 def _typed(name: str, value: Any) -> Any:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return None
-    return _type_of(name)(value)
+    typed = _type_of(name)(value)
+    return encodable(typed) if isinstance(typed, str) else typed
 
 
 def _cell(value: Any) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +21,7 @@ from localiser.geometry import Array
 
 Value = TypeVar("Value")
 MAX_TABLE_BYTES = 64 * 2**20  # a million rows of odometry
+MOST_COLUMNS, MOST_CELLS = 1000, 20_000_000  # of a table; a cell takes some 60 bytes of memory
 _LARGEST = 1e9  # metres, radians, pixels: beyond it a number is a mistake, and squares of it still fit a float
 
 
@@ -139,7 +141,7 @@ def read_table(path: Path, columns: Sequence[Column], *, rows_at_least: int = 0,
     """
     reader = csv.reader(io.StringIO(read_text(path, MAX_TABLE_BYTES), newline=""), strict=True)
     try:
-        rows = [(reader.line_num, cells) for cells in reader if cells]
+        rows = _bounded(path, ((reader.line_num, cells) for cells in reader if cells))
     except csv.Error as error:
         raise InputError(f"not valid CSV: {error}", path=path, line=reader.line_num) from None
     wanted = repr(",".join(column.name for column in columns if column.required))
@@ -147,8 +149,9 @@ def read_table(path: Path, columns: Sequence[Column], *, rows_at_least: int = 0,
         raise InputError(f"expected the header {wanted}, found an empty file", path=path)
     (line, header), *body = rows
     names, known = [cell.strip() for cell in header], {column.name: column for column in columns}
+    counts = Counter(names)
     for name in names:
-        if names.count(name) > 1:
+        if counts[name] > 1:
             raise InputError("column given twice", path=path, line=line, field=shown(name))
         if name not in known and not (more_columns and name):
             raise InputError(f"unknown column; {nearest(name, list(known))}", path=path, line=line, field=shown(name))
@@ -167,10 +170,25 @@ def read_columns(path: Path, columns: Sequence[Column]) -> Table:
     Raises InputError with file, line and field.
     """
     lines = enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1)
-    rows = [(line, cells) for line, text in lines if (cells := text.split()) and not cells[0].startswith("#")]
+    rows = _bounded(
+        path, ((line, cells) for line, text in lines if (cells := text.split()) and not cells[0].startswith("#"))
+    )
     if not rows:
         raise InputError("expected at least one row, found none", path=path)
     return _table(path, columns, rows, f"columns ({', '.join(column.name for column in columns)})")
+
+
+def _bounded(path: Path, rows: Iterable[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return rows, each with its line. Raises InputError before they take more memory than a table may."""
+    found, left = [], MOST_CELLS
+    for line, cells in rows:
+        if len(cells) > MOST_COLUMNS:
+            raise InputError(f"expected at most {MOST_COLUMNS} columns, found {len(cells)}", path=path, line=line)
+        left -= len(cells)
+        if left < 0:
+            raise InputError(f"expected at most {MOST_CELLS} cells, found more", path=path, line=line)
+        found.append((line, cells))
+    return found
 
 
 def _table(path: Path, columns: Sequence[Column], rows: Sequence[tuple[int, list[str]]], what: str) -> Table:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.documents import require_regular
+from localiser.documents import encodable, require_regular, text_of
 from localiser.errors import InputError
 from localiser.storage.cameras import read_camera
 from localiser.storage.images import check_size, encode_image, image_event
@@ -45,7 +45,7 @@ def read_video(
         for index, t_ns in enumerate(_times_ns(path, known))
     ]
     settings = {} if len(poses) else VISION_ALONE
-    return require_overlap(Log(path.stem, path, known, poses, frames, settings=settings))
+    return require_overlap(Log(encodable(path.stem), path, known, poses, frames, settings=settings))
 
 
 def is_video(path: Path) -> bool:
@@ -56,7 +56,7 @@ def is_video(path: Path) -> bool:
 def _open(path: Path) -> Any:
     """Return the open video; by FFmpeg alone, for which a name with % or :// is still a file."""
     require_regular(path, "video")
-    capture = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
+    capture = cv2.VideoCapture(text_of(path.resolve()), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError("expected a video that can be decoded", path=path)
     return capture

@@ -18,6 +18,7 @@ import pytest
 import yaml
 from folders import ROOT
 from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
+from small_log import write_edge_log, write_small_log
 
 from localiser import __version__
 from localiser.config import Config, read_config
@@ -433,4 +434,32 @@ def test_a_terminal_of_ascii_and_a_name_that_is_no_text_are_served() -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert done.returncode == 2
-    assert done.stderr.startswith(b"Error: /no?") and done.stderr.endswith(b": no such bag\n")
+    assert done.stderr.startswith(b"Error: /no\\udcff") and done.stderr.endswith(b": no such bag\n")
+
+
+NO_TEXT = os.fsdecode(b"b\xff\xfe")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes")
+def test_a_log_whose_name_is_no_text_is_served(localiser: Localiser, tmp_path: Path) -> None:
+    log = write_edge_log(tmp_path / NO_TEXT)
+    run = localiser.replay(log, tmp_path / f"{NO_TEXT}-out")
+    assert "b\\udcff" in (run / "run.yaml").read_text()
+    shutil.move(log, tmp_path / "images")
+    converted = localiser("convert", write_small_log(tmp_path / f"{NO_TEXT}2"), tmp_path / f"{NO_TEXT}.mcap", "--quiet")
+    assert converted.exit_code == 0, converted.err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes")
+def test_a_video_whose_name_is_no_text_is_told(localiser: Localiser, tmp_path: Path) -> None:
+    """OpenCV would end the whole program."""
+    (tmp_path / f"{NO_TEXT}.avi").write_bytes(b"RIFF")
+    result = localiser("convert", tmp_path / f"{NO_TEXT}.avi", tmp_path / "log", "--camera", CORRIDOR / "camera.yaml")
+    assert result.exit_code == 2 and "expected a name of UTF-8 text" in result.err
+
+
+def test_doctor_takes_the_configuration_of_zenoh(localiser: Localiser, tmp_path: Path) -> None:
+    pytest.importorskip("zenoh")
+    (tmp_path / "zenoh.json5").write_text("{ nonsense")
+    result = localiser("doctor", "--zenoh-config", tmp_path / "zenoh.json5", "--seconds", 0.5)
+    assert result.exit_code == 2 and "expected a configuration of zenoh" in result.err

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from localiser.documents import drafted, write_text
-from localiser.errors import OutputError
+from localiser.documents import drafted, dump, parse, write_text
+from localiser.errors import InputError, OutputError
 
 
 def test_two_that_write_one_path_at_once_do_not_meet(tmp_path: Path) -> None:
@@ -40,3 +41,14 @@ def test_a_folder_of_the_users_is_not_taken_for_a_draft(tmp_path: Path) -> None:
 def test_a_name_as_long_as_the_system_allows_can_be_written(tmp_path: Path) -> None:
     write_text(tmp_path / ("x" * 255), "content")
     assert (tmp_path / ("x" * 255)).read_text() == "content"
+
+
+def test_a_name_that_is_no_text_is_written_as_its_escape() -> None:
+    name = os.fsdecode(b"b\xff")
+    assert parse(dump({"path": name, "parts": [name]}), "").value == {"path": "b\\udcff", "parts": ["b\\udcff"]}
+
+
+def test_an_error_is_one_paragraph_that_a_terminal_does_not_act_on() -> None:
+    said = str(InputError("expected x,\n  found \x1b[2J", path="a\u202eb", line=3))
+    assert said == "a\\u202eb:3: expected x, found \\x1b[2J"
+    assert len(str(InputError("a" * 10**6))) < 3000

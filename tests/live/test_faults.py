@@ -32,6 +32,7 @@ NOTICED = {
     "reordered": "late",
     "in the future": "cannot be true",
     "corrupt": "damaged",
+    "junk": "left out a message",
     "no odometry": "odometry: nothing",
 }
 """What is said of each fault, or counted at the end."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -240,3 +242,42 @@ def test_the_domain_is_that_of_the_environment(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setenv("ROS_DOMAIN_ID", "many")
     with pytest.raises(InputError, match="ROS_DOMAIN_ID"):
         open_transport(NetworkOptions([endpoint]))
+
+
+PEER = """
+import os, sys, time
+from localiser.live.transports import NetworkOptions, Topic, open_transport
+topic = Topic("/odom", "nav_msgs/msg/Odometry", reliable=False, depth=5)
+transport = open_transport(NetworkOptions([sys.argv[1]]))
+end = time.monotonic() + 30
+while time.monotonic() < end and not transport.is_heard(topic):
+    time.sleep(0.05)
+for _ in range(10):
+    transport.publish(topic, bytes(40_000))
+    time.sleep(0.05)
+os.kill(os.getpid(), 9)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="descriptors as Linux lists them")
+def test_peers_that_are_killed_leave_nothing_open() -> None:
+    at, counts = free_endpoint(), []
+    got: list[bytes] = []
+    with closing(open_transport(NetworkOptions([], [at]))) as live:
+        live.subscribe(ODOMETRY, lambda content, source: got.append(content))
+        for _ in range(4):
+            got.clear()
+            subprocess.run([sys.executable, "-c", PEER, at], check=False, timeout=PATIENCE_S + 30)
+            assert got, "it was connected"
+            counts.append(settled_descriptors())
+    assert counts[-1] <= counts[0] + 1
+
+
+def settled_descriptors() -> int:
+    """Return how many descriptors are open, once that is the same for a second: peers take time to be left."""
+    counts = [-1]
+    while len(counts) < 11 or len(set(counts[-10:])) > 1:
+        time.sleep(0.1)
+        counts.append(len(list(Path("/proc/self/fd").iterdir())))
+    return counts[-1]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import agreeing, align, fused, joined_maps, matches
+from localiser.mapping import agreeing, align, alignment, fused, joined_maps, matches
 from localiser.mapping.alignment import fitted_motion
 
 
@@ -110,3 +110,20 @@ def test_ids_stay_unique() -> None:
     assert joined.ids == (0, "7", 9, 10, 8, 11)
     assert len({str(name) for name in joined.ids}) == 6
     assert map_from_robot(np.zeros(3), joined.points).shape == (6, 2)
+
+
+def test_votes_are_counted_alike_whether_or_not_most_places_have_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in range(5):
+        first, second = hall(seed), robot_from_map(np.array([3.0, -2.0, 0.4]), hall(seed, 35))
+        dense = [alignment._most_voted(first, second, turn, 1.0) for turn in (-0.4, 0.0, 0.4)]
+        with monkeypatch.context() as patched:
+            patched.setattr(alignment, "_MOST_BINS", 0)
+            sparse = [alignment._most_voted(first, second, turn, 1.0) for turn in (-0.4, 0.0, 0.4)]
+        for (votes, shift), (again, moved) in zip(dense, sparse, strict=True):
+            assert votes == again and shift == pytest.approx(moved)
+
+
+def test_maps_of_any_width_are_aligned_within_memory() -> None:
+    """Two landmarks a thousand kilometres apart: the places between them are not counted one by one."""
+    first = np.concatenate([hall(1), [[-1e6, -1e6], [1e6, 1e6]]])
+    assert len(align(first, first, 0.15).pairs) == len(first)

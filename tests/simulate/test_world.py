@@ -11,7 +11,9 @@ import yaml
 from folders import ROOT
 from pydantic import ValidationError
 
+from localiser.errors import InputError
 from localiser.simulate.drive import truth_of
+from localiser.simulate.render import scene_of
 from localiser.simulate.solids import clearance_m, solids_of
 from localiser.simulate.structure import structure_of, vertical_edges
 from localiser.simulate.world import World, world_of
@@ -200,3 +202,30 @@ def test_worlds_that_ship_are_valid(path: Path) -> None:
     assert len(structure_of(shipped).landmark_map) > 30
     way = truth_of(shipped.drive).poses[:, :2]
     assert clearance_m(solids_of(shipped), way, shipped.camera.mount.height_m).min() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("changes", "loc"),
+    [
+        ({"ceiling_m": 1e9}, ("ceiling_m",)),
+        ({"drive": {"path": [{"to": [0.0, 0.0]}, {"to": [0.0, -1e300]}]}}, ("drive", "path", 1, "to", 1)),
+        ({"posts": [{"x": 1e300, "z": 0.0, "width_m": 1.0, "material": "wall"}]}, ("posts", 0, "x")),
+        ({"walls": [{"from": [0, 0], "to": [2, 0]}] * 10_001}, ()),
+    ],
+)
+def test_numbers_and_counts_have_limits(changes: dict[str, Any], loc: tuple[str | int, ...]) -> None:
+    with pytest.raises(ValidationError) as caught:
+        world(**changes)
+    assert caught.value.errors()[0]["loc"] == loc
+
+
+def test_a_drive_without_an_end_in_sight_is_refused() -> None:
+    endless = {"speed_m_s": 1e-9, "path": [{"to": [0.0, 0.0]}, {"to": [0.0, -1.0]}]}
+    with pytest.raises(InputError, match="expected a drive of at most 1000000 poses and images"):
+        truth_of(world(drive=endless).drive)
+
+
+def test_a_floor_that_is_too_large_to_be_drawn_is_refused() -> None:
+    far = world(posts=[{"x": 9e4, "z": 9e4, "width_m": 1.0, "material": "wall"}])
+    with pytest.raises(InputError, match="expected a floor of at most 20000 m²"):
+        _ = scene_of(far).lighting

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections import deque
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -207,3 +208,38 @@ def test_start_of_a_state_can_be_told_apart() -> None:
     """A start is a dataclass like any other: what it says is part of a fingerprint."""
     other = Start(START.t_ns, START.mean + 1e-12, START.cov)
     assert identity_of({}, start=START) != identity_of({}, start=other)
+
+
+def _cut(state: FilterState) -> None:
+    assert state.particles is not None
+    state.particles = replace(state.particles, log_weight=state.particles.log_weight[1:])
+
+
+def _far(state: FilterState) -> None:
+    assert state.particles is not None
+    state.particles.columns[0, 3] = 1e300
+
+
+def _weightless(state: FilterState) -> None:
+    assert state.particles is not None
+    state.particles.log_weight[:] = -np.inf
+
+
+def _short(state: FilterState) -> None:
+    state.odometry[0] = Odometry(0, np.zeros(2))
+
+
+def _uneven(state: FilterState) -> None:
+    assert state.seen is not None
+    edges = state.seen.edges
+    state.seen = replace(state.seen, edges=replace(edges, lean=edges.lean[1:]))
+
+
+@pytest.mark.parametrize("change", [_cut, _far, _weightless, _short, _uneven])
+def test_a_state_that_no_run_can_have_saved_is_refused(tmp_path: Path, change: Callable[[FilterState], None]) -> None:
+    """Its checksum is right: it was not damaged, but made."""
+    state = filter_state()
+    change(state)
+    save(tmp_path / "state", state, np.random.default_rng(1))
+    with pytest.raises(InputError, match="expected a checkpoint that this version of the program made; expected"):
+        load(tmp_path / "state")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from localiser.errors import InputError
+from localiser.storage import tables
 from localiser.storage.tables import (
     Column,
     integer,
@@ -94,3 +95,19 @@ def test_cells_that_may_be_empty() -> None:
 def test_cells_out_of_range_are_refused(read: object, cell: str) -> None:
     with pytest.raises(ValueError):
         read(cell)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("t_ns,x\n" + "," * 5000, "table.csv:2: expected at most 1000 columns, found 5001"),
+        (",".join(f"c{k}" for k in range(100_000)), "expected at most 1000 columns, found 100000"),
+    ],
+)
+def test_columns_are_limited(tmp_path: Path, content: str, said: str) -> None:
+    assert said in problem(tmp_path, content)
+
+
+def test_cells_are_limited_before_they_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "MOST_CELLS", 10)
+    assert "table.csv:6: expected at most 10 cells, found more" in problem(tmp_path, "t_ns,x\n" + "1,2\n" * 9)

@@ -9,6 +9,7 @@ import sys
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
+from random import Random
 from threading import Event, Thread
 
 from localiser.live import NetworkOptions, Passage, StandIn, open_transport
@@ -31,6 +32,7 @@ class FaultyTransport:
         self._transport = transport
         self._count: Counter[Topic] = Counter()
         self._held: dict[Topic, list[bytes]] = {topic: [] for topic in EVERY}
+        self._random = Random(0)
         self.fault = ""
         self.advertise, self.is_heard = transport.advertise, transport.is_heard
 
@@ -55,6 +57,8 @@ class FaultyTransport:
                 return [_an_hour_ahead(content)]
             case "corrupt" if goes_wrong and topic == IMAGE:
                 return [_without_middle(content) if self._count[topic] % 2 else _without_end(content)]
+            case "junk" if goes_wrong:
+                held = [self._random.randbytes(self._random.randrange(400)), *held]
         return [content, *held]
 
 

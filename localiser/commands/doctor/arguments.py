@@ -16,6 +16,7 @@ from localiser.commands.options import (
     Names,
     Namespace,
     Overrides,
+    ZenohConfig,
     network_of,
     show,
     topics_by_role,
@@ -32,6 +33,7 @@ EPILOG = """Examples:
 
 `localiser doctor --image 0 --picture camera.png`"""
 
+LONGEST_S = 86400.0
 _COLOURS = {"ok": "green", "warning": "yellow", "missing": "red"}
 
 
@@ -51,7 +53,8 @@ def doctor(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write what the camera sees, with the edges found in it.")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=0.5, metavar="S", help="How long to listen.")] = 5.0,
+    seconds: Annotated[float, typer.Option(min=0.5, max=LONGEST_S, metavar="S", help="How long to listen.")] = 5.0,
+    zenoh_config: ZenohConfig = None,
     domain: Domain = None,
     namespace: Namespace = "",
     names: Names = "rmw_zenoh",
@@ -61,9 +64,10 @@ def doctor(
 ) -> None:
     """Tell what is installed, what a robot sends, and whether camera, clocks, mount and map fit together.
 
-    Listens to a robot when --connect or --listen is given. Exit code 1 when something is missing.
+    Listens to a robot when --connect, --listen or --zenoh-config is given. Exit code 1 when something is missing.
     """
     from localiser.commands.doctor import checks as examination
+    from localiser.commands.map.edit import parse_point
     from localiser.config import read_config
     from localiser.live import TOPICS, open_transport
     from localiser.storage import read_camera, read_map, require_new_file
@@ -76,10 +80,10 @@ def doctor(
     if image is not None:
         finding, seen = examination.camera_check(image, seconds)
         findings.append(finding)
-    if connect or listen:
+    if connect or listen or zenoh_config:
         from contextlib import closing
 
-        network = network_of(connect, listen, None, domain, namespace, names, distro)
+        network = network_of(connect, listen, zenoh_config, domain, namespace, names, distro)
         heard = examination.Heard(
             {
                 **{role: f"{network.prefix}{topic}" for role, topic in TOPICS.items()},
@@ -102,23 +106,14 @@ def doctor(
         landmark_map = read_map(map_file)
         findings.append(examination.Finding("map", "ok", f"{len(landmark_map)} landmarks"))
         if at is not None and known is not None:
-            findings.append(examination.map_check(landmark_map, known, _place(at)))
+            x, z = parse_point(at, "--at").tolist()
+            findings.append(examination.map_check(landmark_map, known, (x, z)))
     if picture is not None and seen is not None:
         examination.save_picture(picture, seen, known, settings)
         findings.append(examination.Finding("picture", "ok", str(picture)))
     _show(findings)
     if any(finding.state == "missing" for finding in findings):
         raise typer.Exit(1)
-
-
-def _place(text: str) -> tuple[float, float]:
-    from localiser.errors import InputError
-
-    try:
-        x, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"expected x,z in metres, found {text!r}", field="--at") from None
-    return x, z
 
 
 def _show(findings: list[Finding]) -> None:

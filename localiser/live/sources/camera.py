@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.documents import text_of
 from localiser.errors import InputError
 
 _RETRY_S = 1.0
@@ -63,7 +64,11 @@ class CameraSource:
 
 def _open(address: str) -> Any | None:
     """Return the open camera, or None."""
-    capture = cv2.VideoCapture(int(address)) if address.isascii() and address.isdigit() else cv2.VideoCapture(address)
+    capture = (
+        cv2.VideoCapture(int(address))
+        if address.isascii() and address.isdigit()
+        else cv2.VideoCapture(text_of(address))
+    )
     if not capture.isOpened():
         return None
     capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where the driver knows it: the newest frame, not the oldest

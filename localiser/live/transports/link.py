@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Any
 
-from localiser.documents import require_regular
+from localiser.documents import require_regular, text_of
 from localiser.errors import InputError
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -41,7 +41,8 @@ class ZenohLink:
         config_file: a configuration of zenoh, as for TLS and passwords. It decides everything but the endpoints that
         are given.
         """
-        self._connect, self._listen, self._config_file = connect, listen, config_file
+        self._connect, self._listen = [text_of(one) for one in connect], [text_of(one) for one in listen]
+        self._config_file = config_file
         self._lock, self._stop = Lock(), Event()
         self._session: Any = None
         self._waiting: list[Callable[[Any], None]] = []
@@ -89,6 +90,7 @@ class ZenohLink:
                 "mode": "router" if self._listen else "client",
                 "scouting/multicast/enabled": False,
                 "scouting/gossip/enabled": False,
+                "transport/shared_memory/enabled": False,  # else a peer that was killed leaves 19 MB behind
                 "connect/retry": _RETRY,
                 "connect/exit_on_failure": False,
                 "connect/timeout_ms": -1 if self._listen and self._connect else 0,
@@ -123,7 +125,7 @@ def _from_file(path: Path) -> Any:
     """Return the configuration of zenoh in a file. Raises InputError, without its text: it may hold passwords."""
     require_regular(path)
     try:
-        return _zenoh().Config.from_file(str(path))
+        return _zenoh().Config.from_file(text_of(path))
     except _zenoh().ZError:
         problem = "expected a configuration of zenoh, JSON5 or YAML as the name ends, found something else"
         raise InputError(problem, path=path, field="--zenoh-config") from None

@@ -12,6 +12,7 @@ from itertools import count
 from threading import Lock
 from typing import Any
 
+from localiser.documents import text_of
 from localiser.errors import InputError
 from localiser.live.transports.bridge_names import BridgeNames
 from localiser.live.transports.link import ZenohLink
@@ -210,7 +211,7 @@ def _checked(topic: Topic, key: str) -> str:
     import zenoh
 
     try:
-        zenoh.KeyExpr(key)
+        zenoh.KeyExpr(text_of(key))
     except zenoh.ZError:
         raise InputError(f"expected the name of a topic, found {topic.name!r}", field="--topic") from None
     if any(mark in topic.name for mark in "*$?#") or not topic.name.strip("/"):

@@ -24,7 +24,15 @@ from localiser.storage.bags.decisions import (
     odometry_decision,
     start_decision,
 )
-from localiser.storage.bags.frames import FrameTree, floor_cov, floor_pose, mount_of, plain_frame, start_of_message
+from localiser.storage.bags.frames import (
+    FrameTree,
+    check_start,
+    floor_cov,
+    floor_pose,
+    mount_of,
+    plain_frame,
+    start_of_message,
+)
 from localiser.storage.bags.images import grey_image, image_file, stated_size
 from localiser.storage.bags.label import live_label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages, header

@@ -55,6 +55,7 @@ class Message:
     """A message as recorded. t_ns: when it was recorded, which is not when it was measured. content: its fields."""
 
     topic: str
+    msgtype: str
     t_ns: int
     content: Any
 
@@ -132,7 +133,7 @@ class Bag:
             for connection, t_ns, data in self._reader.messages(connections, start=from_ns):
                 with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
                     content = self._decode(self._unpack(data), connection.msgtype)
-                yield Message(connection.topic, int(t_ns), content)
+                yield Message(connection.topic, connection.msgtype, int(t_ns), content)
 
 
 def _checked(connection: Connection) -> Connection:

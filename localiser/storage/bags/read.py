@@ -49,7 +49,7 @@ class BagReader:
             infos = [topic.name for topic, role in roles.items() if role == "camera_info"]
             content = _Content(
                 path,
-                {topic.name: role for topic, role in roles.items()},
+                {(topic.name, topic.msgtype): role for topic, role in roles.items()},
                 CameraFinder(None, image.name, " ".join([str(path), *infos]), at_once=is_live),
             )
             fault = _taken(content, bag, roles, up_to_fault=is_live and options.up_to_fault)
@@ -108,10 +108,10 @@ class _Poses:
 
 @dataclass(slots=True, eq=False)
 class _Content:
-    """What one pass over a bag collects. roles: what each topic is for, by its name."""
+    """What one pass over a bag collects. roles: what each topic is for, by its name and the type of its messages."""
 
     path: Path
-    roles: dict[str, str]
+    roles: dict[tuple[str, str], str]
     finder: CameraFinder
     images: list[ImagePlace] = field(default_factory=list)
     odometry: _Poses = field(default_factory=_Poses)
@@ -124,7 +124,7 @@ class _Content:
     def take(self, message: Message) -> None:
         """Keep what a message says. Raises InputError."""
         try:
-            self._take(self.roles[message.topic], message)
+            self._take(self.roles[message.topic, message.msgtype], message)
         except ValueError as error:
             field = f"{message.topic} at {message.t_ns} ns"
             raise InputError(str(error), path=self.path, field=field) from None

@@ -481,3 +481,16 @@ def test_a_bag_is_opened_once_in_whatever_order_it_is_read(tmp_path: Path, monke
         assert isinstance(frame, ImageEvent)
         assert (frame.load() == frame.t_ns % 251).all()
     assert len(opened) == 1
+
+
+def test_a_topic_that_has_messages_of_two_types_is_two_topics(tmp_path: Path) -> None:
+    """Both are chosen: as odometry and as the intrinsics beside the image."""
+
+    def record(recorder: Recorder) -> None:
+        for t_ns in (10**8, 2 * 10**8):
+            recorder.image(t_ns)
+            recorder.odometry(t_ns + 1, topic="/cam/camera_info")
+
+    path = bag(tmp_path / "bag", record)
+    log = open_log(path, topics={"odometry": "/cam/camera_info"})
+    assert len(log.odometry) == 2
