@@ -22,7 +22,7 @@ import attack_targets as targets
 
 from localiser.errors import LocaliserError
 
-LONGEST_MESSAGE = 2000
+LONGEST_MESSAGE = 2001
 
 
 def case(name: str, number: int, samples: Path, folder: Path) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from localiser.storage.packing import decode, encode, fingerprint, form_of
 from localiser.storage.sound import require_sound
 
 FORMAT = "localiser-checkpoint/2"
+_SHOWN = 80  # characters of a setting in an error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +97,7 @@ def checkpoint_of(content: bytes, path: Path, identity: Mapping[str, str] | None
 def _require_same(path: Path, saved: Mapping[str, str], identity: Mapping[str, str]) -> None:
     for name in (*identity, *saved):
         if saved.get(name) != identity.get(name):
-            found, expected = (side.get(name, "nothing") for side in (identity, saved))
+            found, expected = (side.get(name, "nothing")[:_SHOWN] for side in (identity, saved))
             raise InputError(
                 f"expected {expected}, as the checkpoint was made with, found {found}", path=path, field=name
             )
