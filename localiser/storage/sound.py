@@ -57,11 +57,10 @@ def _require_fitting(value: Any) -> None:
                 raise ValueError("expected particles of some weight, found none")
         case Edges():
             count, terms = len(value.bearing), len(value.common.names)
-            columns_of = (
-                getattr(value, field.name) for field in fields(value) if field.name not in ("common", "rejected_px")
-            )
+            parts = [getattr(value, field.name) for field in fields(value) if field.name != "rejected_px"]
             common = value.common
-            fits = all(len(column) == count for column in columns_of) and value.ends_px.shape == (count, 2, 2)
+            fits = all(len(part) == count for part in parts if isinstance(part, np.ndarray))
+            fits &= value.ends_px.shape == (count, 2, 2)
             fits &= common.cov.shape == (terms, terms) and common.bearing_from_lean.shape == (count, terms)
             if not fits or common.bearing_from_line.shape != (count, terms) or value.profile.ndim != 2:
                 raise ValueError(f"expected columns of {count} edges, found others")
