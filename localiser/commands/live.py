@@ -182,8 +182,12 @@ def live(
 @live_app.command(epilog="Example: `localiser live demo --view web`")
 def demo(
     log: Annotated[
-        Path, typer.Argument(metavar="LOG|WORLD", help="What the stand-in drives: a log with a map, or a world file.")
-    ] = Path("logs/corridor"),
+        Path | None,
+        typer.Argument(
+            metavar="LOG|WORLD",
+            help="What the stand-in drives: a log with a map, or a world file; by default the example drive.",
+        ),
+    ] = None,
     record: Record = None,
     json: Json = False,
     view: LiveView = "none",
@@ -195,12 +199,14 @@ def demo(
     """Show the live mode with no robot: a stand-in sends a log over zenoh, as if it were driving now."""
     from tempfile import TemporaryDirectory
 
+    from localiser.commands.example import LOG, example_folder
     from localiser.commands.simulate import driven as driven_log
     from localiser.config import read_config
     from localiser.errors import InputError
     from localiser.live import LiveOptions
     from localiser.storage import write_map
 
+    log = log or example_folder() / LOG
     driven = driven_log(log, 0)
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")

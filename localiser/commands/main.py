@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, evaluate, paper, replay, simulate
+from localiser.commands import batch, convert, evaluate, example, paper, replay, simulate, view
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
@@ -26,11 +26,12 @@ from localiser.errors import LocaliserError
 app = typer.Typer(
     name="localiser",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     help="Tells a robot with one camera, tilted down at the floor, where it is in a building.",
     epilog="""Examples:
+
+`localiser demo`
 
 `localiser replay logs/corridor`
 
@@ -63,7 +64,10 @@ def _root(
     """Take what holds for all commands."""
 
 
+app.command(epilog=example.DEMO_EPILOG)(example.demo)
+app.command(epilog=example.EXAMPLE_EPILOG)(example.example)
 app.command(epilog=replay.EPILOG)(replay.replay)
+app.command(epilog=view.EPILOG)(view.view)
 app.command(epilog=batch.EPILOG)(batch.batch)
 app.command(epilog=evaluate.EPILOG)(evaluate.evaluate)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)

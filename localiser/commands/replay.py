@@ -139,7 +139,7 @@ def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
     show(Text(_how_sure(figures["confidence"])))
     if constants := learnt_constants(figures):
         show(Text(f"Learnt: {', '.join(constants)}."))
-    recording = "run.rrd for `rerun`, " if rrd else ""
+    recording = "run.rrd for `localiser view`, " if rrd else ""
     typer.echo(f"Results in {folder}: report.html to look at, {recording}metrics.json for machines.")
 
 

@@ -43,6 +43,7 @@ VIEWER_MEMORY, SERVER_MEMORY = "2GB", "512MB"
 """What viewer and server may keep; then the oldest frames go."""
 
 _LOCALHOST = "127.0.0.1"
+_VIEWER = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"  # `-m rerun_cli` always ends with 0
 _REMOTE = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9.]+|localhost):([1-9][0-9]{0,4})")
 
 
@@ -74,7 +75,7 @@ class Feed(Generic[R]):
         self._changed = Condition()
         self._viewer = _start(command)
         if kind != "native" and self._viewer is not None:
-            atexit.register(_stop, self._viewer)
+            atexit.register(stop_viewer, self._viewer)
         self._worker = Thread(target=self._work, name="live view", daemon=True)
         self._worker.start()
 
@@ -177,23 +178,26 @@ def _remote(kind: Kind) -> tuple[str, str]:
     return remote[1], remote[2]
 
 
-def viewer_command(kind: Kind) -> tuple[list[str], str | None]:
-    """Return the command of Rerun's viewer reading its standard input, and the address to watch it at."""
+def viewer_command(kind: Kind, recording: str = "-") -> tuple[list[str], str | None]:
+    """Return the command of Rerun's viewer, and the address to watch it at.
+
+    recording: a file; by default the viewer reads its standard input.
+    """
     limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
-    command = [sys.executable, "-m", "rerun_cli", *limits]
+    command = [sys.executable, "-c", _VIEWER, *limits]
     if kind == "native":
-        return [*command, "--bind", _LOCALHOST, "--port", "auto", "--hide-welcome-screen", "-"], None
+        return [*command, "--bind", _LOCALHOST, "--port", "auto", "--hide-welcome-screen", recording], None
     if kind == "web":
         host = _secret_host()
         port, page = _free_port(host), _free_port(host)
         address = f"http://{host}:{page}?url=rerun%2Bhttp%3A%2F%2F{host}%3A{port}%2Fproxy"
         bound = ["--bind", host, "--web-viewer", "--port", str(port), "--web-viewer-port", str(page)]
         bound += ["--cors-allow-origin", f"http://{host}:{page}"]
-        return [*command, *bound, "-"], address
+        return [*command, *bound, recording], address
     host, number = _remote(kind)
     host = _LOCALHOST if host == "localhost" else host
     served = ["--bind", host.strip("[]"), "--serve-grpc", "--port", number]
-    return [*command, *served, "-"], f"rerun+http://{host}:{number}/proxy"
+    return [*command, *served, recording], f"rerun+http://{host}:{number}/proxy"
 
 
 def _secret_host() -> str:
@@ -227,7 +231,8 @@ def _start(command: Sequence[str]) -> subprocess.Popen[bytes] | None:
         return None
 
 
-def _stop(viewer: subprocess.Popen[bytes]) -> None:
+def stop_viewer(viewer: subprocess.Popen[bytes]) -> None:
+    """End a viewer that was started in a session of its own, if it still runs."""
     # The group: Rerun's command starts the viewer as a child of its own.
     if viewer.poll() is None:
         os.killpg(viewer.pid, signal.SIGTERM)

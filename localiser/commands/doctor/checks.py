@@ -54,7 +54,7 @@ def versions() -> Iterator[Finding]:
         try:
             yield Finding(library, "ok", metadata.version(library))
         except metadata.PackageNotFoundError:
-            hint = "; pip install '.[live]' in a clone" if library == "eclipse-zenoh" else ""
+            hint = "; pip install 'eclipse-zenoh<2'" if library == "eclipse-zenoh" else ""
             yield Finding(library, "missing", f"not installed{hint}")
 
 

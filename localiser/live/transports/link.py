@@ -135,7 +135,5 @@ def _zenoh() -> Any:
     try:
         import zenoh
     except ImportError:
-        raise InputError(
-            "expected the package eclipse-zenoh; install it with: pip install '.[live]' in a clone"
-        ) from None
+        raise InputError("expected the package eclipse-zenoh; install it with: pip install 'eclipse-zenoh<2'") from None
     return zenoh
