@@ -1,0 +1,94 @@
+"""What the documentation says to type: every command is one of the program, and tutorials run as they are written."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+import typer
+from documented import PAGES, blocks, commands, mentions
+from folders import ROOT
+from short_log import CORRIDOR, Localiser, cut_log
+from typer.core import TyperGroup
+
+from localiser.commands import app, example
+
+TUTORIALS = [ROOT / "docs" / "guide.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
+FRAMES = 60
+MEANT = re.compile(r"[A-Z…|<>\[\]]|\.\.\.")
+"""What stands for something else: LOG, wheel|vision, …"""
+
+
+def parsed(words: list[str]) -> None:
+    """Have the program understand words, without running them. Raises what says why it does not."""
+    command, context, name = typer.main.get_command(app), None, "localiser"
+    with suppress(typer.Exit):  # --help
+        while isinstance(command, TyperGroup):
+            context = command.make_context(name, list(words), parent=context)
+            rest = [*context._protected_args, *context.args]
+            if not rest:
+                return
+            name, command, words = command.resolve_command(context, rest)
+        command.make_context(name, list(words), parent=context)
+
+
+def test_there_are_commands_to_test() -> None:
+    assert len([words for page in PAGES for words in commands(page)]) > 80
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_is_one_of_the_program(page: Path) -> None:
+    """As it is written, where nothing in it stands for something else."""
+    for words in commands(page):
+        if not stands_for_another(words):
+            parsed(words)
+    for words in mentions(page):
+        if not stands_for_another(words) and words != ["--install-completion"]:  # which would be done
+            with suppress(typer.BadParameter):
+                parsed(words)
+
+
+def stands_for_another(words: list[str]) -> bool:
+    """Whether a command is a pattern, such as `localiser replay LOG`."""
+    return any(MEANT.search(word) for word in words)
+
+
+def test_a_command_that_the_program_has_not_is_found() -> None:
+    for words in (["repaly", "log"], ["replay", "log", "--sede", "1"], ["map", "biuld", "log"], ["evaluate"]):
+        with pytest.raises(Exception, match=r"(?i)no such|missing"):
+            parsed(words)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_runs_as_it_is_written(
+    page: Path, localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From top to bottom, on the first images of the example."""
+    shipped = tmp_path / "localiser" / "example"
+    (shipped / "logs").mkdir(parents=True)
+    cut_log(CORRIDOR, shipped / example.LOG, FRAMES)
+    for part in ("configs", "maps"):
+        shutil.copytree(ROOT / part, shipped / part)
+    monkeypatch.setattr(example, "_PACKAGE", shipped.parent)
+    monkeypatch.chdir(tmp_path)
+    if "localiser example ." not in "".join(block.text for block in blocks(page)):
+        assert localiser("example", ".").exit_code == 0
+    ran = 0
+    for block in blocks(page):
+        if block.language == "python":
+            exec(compile(block.text, str(page), "exec"), {"__name__": "page"})
+        if block.language == "sh":
+            for words in block.commands():
+                result = localiser(*(name for word in words for name in named(word)))
+                assert result.exit_code == 0, f"{words}: {result.out}{result.err}"
+                ran += 1
+    assert ran >= 2
+
+
+def named(word: str) -> list[str]:
+    """Return a word as a shell hands it on: the files that it names with a star, else itself."""
+    return sorted(map(str, Path().glob(word))) if "*" in word else [word]
