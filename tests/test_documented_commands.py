@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 from localiser.commands import app, example
 
 TUTORIALS = [ROOT / "docs" / "guide.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
-FRAMES = 60
+FRAMES = 30
 MEANT = re.compile(r"[A-Z…|<>\[\]]|\.\.\.")
 """What stands for something else: LOG, wheel|vision, …"""
 
