@@ -20,6 +20,7 @@ from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
+from localiser.commands.odometry.arguments import odometry_app
 from localiser.commands.pose import pose_app
 from localiser.errors import LocaliserError
 
@@ -46,6 +47,7 @@ app.add_typer(camera_app, name="camera")
 app.add_typer(map_app, name="map")
 app.add_typer(live_app, name="live")
 app.add_typer(pose_app, name="pose")
+app.add_typer(odometry_app, name="odometry")
 
 
 def _print_version(asked: bool) -> None:
