@@ -87,7 +87,7 @@ def live(
         typer.Option(
             "--topic",
             metavar="KIND=NAME",
-            help="Another topic for image, camera_info, odometry, transforms, initialpose or groundtruth. Repeatable.",
+            help="Another topic for image, camera_info, odometry, transforms, initialpose, groundtruth, clock.",
         ),
     ] = None,
     publish: Annotated[
@@ -115,6 +115,10 @@ def live(
             help="Another name for the frame map or odom. Repeatable.",
         ),
     ] = None,
+    use_sim_time: Annotated[
+        bool,
+        typer.Option("--use-sim-time", help="Take the time from /clock: of a simulator or a bag."),
+    ] = False,
     transform_tolerance: Annotated[
         float,
         typer.Option(min=0.0, max=10.0, metavar="S", help="How far transforms on /tf are post-dated, as by AMCL."),
@@ -175,6 +179,7 @@ def live(
         resume,
         frames_of(frames),
         transform_tolerance,
+        use_sim_time,
     )
     _run(options, seconds)
 

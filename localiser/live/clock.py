@@ -41,6 +41,11 @@ class RobotClock:
         return self._jumped(stamp_ns, at_ns, lead_ns)
 
     @property
+    def newest_ns(self) -> int:
+        """The latest time of any message that told of the clock, 0 before the first."""
+        return self._newest_ns
+
+    @property
     def is_known(self) -> bool:
         """Whether any message has told of the clock."""
         return self._at_ns is not None
@@ -54,6 +59,11 @@ class RobotClock:
             return None
         t_ns = stamp_ns + self.offset_ns
         return t_ns if self._newest_ns - LATE_NS <= t_ns <= at_ns + self._lead_at(at_ns) + EARLY_NS else None
+
+    def shift(self, by_ns: int) -> None:
+        """Take stamps that jump back by so much from now on, as is known from elsewhere: the time goes on steadily."""
+        self.offset_ns += by_ns
+        self._doubtful.clear()
 
     def _lead_at(self, at_ns: int) -> float:
         """Return by how much stamps are ahead of arrivals at most, as far as that is known at `at_ns`."""

@@ -8,6 +8,7 @@ from localiser.live.sources import Arrival
 from localiser.live.transports import Topic
 from localiser.storage.bags import (
     CAMERA_INFO,
+    CLOCK,
     COMPRESSED,
     IMAGE,
     ODOMETRY,
@@ -23,8 +24,9 @@ TOPICS = {
     "groundtruth": "/ground_truth/odom",
     "transforms": "/tf_static",
     "initialpose": "/initialpose",
+    "clock": "/clock",
 }
-"""What is listened to by what it is for, unless another topic is named."""
+"""What is listened to by what it is for, unless another topic is named; to the clock only where it is asked for."""
 
 _TYPES = {
     "camera_info": CAMERA_INFO,
@@ -32,6 +34,7 @@ _TYPES = {
     "groundtruth": ODOMETRY,
     "transforms": TRANSFORMS,
     "initialpose": POSE,
+    "clock": CLOCK,
 }
 MOST_BYTES = 64 * 2**20
 
@@ -59,7 +62,7 @@ def message_of(arrival: Arrival) -> Any:
     msgtype = type_of(arrival.role, arrival.topic)
     try:
         message = typestore(ros1=False).deserialize_cdr(arrival.content, msgtype)
-        if arrival.role != "transforms":
+        if arrival.role not in ("transforms", "clock"):
             _check_header(message)
     except Exception as error:  # whatever bytes that are no message make of a decoder
         reason = " ".join(str(error).split())[:100] or type(error).__name__

@@ -25,6 +25,7 @@ from localiser.live.publishing import Publisher
 from localiser.live.recording import Recording
 from localiser.live.requests import Requests, serve
 from localiser.live.run import LiveRun
+from localiser.live.simulated_time import SimulatedTime
 from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.transports import NetworkOptions, Take, Transport, open_transport
@@ -47,7 +48,7 @@ class LiveOptions:
     robot's. image: a camera or stream that OpenCV reads, in place of a topic. start: where the robot is at the first
     image, None where that is not known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint:
     where the state is saved. resume: whether to go on from there, if it is there. frames, transform_tolerance_s: see
-    `Publisher`.
+    `Publisher`. use_sim_time: whether the clock topic tells the time, as a simulator or a player of bags has it.
     """
 
     map_file: Path
@@ -66,6 +67,7 @@ class LiveOptions:
     resume: bool = False
     frames: Frames = field(default_factory=lambda: Frames(odom=""))
     transform_tolerance_s: float = 0.2
+    use_sim_time: bool = False
 
 
 @contextmanager
@@ -111,6 +113,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         finder = CameraFinder(given, topics["image"], topics["camera_info"])
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         run.publisher = _publisher(options, transport, recording)
+        run.simulated = SimulatedTime() if options.use_sim_time else None
         run.requests = Requests(options.map_file.parent)
         serve(transport, inbox, options.network.prefix, options.services)
         if options.checkpoint is not None:
@@ -118,11 +121,17 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
             if options.resume and options.checkpoint.exists():
                 run.resumed = Resumed(options.checkpoint)
         for role, topic in topics.items():
-            if role != "image" or options.image is None:
+            if _is_listened_to(role, options):
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
         yield run
+
+
+def _is_listened_to(role: str, options: LiveOptions) -> bool:
+    if role == "image":
+        return options.image is None
+    return role != "clock" or options.use_sim_time
 
 
 def _publisher(options: LiveOptions, transport: Transport, recording: Recording | None) -> Publisher:

@@ -25,6 +25,7 @@ from localiser.live.outputs import Published, pose_now
 from localiser.live.publishing import Publisher
 from localiser.live.recording import Recording
 from localiser.live.requests import Requests
+from localiser.live.simulated_time import SimulatedTime
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Frame, Timeline
@@ -54,8 +55,9 @@ Publish = Callable[[Published], None]
 class LiveRun:
     """A live run. publish: take every result. localiser_of: is called once the camera is known.
 
-    publisher: sends results over the network, None where there is none. start: given by the user, without its time;
-    None looks for the robot everywhere. sinks: get every located image. now_ns: the clock of arrivals.
+    publisher: sends results over the network, None where there is none. requests: answers those of services. simulated:
+    the time in place of this machine's. start: given by the user, without its time; None looks for the robot
+    everywhere. sinks: get every located image. now_ns: the clock of arrivals.
     """
 
     inbox: Inbox
@@ -70,6 +72,7 @@ class LiveRun:
     sinks: Sequence[Sink] = ()
     publisher: Publisher | None = None
     requests: Requests | None = None
+    simulated: SimulatedTime | None = None
     now_ns: Callable[[], int] = time.monotonic_ns
     localiser: Localiser | None = None
     given_map: LandmarkMap | None = None
@@ -114,9 +117,45 @@ class LiveRun:
                     self._answer(arrival)
                     continue
                 message = message_of(arrival)
-                getattr(self, f"_take_{arrival.role}")(arrival, message)
+                if self.simulated is None or self._is_timed(arrival):
+                    getattr(self, f"_take_{arrival.role}")(self._at(arrival), message)
             except ValueError as error:
                 self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
+
+    def _is_timed(self, arrival: Arrival) -> bool:
+        """Whether the simulated time of a message is known, or it needs none."""
+        assert self.simulated is not None
+        if self.simulated.is_known or arrival.role in ("clock", "transforms", "camera_info"):
+            return True
+        self.monitor.wait("no clock", "messages wait for the simulated time on /clock")
+        return False
+
+    def _at(self, arrival: Arrival) -> Arrival:
+        """Return a message with the simulated time at which it came, where there is one."""
+        return arrival if self.simulated is None else replace(arrival, at_ns=self.simulated.now_ns)
+
+    def _take_clock(self, _arrival: Arrival, message: Any) -> None:
+        if self.simulated is None:
+            return
+        clock_ns = message.clock.sec * 10**9 + message.clock.nanosec
+        back_ns = self.simulated.take(clock_ns, self.clock.newest_ns + 1 - (clock_ns + self.clock.offset_ns))
+        if back_ns:
+            self.clock.shift(back_ns)
+            self._decide(clock_decision(self.clock.offset_ns))
+            self.monitor.inform(f"/clock went back by {back_ns / 1e9:.1f} s: the robot begins anew")
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Forget where the robot was, because its time began anew: it is where it started, or anywhere."""
+        if self.publisher is not None:
+            self.publisher.clock_jumped()
+            self.publisher.forget()
+        if self.localiser is None:
+            return
+        if self.start is not None:
+            self._restart(replace(self.start, t_ns=max(self.timeline.newest_ns, self.timeline.weighed_ns) + 1))
+        else:
+            self.look_everywhere()
 
     def _answer(self, arrival: Arrival) -> None:
         if self.requests is not None:
@@ -306,13 +345,21 @@ class LiveRun:
         """Weigh one image, or find the edges of one that waits for the wheels."""
         if self.localiser is None:
             return
-        frame = self.timeline.next(self._affordable(), self.now_ns())
+        frame = self.timeline.next(self._affordable(), self._now_ns())
         if frame is not None:
             self._weigh(self.localiser, frame)
             return
         waiting = self.timeline.waiting
         if waiting is not None and waiting.measured is None:
             self._find_edges(self.localiser, waiting)
+
+    def _now_ns(self) -> int:
+        return self.now_ns() if self.simulated is None else self.simulated.now_ns
+
+    def _latency_ms(self, stamp_ns: int) -> float:
+        """Return how long ago a stamp was: by the simulated time, else by this machine's calendar."""
+        now_ns = time.time_ns() if self.simulated is None else self.simulated.clock_ns
+        return (now_ns - stamp_ns) / 1e6
 
     def _affordable(self) -> int:
         """Return how many images there is time for until the wheels report again."""
@@ -357,7 +404,7 @@ class LiveRun:
             now_ns - self.clock.offset_ns,
             pose_now(located, odometry_now),
             self._newest_odometry is not None,
-            (time.time_ns() - frame.stamp_ns) / 1e6,
+            self._latency_ms(frame.stamp_ns),
             None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2])),
         )
         if self.publisher is not None:

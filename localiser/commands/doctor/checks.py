@@ -139,7 +139,7 @@ class Heard:
 def topic_checks(heard: Heard) -> Iterator[Finding]:
     """Yield every topic with its rate, and which are missing."""
     for role, topic in heard.topics.items():
-        if topic not in heard.counts and role not in ("initialpose", "groundtruth"):
+        if topic not in heard.counts and role not in ("initialpose", "groundtruth", "clock"):
             state: State = "missing" if role in ("image", "odometry") else "warning"
             yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --topic {role}=NAME")
     roles = {topic: role for role, topic in heard.topics.items()}

@@ -3,6 +3,7 @@
 from localiser.storage.bags.bag import (
     ANNOTATIONS,
     CAMERA_INFO,
+    CLOCK,
     COMPRESSED,
     DIAGNOSTICS,
     IMAGE,

@@ -33,6 +33,7 @@ TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
 ANNOTATIONS = "foxglove_msgs/msg/ImageAnnotations"
+CLOCK = "rosgraph_msgs/msg/Clock"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 METADATA_FILE = "metadata.yaml"
