@@ -48,6 +48,8 @@ from localiser.storage.bags import (
 
 _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
+_OF_ONE = ("image", "odometry", "camera_info", "groundtruth")  # whose topics have one publisher
+_MOST_SENDERS = 1000
 Publish = Callable[[Published], None]
 
 
@@ -81,6 +83,7 @@ class LiveRun:
     _counts: Counter[str] = field(default_factory=Counter)
     _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
     _stated: bytes = b""
+    _senders: dict[str, tuple[bytes, set[bytes]]] = field(default_factory=dict)
     _newest_odometry: tuple[int, Array] | None = None
     _intervals_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
     _costs_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
@@ -117,10 +120,25 @@ class LiveRun:
                     self._answer(arrival)
                     continue
                 message = message_of(arrival)
+                self._note_sender(arrival)
                 if self.simulated is None or self._is_timed(arrival):
                     getattr(self, f"_take_{arrival.role}")(self._at(arrival), message)
             except ValueError as error:
                 self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
+
+    def _note_sender(self, arrival: Arrival) -> None:
+        """Tell of a topic on which two publish in turn; one that takes another's place has been started again."""
+        if not arrival.source or arrival.role not in _OF_ONE:
+            return
+        now, before = self._senders.get(arrival.role, (arrival.source, set()))
+        if arrival.source in before:
+            self.monitor.warn(
+                f"two publishers of {arrival.role}",
+                f"{arrival.topic}: expected one publisher, found two; their messages are taken as they come",
+            )
+        if arrival.source != now:
+            before = {*before, now} if len(before) < _MOST_SENDERS else {now}
+        self._senders[arrival.role] = arrival.source, before
 
     def _is_timed(self, arrival: Arrival) -> bool:
         """Whether the simulated time of a message is known, or it needs none."""

@@ -33,6 +33,17 @@ def test_a_full_inbox_keeps_the_newest_of_each_role_in_order(roles: list[str]) -
     assert inbox.take(0.0) == []
 
 
+def test_a_full_inbox_holds_no_more_bytes_than_it_may() -> None:
+    """What needs the most memory is dropped first: large images, not the odometry that came before them."""
+    inbox = Inbox(most_bytes=1000)
+    inbox.put(Arrival("odometry", "odometry", bytes(100), at_ns=0))
+    for k in range(1, 6):
+        inbox.put(Arrival("image", "image", bytes(400), at_ns=k))
+    assert [arrival.at_ns for arrival in inbox.take(0.0)] == [0, 4, 5] and inbox.dropped == {"image": 3}
+    inbox.put(Arrival("image", "image", bytes(2000), at_ns=6))
+    assert inbox.take(0.0) == []
+
+
 # -- cameras ----------------------------------------------------------------------------------------------------------
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import heapq
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import count
 from threading import Condition
 
 MOST_IMAGES = 32
 MOST_OTHERS = 8192
-"""Seconds of images, and minutes of odometry: what a pause of the program may take."""
+"""Seconds of images, and a minute of odometry: what a pause of the program may take."""
+
+MOST_BYTES = 128 * 2**20
+"""Of all that waits, whatever its sizes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,12 +38,14 @@ class Arrival:
 class Inbox:
     """A queue from the threads of the sources to the loop; where it is full, the oldest of a role is dropped."""
 
-    def __init__(self, most_images: int = MOST_IMAGES, most_others: int = MOST_OTHERS) -> None:
+    def __init__(
+        self, most_images: int = MOST_IMAGES, most_others: int = MOST_OTHERS, most_bytes: int = MOST_BYTES
+    ) -> None:
         """Start empty."""
-        self._most = {"image": most_images}
-        self._most_others = most_others
-        self._queue: deque[Arrival] = deque()
-        self._held: Counter[str] = Counter()
+        self._most, self._most_others, self._most_bytes = {"image": most_images}, most_others, most_bytes
+        self._queues: dict[str, deque[tuple[int, Arrival]]] = {}
+        self._bytes: Counter[str] = Counter()
+        self._order = count()
         self._changed = Condition()
         self.dropped: Counter[str] = Counter()
 
@@ -46,20 +53,24 @@ class Inbox:
         """Take a message in; never waits."""
         role = arrival.role
         with self._changed:
-            if self._held[role] >= self._most.get(role, self._most_others):
-                oldest = next(index for index, held in enumerate(self._queue) if held.role == role)
-                del self._queue[oldest]
-                self.dropped[role] += 1
-            else:
-                self._held[role] += 1
-            self._queue.append(arrival)
+            queue = self._queues.setdefault(role, deque())
+            if len(queue) >= self._most.get(role, self._most_others):
+                self._drop(role)
+            queue.append((next(self._order), arrival))
+            self._bytes[role] += len(arrival.content)
+            while self._bytes.total() > self._most_bytes:  # of what needs the most memory
+                self._drop(max(self._bytes, key=self._bytes.__getitem__))
             self._changed.notify()
 
     def take(self, wait_s: float) -> list[Arrival]:
         """Return all that has arrived, in that order; waits for something to arrive, but not longer than `wait_s`."""
         with self._changed:
-            self._changed.wait_for(lambda: self._queue, wait_s)
-            taken = list(self._queue)
-            self._queue.clear()
-            self._held.clear()
-            return taken
+            self._changed.wait_for(lambda: any(self._queues.values()), wait_s)
+            queues, self._queues = self._queues, {}
+            self._bytes.clear()
+        return [arrival for _, arrival in heapq.merge(*queues.values())]
+
+    def _drop(self, role: str) -> None:
+        _, oldest = self._queues[role].popleft()
+        self._bytes[role] -= len(oldest.content)
+        self.dropped[role] += 1
