@@ -72,14 +72,22 @@ def looks_alike(side: Array, polarity: Signs, other_side: Array, other_polarity:
     return np.asarray(np.where(product < 0, -np.inf, looks + np.log(2.0) * (product > 0)))
 
 
-def assign(score: Array) -> tuple[Index, Index]:
+def assign(score: Array, margin: float = 0.0) -> tuple[Index, Index]:
     """Return rows and columns (M,) of the matches with positive scores (A, B) whose sum is largest.
 
-    -inf forbids a pair. A global nearest neighbour, solved as a linear assignment [Bar-Shalom, Li 1995].
+    -inf forbids a pair. margin: a match is left out unless every other match of its row or its column scores less by
+    so much. A global nearest neighbour, solved as a linear assignment [Bar-Shalom, Li 1995].
     """
     from scipy.optimize import linear_sum_assignment
 
     gain = np.maximum(score, 0.0)
     row, column = linear_sum_assignment(gain, maximize=True)
     real = gain[row, column] > 0
-    return row[real], column[real]
+    row, column = row[real], column[real]
+    if not margin or not len(row):
+        return row, column
+    others = score.copy()
+    others[row, column] = -np.inf
+    rival = np.maximum(others.max(axis=1)[row], others.max(axis=0)[column])
+    clear = score[row, column] > rival + margin
+    return row[clear], column[clear]

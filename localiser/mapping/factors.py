@@ -102,16 +102,20 @@ class State:
 # -- residuals, each measured minus predicted, in sigmas ---------------------------------------------------------------
 
 
-def _wheel_residual(problem: Problem, state: State) -> Array:
-    """Return what the wheels say minus what they should, given what is wrong with them.
+def wheel_residuals(wheels: Wheels, poses: Array, constants: Array) -> Array:
+    """Return what the wheels say minus what they should (T - 1, 3) in sigmas, given what is wrong with them.
 
-    The constants act on the motion, not on the measurement: else the best scale would be 0, where noise is too.
+    poses: (T, 3). constants: (4,), see `CONSTANTS`. The constants act on the motion, not on the measurement: else the
+    best scale would be 0, where noise is too.
     """
-    wheels, constants = problem.wheels, state.constants
-    moved = between(state.poses[:-1], state.poses[1:]) * _scales(constants)
+    moved = between(poses[:-1], poses[1:]) * _scales(constants)
     residual = wheels.motion - moved
     residual[:, 2] = wrap_angle(residual[:, 2] - wheels.path_m * constants[2])
     return np.asarray(np.einsum("tij,tj->ti", wheels.whitening, residual))
+
+
+def _wheel_residual(problem: Problem, state: State) -> Array:
+    return wheel_residuals(problem.wheels, state.poses, state.constants)
 
 
 def _scales(constants: Array) -> Array:

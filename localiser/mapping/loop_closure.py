@@ -2,19 +2,20 @@
 
 Drift of the robot makes the positions of landmarks uncertain, but most of this error is common to all landmarks that
 were seen at the same time. The joint covariance of the smoother contains this: the distance of a pair is measured in
-sigmas of their difference. Pairs with the most certain difference are closed first. Each closure makes the others more
-certain.
+sigmas of their difference. Pairs must be compatible as a set (`joint_compatibility`), and of these the ones with
+the most certain difference are closed first. Each closure makes the others more certain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.mapping.association import looks_alike
+from localiser.mapping.joint_compatibility import compatible
 from localiser.mapping.landmarks import Built
 from localiser.mapping.sightings import Index
 
@@ -26,18 +27,27 @@ _TOGETHER_SHARE = 0.1  # of the frames of the rarer one, in which another edge m
 _CONTRARY = -3.0  # log-likelihood ratio of one edge being seen with either sign
 _CERTAIN_SIGMA_M = 0.02  # a difference known as well as this tells two edges by their places
 _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
+_MOST_PAIRS = 300  # that are compared with each other
 _AMBIGUOUS = 2.0  # a alternative this little worse (log-likelihood) forbids a choice
 
 
-def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array], built: Built, frame: Index) -> Index:
+class Places(Protocol):
+    """Landmarks (L) as smoothed, with the covariances of their differences."""
+
+    @property
+    def points(self) -> Array: ...  # noqa: D102
+    def difference_cov(self, one: Index, other: Index) -> Array: ...  # noqa: D102
+    def joint_difference_cov(self, one: Index, other: Index) -> Array: ...  # noqa: D102
+
+
+def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the one that it is the same as; its own where there is none.
 
-    points: (L, 2) as smoothed. difference_cov: gives the covariances (P, 2, 2) of the differences of pairs of them.
-    built: how they look. frame: (K,) of the sightings used; two that are often seen in one frame are two.
-    Polarities that contradict each other do not part what stands at one place for certain: the sign of an edge depends
-    on what lies behind it.
+    smoothed: their places, and the joint covariance of these. built: how they look. frame: (K,) of the sightings used;
+    two that are often seen in one frame are two. Polarities that contradict each other do not part what stands at one
+    place for certain: the sign of an edge depends on what lies behind it.
     """
-    count = len(points)
+    points, count = smoothed.points, len(smoothed.points)
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
     if len(one) == 0:
         return np.arange(count)
@@ -47,13 +57,18 @@ def same_landmarks(points: Array, difference_cov: Callable[[Index, Index], Array
     may = (together <= np.maximum(_TOGETHER_SHARE * fewer, 1)) & ((looks >= _UNLIKE) | contrary)
     one, other, looks, contrary = one[may], other[may], np.where(contrary, _CONTRARY, looks)[may], contrary[may]
     apart = points[one] - points[other]
-    cov = difference_cov(one, other) + _LEAST_SIGMA_M**2 * np.eye(2)
+    cov = smoothed.difference_cov(one, other) + _LEAST_SIGMA_M**2 * np.eye(2)
     chi2 = np.einsum("pi,pij,pj->p", apart, np.linalg.inv(cov), apart)
     sigma = np.sqrt(np.linalg.eigvalsh(cov)[:, 1])
     fit = (chi2 < _GATE) & (sigma < np.where(contrary, _CERTAIN_SIGMA_M, _FARTHEST_SIGMA_M))
     one, other, chi2, sigma, looks = one[fit], other[fit], chi2[fit], sigma[fit], looks[fit]
     # How much likelier it is that they are one than that the second is any other edge that happens to stand here.
     score = looks - 0.5 * chi2 - np.log(sigma)
+    likeliest = np.argsort(-score, kind="stable")[:_MOST_PAIRS]
+    one, other, sigma, score = one[likeliest], other[likeliest], sigma[likeliest], score[likeliest]
+    joint = smoothed.joint_difference_cov(one, other)
+    agree = compatible(points[one] - points[other], joint, _LEAST_SIGMA_M)
+    one, other, sigma, score = one[agree], other[agree], sigma[agree], score[agree]
     clear = np.flatnonzero(_clear(one, other, score, count))
     clear = clear[np.argsort(sigma[clear], kind="stable")]
     return _united(one, other, clear, count)

@@ -13,9 +13,15 @@ from localiser.mapping.sightings import Index, Sightings, direction_of, per_poin
 
 
 def reassociate(
-    sightings: Sightings, built: Built, cameras: Array, sigma: Array, parameters: MappingParameters
+    sightings: Sightings,
+    built: Built,
+    cameras: Array,
+    sigma: Array,
+    parameters: MappingParameters,
+    margin: float = 0.0,
 ) -> Index:
     """Return the landmark (S,) of each sighting, -1 for none; see `Sightings`. cameras: (T, 3). sigma: (S,) rad.
+    margin: see `assign`.
 
     A landmark competes for the edges of a frame when it is seen shortly before or after it: farther off it may be
     hidden, and then some other edge in its direction would be taken for it.
@@ -39,7 +45,7 @@ def reassociate(
             )
             heading = cameras[frame, 2] - sightings.bearing[seen]
             score = association_scores(expected, own, heading, sigma[seen], looks, parameters.tracks)
-            row, column = assign(score)
+            row, column = assign(score, margin)
             of[seen[column]] = landmark[row]
     return of
 

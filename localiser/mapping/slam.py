@@ -11,6 +11,7 @@ After each solve the feet of edges on the floor determine the scale.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +31,11 @@ from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.smooth import CONVERGED, Smoothed, dead_reckoned, smooth
 from localiser.mapping.tracks import follow
 from localiser.mapping.triangulate import misfit
+from localiser.mapping.wheel_check import contradiction
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
+_CLEAR = 3.0  # log-likelihood by which an association must be better than any other, to be clear
+_CONSTANTS_GATE = 16.3  # 99.7 % of a Gaussian of four dimensions
 _TRUE_TURN_RAD = 7e-4  # how far turns of smoothed poses may be off between two frames
 _ROUGHLY = 2e-3  # fall of the cost that ends a solution which is only a step on the way
 _RECOGNITION_ROUNDS = 4
@@ -50,7 +54,8 @@ class Slam:
     """Robot poses (T, 3) with the first one as given, landmarks, and what was found out about the robot.
 
     constants: (4,) as in `factors.CONSTANTS`. camera: with the mount's yaw as found. built: landmarks with covariances
-    that include the poses'. before: (T, 3) poses before loops were closed.
+    that include the poses'. before: (T, 3) poses before loops were closed. clear_only: edges that could be of
+    more than one landmark were left out. loops_left_out: why no loops were closed.
     """
 
     poses: Array
@@ -59,16 +64,23 @@ class Slam:
     camera: Camera
     built: Built
     sigma: Array
+    clear_only: bool = False
+    loops_left_out: str | None = None
 
     def text(self) -> str:
         """Return in words what was found out about the robot."""
         scale, rotation, veer, yaw = self.constants
         moved = np.hypot(*(self.poses - self.before)[:, :2].T).max()
+        closed = f"Closing loops moved the robot's path by up to {moved:.2f} m."
+        if self.loops_left_out is not None:
+            closed = f"No loops were closed, because with those found {self.loops_left_out}: the map drifts."
+        clear = "Edges that could be of more than one landmark were left out: with them the wheels' scale was not as "
+        clear += "clear edges say.\n"
         return (
             f"Wheels say {100 * scale:+.1f} % of the distance and {100 * rotation:+.1f} % of the turns, "
             f"and {np.rad2deg(veer):+.2f}° of turn a metre that is none; "
             f"the camera's yaw is {np.rad2deg(yaw):+.2f}° from what is stated.\n"
-            f"Closing loops moved the robot's path by up to {moved:.2f} m."
+            f"{clear if self.clear_only else ''}{closed}"
         )
 
 
@@ -84,32 +96,27 @@ def build_from_log(
 
     prior: of the constant errors of wheels and mount. first_pose: (3,) where the robot began.
     """
-    slam = _Solver(sightings, wheels, prior, camera, parameters)
-    turn = np.concatenate([[_TRUE_TURN_RAD], wheels.turn_sigma])
+    slam = _tracked(_Solver(sightings, wheels, prior, camera, parameters))
+    clear = _tracked(_Solver(sightings, wheels, prior, camera, parameters, _CLEAR))
+    if clear.contradicts(slam):
+        slam = clear
+    tracked = copy(slam)
+    slam.close_all_loops()
+    why = contradiction(wheels, prior, slam.poses, slam.constants)
+    if why is not None:
+        slam = tracked
+    return slam.in_map(tracked.poses, first_pose, why)
+
+
+def _tracked(slam: _Solver) -> _Solver:
+    """Return the solver with edges tracked and poses smoothed, in gates that narrow as the poses get better."""
+    turn = np.concatenate([[_TRUE_TURN_RAD], slam.wheels.turn_sigma])
     noise = _FIRST_BEARING_RAD
     for narrowing in _NARROWING:
         slam.follow(np.maximum(narrowing * turn, _TRUE_TURN_RAD))
         slam.solve(numbered(long_enough(slam.track)), noise, converged=_ROUGHLY)
         noise = _POSE_BEARING_RAD
-    before = slam.poses
-    for _ in range(_RECOGNITION_ROUNDS):
-        of = slam.joined(recognised(slam.smoothed.points, slam.built, slam.frames_used))
-        if of is None:
-            break
-        # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
-        for loose in _LOOSE:
-            slam.solve(of, noise, loose, converged=_ROUGHLY)
-        slam.open_wrong_loops()
-    slam.close_loops(_LOOP_ROUNDS)
-    for _ in range(_ASSOCIATION_ROUNDS):
-        previous = slam.built.of
-        slam.follow(np.full(sightings.frames, _TRUE_TURN_RAD))
-        of = reassociate(sightings, slam.built, slam.cameras, np.hypot(slam.sigma, _POSE_BEARING_RAD), parameters)
-        slam.solve(with_leftovers(of, slam.track), noise)
-        slam.close_loops(_LAST_LOOP_ROUNDS)
-        if same_groups(slam.built.of, previous):
-            break
-    return slam.in_map(before, first_pose)
+    return slam
 
 
 class _Solver:
@@ -117,7 +124,8 @@ class _Solver:
 
     poses: (T, 3) from the first one at the origin. constants, prior: see `factors`. camera: with the yaw as found.
     track: (S,) of each sighting. built, smoothed: landmarks with their sightings, and the last solution. places: (S, 2)
-    where the landmark of each sighting stands; nan where it has none.
+    where the landmark of each sighting stands; nan where it has none. margin: by which an association must be
+    better than any other, see `assign`.
     """
 
     built: Built
@@ -125,8 +133,15 @@ class _Solver:
     track: Index
 
     def __init__(
-        self, sightings: Sightings, wheels: Wheels, prior: Prior, camera: Camera, parameters: MappingParameters
+        self,
+        sightings: Sightings,
+        wheels: Wheels,
+        prior: Prior,
+        camera: Camera,
+        parameters: MappingParameters,
+        margin: float = 0.0,
     ) -> None:
+        self.margin = margin
         self.sightings, self.wheels, self.parameters = sightings, wheels, parameters
         self.stated_camera, self.stated_prior = camera, prior
         self.sigma = _REPEATED * measured_sigma(sightings, camera.focal_px, parameters)
@@ -144,9 +159,15 @@ class _Solver:
         """The frame (K,) of each sighting that has a landmark."""
         return self.sightings.frame[self.built.used]
 
+    def contradicts(self, other: _Solver) -> bool:
+        """Return whether the constants of another solution are not what this one allows [Hausman 1978]."""
+        apart = other.constants - self.constants
+        chi2 = apart @ np.linalg.solve(self.smoothed.constants_cov(), apart)
+        return bool(chi2 > _CONSTANTS_GATE)
+
     def follow(self, turn_sigma: Array) -> None:
         """Follow the edges by the poses as they are believed to be."""
-        self.track = follow(self.sightings, self.cameras, turn_sigma, self.parameters.tracks)
+        self.track = follow(self.sightings, self.cameras, turn_sigma, self.parameters.tracks, self.margin)
 
     def solve(self, of: Index, noise_rad: float, loose: float = 1.0, converged: float = CONVERGED) -> None:
         """Smooth, when `of` (S,) says which landmark each sighting is of; bearings taken to be `loose` times as bad."""
@@ -166,11 +187,32 @@ class _Solver:
             return None
         return numbered(np.where(self.built.of >= 0, number[self.built.of], -1))
 
+    def close_all_loops(self) -> None:
+        """Close large loops, then small ones, and associate all edges again, until nothing changes."""
+        for _ in range(_RECOGNITION_ROUNDS):
+            of = self.joined(recognised(self.smoothed.points, self.built, self.frames_used))
+            if of is None:
+                break
+            # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
+            for loose in _LOOSE:
+                self.solve(of, _POSE_BEARING_RAD, loose, converged=_ROUGHLY)
+            self.open_wrong_loops()
+        self.close_loops(_LOOP_ROUNDS)
+        for _ in range(_ASSOCIATION_ROUNDS):
+            previous = self.built.of
+            self.follow(np.full(self.sightings.frames, _TRUE_TURN_RAD))
+            sigma = np.hypot(self.sigma, _POSE_BEARING_RAD)
+            of = reassociate(self.sightings, self.built, self.cameras, sigma, self.parameters, self.margin)
+            self.solve(with_leftovers(of, self.track), _POSE_BEARING_RAD)
+            self.close_loops(_LAST_LOOP_ROUNDS)
+            if same_groups(self.built.of, previous):
+                break
+
     def close_loops(self, rounds: int) -> None:
         """Join landmarks that are one, and solve again, until no more are."""
         for _ in range(rounds):
-            points, difference_cov, before = self.smoothed.points, self.smoothed.difference_cov, self.built.of
-            of = self.joined(same_landmarks(points, difference_cov, self.built, self.frames_used))
+            before = self.built.of
+            of = self.joined(same_landmarks(self.smoothed, self.built, self.frames_used))
             if of is None:
                 break
             self.solve(of, _POSE_BEARING_RAD)
@@ -231,8 +273,8 @@ class _Solver:
         mean[0], sigma[0] = np.expm1(present - scale.log), scale.sigma
         return Prior(mean, sigma)
 
-    def in_map(self, before: Array, first_pose: Array) -> Slam:
-        """Return the result moved so that the first pose is as given (3,)."""
+    def in_map(self, before: Array, first_pose: Array, left_out: str | None) -> Slam:
+        """Return the result moved so that the first pose is as given (3,); the rest is as in `Slam`."""
         cos, sin = np.cos(first_pose[2]), np.sin(first_pose[2])
         turn = np.array([[cos, sin], [-sin, cos]])
         cov = turn @ self.smoothed.landmark_cov() @ turn.T
@@ -246,5 +288,12 @@ class _Solver:
             chi2=(self.smoothed.residual / self.sigma[self.built.used]) ** 2,
         )
         return Slam(
-            poses, compose(first_pose, before), self.constants, self.camera, replace(moved, fit=fit), self.sigma
+            poses,
+            compose(first_pose, before),
+            self.constants,
+            self.camera,
+            replace(moved, fit=fit),
+            self.sigma,
+            self.margin > 0,
+            left_out,
         )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from localiser.geometry import Array, compose
-from localiser.mapping.factors import Problem, State, Wheels, cost_of, landmark_columns, linearise
+from localiser.mapping.factors import CONSTANTS, Problem, State, Wheels, cost_of, landmark_columns, linearise
 from localiser.mapping.sightings import Index
 from localiser.mapping.sparse import Factor
 
@@ -45,6 +45,19 @@ class Smoothed:
     def difference_cov(self, one: Index, other: Index) -> Array:
         """Return the covariance (P, 2, 2) m² of the differences of pairs of landmarks."""
         return self.factor.projected(self._columns(one) - self._columns(other))
+
+    def joint_difference_cov(self, one: Index, other: Index) -> Array:
+        """Return the covariance (2 P, 2 P) m² of the differences of P pairs of landmarks, all with each other."""
+        return self.factor.joint(self._columns(one) - self._columns(other))
+
+    def constants_cov(self) -> Array:
+        """Return the covariance (4, 4) of the constants."""
+        from scipy.sparse import csc_array
+
+        count = len(CONSTANTS)
+        row = 3 * (len(self.poses) - 1) + np.arange(count)
+        size = int(landmark_columns(len(self.poses), np.array([len(self.points)]))[0, 0])
+        return self.factor.joint(csc_array((np.ones(count), (row, np.arange(count))), shape=(size, count)))
 
     def _columns(self, landmark: Index) -> Any:
         """Return the sparse columns (V, 2 P) that pick x and z of landmarks (P,) out of the variables."""

@@ -110,3 +110,12 @@ class Factor:
             solved = np.array([self.solve(row) for row in dense]).reshape(-1, 2, size)
             result[begin // 2 : begin // 2 + len(solved)] = dense.reshape(-1, 2, size) @ solved.transpose(0, 2, 1)
         return result
+
+    def joint(self, columns: Any) -> Array:
+        """Return XᵀA⁻¹X (C, C) of all columns X, sparse (V, C), with each other."""
+        result = np.zeros((columns.shape[1], columns.shape[1]))
+        for begin in range(0, columns.shape[1], _AT_ONCE):
+            dense = columns[:, begin : begin + _AT_ONCE].T.toarray()
+            solved = np.array([self.solve(row) for row in dense]).reshape(-1, columns.shape[0])
+            result[:, begin : begin + len(solved)] = columns.T @ solved.T
+        return result

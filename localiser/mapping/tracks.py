@@ -38,11 +38,14 @@ class _Tracks:
         return _Tracks(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in self.__slots__))
 
 
-def follow(sightings: Sightings, cameras: Array, pose_sigma_rad: Array, parameters: TrackParameters) -> Index:
+def follow(
+    sightings: Sightings, cameras: Array, pose_sigma_rad: Array, parameters: TrackParameters, margin: float = 0.0
+) -> Index:
     """Return the track (S,) of each sighting, numbered from 0 in the order of their first sightings.
 
     cameras: (T, 3) floor poses of the camera; only their relation over a few frames matters. pose_sigma_rad: (T,)
     error of the turn since the frame before, as far as it is known.
+    margin: see `assign`; an edge that is no clear match of one track begins another.
     """
     track, count, none = np.full(len(sightings), -1, dtype=np.int64), 0, np.zeros(0, dtype=np.int64)
     alive = _Tracks.begun(none, np.zeros(3), *first_state(np.zeros(0), np.zeros(0), 1.0), none)
@@ -56,7 +59,7 @@ def follow(sightings: Sightings, cameras: Array, pose_sigma_rad: Array, paramete
             own = np.einsum("ki,kij,kj->k", jacobian, alive.cov, jacobian)
             side, polarity = sightings.side, sightings.polarity
             looks = looks_alike(side[alive.last, None], polarity[alive.last, None], side[seen], polarity[seen])
-            row, column = assign(association_scores(expected, own, heading, sigma, looks, parameters))
+            row, column = assign(association_scores(expected, own, heading, sigma, looks, parameters), margin)
         innovation = wrap_angle(heading[column] - expected[row])
         alive.state[row], alive.cov[row] = updated(
             alive.state[row], alive.cov[row], innovation, jacobian[row], sigma[column]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -157,18 +157,29 @@ def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> 
     joint = 0.005**2 * np.eye(16)
     common = np.kron(np.ones((4, 4)), 0.15**2 * np.eye(2))
     joint[8:, 8:] += common
-    blocks = joint.reshape(8, 2, 8, 2).transpose(0, 2, 1, 3)
+    drifted = JointPlaces(built.fit.points, joint)
+    assert same_landmarks(drifted, built, sightings.frame).tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+    certain = JointPlaces(built.fit.points, 2.5e-5 * np.eye(16))
+    assert same_landmarks(certain, built, sightings.frame).tolist() == list(range(8))
 
-    def difference_cov(one: Index, other: Index) -> Array:
-        cross = blocks[one, other]
-        return np.asarray(blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1))
 
-    joined = same_landmarks(built.fit.points, difference_cov, built, sightings.frame)
-    assert joined.tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
-    certain = same_landmarks(
-        built.fit.points, lambda one, _: np.tile(5e-5 * np.eye(2), (len(one), 1, 1)), built, sightings.frame
-    )
-    assert certain.tolist() == list(range(8))
+@dataclass(frozen=True)
+class JointPlaces:
+    """Landmarks (L, 2) and the covariance (2 L, 2 L) of all of them."""
+
+    points: Array
+    cov: Array
+
+    def joint_difference_cov(self, one: Index, other: Index) -> Array:
+        pick = np.zeros((len(one), len(self.points)))
+        pick[np.arange(len(one)), one] += 1
+        pick[np.arange(len(one)), other] -= 1
+        whole = np.kron(pick, np.eye(2))
+        return np.asarray(whole @ self.cov @ whole.T)
+
+    def difference_cov(self, one: Index, other: Index) -> Array:
+        joint = self.joint_difference_cov(one, other).reshape(len(one), 2, len(one), 2)
+        return np.asarray(joint[np.arange(len(one)), :, np.arange(len(one))])
 
 
 # -- whole drives -----------------------------------------------------------------------------------------------------
