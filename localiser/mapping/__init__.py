@@ -16,6 +16,7 @@ from localiser.mapping.check import (
     log_fit,
 )
 from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
+from localiser.mapping.deduplicate import deduplicated
 from localiser.mapping.edit import added, moved, removed
 from localiser.mapping.factors import Prior, Wheels
 from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses

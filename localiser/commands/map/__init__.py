@@ -5,6 +5,7 @@ import typer
 from localiser.commands.map.align import align
 from localiser.commands.map.build import EXAMPLES, build
 from localiser.commands.map.check import check
+from localiser.commands.map.deduplicate import deduplicate
 from localiser.commands.map.draw import draw
 from localiser.commands.map.edit import add, move, remove
 from localiser.commands.map.export import export
@@ -24,6 +25,7 @@ for _command, _example in (
     (check, "check maps/corridor.yaml --log logs/corridor -o coverage.png"),
     (add, "add mine.yaml --at 1.2,-3.4 --bottom 0 --top 2.05 -o better.yaml"),
     (remove, "remove mine.yaml 12 13 -o better.yaml"),
+    (deduplicate, "deduplicate mine.yaml -o better.yaml"),
     (move, "move mine.yaml 12 --to 1.2,-3.4 -o better.yaml"),
     (export, "export mine.yaml --csv mine.csv"),
     (align, "align plan.yaml mine.yaml -o mine_in_plan.yaml"),
