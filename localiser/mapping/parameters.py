@@ -28,4 +28,7 @@ class MappingParameters:
     plumb_sigma_m: Annotated[
         float, Field(ge=0, description="how far apart two sightings of one edge may stand, beside noise (m)")
     ] = 0.003
+    place_sigma_m: Annotated[
+        float, Field(ge=0, description="error of a landmark's place that more images do not average out (m)")
+    ] = 0.006
     tracks: TrackParameters = field(default_factory=TrackParameters)

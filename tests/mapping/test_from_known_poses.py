@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from localiser import mapping
 from localiser.camera import Camera, Mount
+from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
@@ -19,9 +22,10 @@ from localiser.mapping.association import assign, looks_alike
 from localiser.mapping.sightings import direction_of, parallax, per_point
 from localiser.mapping.triangulate import triangulate
 from localiser.simulate import EdgeNoise, simulated_edges
+from localiser.storage import open_log
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9))
-PARAMETERS = MappingParameters()
+PARAMETERS = MappingParameters(place_sigma_m=0.0)  # simulated edges err by noise alone
 
 
 def built_from(edges: list[Edges], camera: Camera, poses: Array) -> tuple[Sightings, Built, LandmarkMap]:
@@ -182,6 +186,20 @@ def test_known_poses_give_an_accurate_complete_honest_map(name: str, seed: int) 
     nees = np.einsum("li,lij,lj->l", offset, np.linalg.inv(made.cov), offset)
     # Against the median of chi-squared with two degrees of freedom: some stand where two edges were taken for one.
     assert 0.8 <= np.sqrt(np.median(nees) / (2 * np.log(2))) <= 1.3
+
+
+@pytest.mark.slow
+def test_places_from_rendered_images_err_as_their_covariances_say() -> None:
+    log = open_log(Path(__file__).parents[2] / "logs" / "corridor")
+    assert log.landmark_map is not None
+    made = mapping.build_map(
+        log, "truth", read_config(None, [], log.settings), cache=mapping.cache_folder()
+    ).landmark_map
+    apart = np.linalg.norm(made.points[:, None] - log.landmark_map.points[None], axis=-1)
+    known = apart.min(axis=1) < 0.05  # others are of textures, which the true map lacks
+    offset = (made.points - log.landmark_map.points[apart.argmin(axis=1)])[known]
+    nees = np.einsum("li,lij,lj->l", offset, np.linalg.inv(made.cov[known]), offset)
+    assert 1.0 <= nees.mean() <= 4.0
 
 
 def test_heavy_clutter_makes_few_landmarks() -> None:
