@@ -15,8 +15,10 @@ import typer
 from localiser.commands.options import (
     ConfigFile,
     Connect,
+    Dds,
     Distro,
     Domain,
+    Interface,
     Listen,
     Names,
     Namespace,
@@ -144,6 +146,8 @@ def live(
     namespace: Namespace = "",
     names: Names = "rmw_zenoh",
     distro: Distro = None,
+    dds: Dds = None,
+    interface: Interface = "lo",
     zenoh_config: ZenohConfig = None,
     seconds: Seconds = None,
     config: ConfigFile = None,
@@ -168,7 +172,7 @@ def live(
         topics_by_role(topics),
         names_by_kind(publish, "--publish"),
         names_by_kind(services, "--service"),
-        network_of(connect, listen, zenoh_config, domain, namespace, names, distro),
+        network_of(connect, listen, zenoh_config, domain, namespace, names, distro, dds, interface),
         camera,
         image,
         stated_start(start) if start else None,
@@ -196,12 +200,13 @@ def demo(
     record: Record = None,
     json: Json = False,
     view: LiveView = "none",
+    dds: Dds = None,
     seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     seed: Seed = None,
 ) -> None:
-    """Show the live mode with no robot: a stand-in sends a log over zenoh, as if it were driving now."""
+    """Show the live mode with no robot: a stand-in sends a log over zenoh or DDS, as if it were driving now."""
     from tempfile import TemporaryDirectory
 
     from localiser.commands.example import LOG, example_folder
@@ -216,19 +221,20 @@ def demo(
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")
     endpoint = _free_endpoint()
+    reached = ["--dds", str(dds)] if dds is not None else ["--listen", endpoint]
     with TemporaryDirectory() as folder:
         map_file = Path(folder) / "map.yaml"
         write_map(driven.landmark_map, map_file)
         options = LiveOptions(
             map_file,
             read_config(config, with_options(overrides, seed=seed), driven.settings),
-            network=network_of([endpoint]),
+            network=network_of([endpoint], dds=dds),
             start=_start_of(driven),
             record=record,
             json=sys.stdout.fileno() if json else None,
             view=view,
         )
-        with _stand_in(log, endpoint):
+        with _stand_in(log, reached):
             _run(options, seconds)
 
 
@@ -245,9 +251,9 @@ def _start_of(log: Log) -> Start:
 
 
 @contextmanager
-def _stand_in(log: Path, endpoint: str) -> Iterator[None]:
+def _stand_in(log: Path, reached: list[str]) -> Iterator[None]:
     """Run the robot's stand-in as a process of its own."""
-    command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", "--listen", endpoint, "--quiet"]
+    command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", *reached, "--quiet"]
     command += ["--odometry-hz", "100", "--wait"]
     robot = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     try:

@@ -68,6 +68,13 @@ Distro = Annotated[
     str | None,
     typer.Option("--ros-distro", metavar="NAME", help="Of ROS 2; by default ROS_DISTRO. Only humble differs."),
 ]
+Dds = Annotated[
+    int | None,
+    typer.Option("--dds", metavar="DOMAIN", help="Take part in a domain of DDS, in place of zenoh; needs cyclonedds."),
+]
+Interface = Annotated[
+    str, typer.Option("--interface", metavar="NAME", help="Network interface for DDS; by default this machine alone.")
+]
 LONGEST_WAIT_S = 60.0
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
@@ -92,12 +99,14 @@ def network_of(
     namespace: str = "",
     names: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh",
     distro: str | None = None,
+    dds: int | None = None,
+    interface: str = "lo",
 ) -> NetworkOptions:
     """Return how to take part in the network; where nothing says where it is, a router on this machine is meant."""
     from localiser.live import ENDPOINT, NetworkOptions
 
     at = connect or ([] if listen or zenoh_config else [ENDPOINT])
-    return NetworkOptions(at, listen or [], zenoh_config, domain, namespace, names, distro)
+    return NetworkOptions(at, listen or [], zenoh_config, domain, namespace, names, distro, dds, interface)
 
 
 def with_options(overrides: list[str] | None, **options: object) -> list[str]:

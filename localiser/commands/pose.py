@@ -6,7 +6,17 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.options import Connect, Distro, Domain, Names, Namespace, ZenohConfig, network_of
+from localiser.commands.options import (
+    Connect,
+    Dds,
+    Distro,
+    Domain,
+    Interface,
+    Names,
+    Namespace,
+    ZenohConfig,
+    network_of,
+)
 
 pose_app = typer.Typer(no_args_is_help=True, help="Tell a live run where the robot is.")
 
@@ -25,12 +35,14 @@ def pose_set(
     namespace: Namespace = "",
     names: Names = "rmw_zenoh",
     distro: Distro = None,
+    dds: Dds = None,
+    interface: Interface = "lo",
     zenoh_config: ZenohConfig = None,
 ) -> None:
     """Publish where the robot is, as a PoseWithCovarianceStamped; put a value that begins with a minus after `--`."""
     from localiser.live import send_pose
 
-    network = network_of(connect, None, zenoh_config, domain, namespace, names, distro)
+    network = network_of(connect, None, zenoh_config, domain, namespace, names, distro, dds, interface)
     name = topic or f"{network.prefix}/initialpose"
     send_pose(pose, sigma, network, name)
     typer.echo(f"sent to {name}", err=True)

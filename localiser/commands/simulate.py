@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import Connect, Distro, Domain, Names, Namespace, Quiet, network_of, progress
+from localiser.commands.options import (
+    Connect,
+    Dds,
+    Distro,
+    Domain,
+    Interface,
+    Names,
+    Namespace,
+    Quiet,
+    network_of,
+    progress,
+)
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,6 +53,8 @@ def simulate(
     namespace: Namespace = "",
     names: Names = "rmw_zenoh",
     distro: Distro = None,
+    dds: Dds = None,
+    interface: Interface = "lo",
     odometry_hz: Annotated[
         float | None,
         typer.Option(min=1, max=1000, help="Rate of the odometry that is sent; by default as the log has it."),
@@ -54,7 +67,7 @@ def simulate(
         from localiser.live import ENDPOINT
 
         at = [listen] if listen else [] if connect else [ENDPOINT]
-        network = network_of(connect, at, None, domain, namespace, names, distro)
+        network = network_of(connect, at, None, domain, namespace, names, distro, dds, interface)
         _serve(world, seed, network, odometry_hz, wait=wait, quiet=quiet)
         return
     if out is None:
@@ -115,6 +128,7 @@ def _serve(
         with closing(open_transport(network, "robot")) as transport:
             if not quiet:
                 where = ", ".join([*network.connect, *network.listen])
+                where = where if network.dds is None else f"domain {network.dds} of DDS"
                 typer.echo(
                     f"{log.name}: {log.duration_s:.0f} s there and as long back, at {where}, until Ctrl-C", err=True
                 )

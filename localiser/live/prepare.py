@@ -28,7 +28,7 @@ from localiser.live.run import LiveRun
 from localiser.live.simulated_time import SimulatedTime
 from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
-from localiser.live.transports import NetworkOptions, Take, Transport, open_transport
+from localiser.live.transports import NetworkOptions, ReportsProblems, Take, Transport, open_transport
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import Frames, outputs_named
@@ -101,6 +101,8 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         if recording is not None:
             stack.callback(recording.close)
         transport = stack.enter_context(closing(open_transport(options.network)))
+        if isinstance(transport, ReportsProblems):
+            transport.report_to(lambda text: monitor.warn("network", text))
         publish: list[Callable[[Published], None]] = []
         if options.json is not None:
             lines = JsonLines(options.json)

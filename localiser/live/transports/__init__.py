@@ -1,8 +1,18 @@
-"""Networks of robots: one protocol, and zenoh behind it, under the names of rmw_zenoh or of a bridge."""
+"""Networks of robots: one protocol; behind it zenoh, under the names of rmw_zenoh or of a bridge, or DDS."""
 
 from localiser.live.transports.bridge_names import BridgeNames
+from localiser.live.transports.dds_transport import LOOPBACK, DdsTransport
 from localiser.live.transports.link import ENDPOINT, ZenohLink
 from localiser.live.transports.opening import NameScheme, NetworkOptions, open_transport
 from localiser.live.transports.rmw_names import RmwNames
-from localiser.live.transports.transport import HearsAll, Reply, ServesRequests, Service, Take, Topic, Transport
+from localiser.live.transports.transport import (
+    HearsAll,
+    Reply,
+    ReportsProblems,
+    ServesRequests,
+    Service,
+    Take,
+    Topic,
+    Transport,
+)
 from localiser.live.transports.zenoh_transport import ZenohTransport

@@ -11,8 +11,10 @@ from typing import Literal
 
 from localiser.errors import InputError
 from localiser.live.transports.bridge_names import BridgeNames
+from localiser.live.transports.dds_transport import LOOPBACK, DdsTransport
 from localiser.live.transports.link import ENDPOINT, ZenohLink
 from localiser.live.transports.rmw_names import RmwNames
+from localiser.live.transports.transport import Transport
 from localiser.live.transports.zenoh_transport import ZenohTransport
 
 MOST_DOMAIN = 232  # that ROS 2 allows
@@ -27,7 +29,8 @@ class NetworkOptions:
     connect: endpoints of routers; the first that can be reached is used. listen: where others may connect.
     config_file: a configuration of zenoh, as for TLS and passwords. domain: None for the environment's ROS_DOMAIN_ID,
     or 0. namespace: put before every topic that is not named by the user. names: rmw_zenoh's, or a bridge's. distro: of
-    ROS 2; None for the environment's ROS_DISTRO. Only Humble differs: its keys have no hashes.
+    ROS 2; None for the environment's ROS_DISTRO. Only Humble differs: its keys have no hashes. dds: a domain of DDS,
+    which then takes the place of zenoh. interface: of the network, for DDS.
     """
 
     connect: Sequence[str] = (ENDPOINT,)
@@ -37,6 +40,8 @@ class NetworkOptions:
     namespace: str = ""
     names: NameScheme = "rmw_zenoh"
     distro: str | None = None
+    dds: int | None = None
+    interface: str = LOOPBACK
 
     @property
     def prefix(self) -> str:
@@ -50,11 +55,13 @@ class NetworkOptions:
         return prefix
 
 
-def open_transport(options: NetworkOptions, node: str = "localiser", *, wait: bool = True) -> ZenohTransport:
+def open_transport(options: NetworkOptions, node: str = "localiser", *, wait: bool = True) -> Transport:
     """Join the network under the name of a node. wait: whether to wait for a router, in the background.
 
     Raises InputError.
     """
+    if options.dds is not None:
+        return DdsTransport(_checked_domain(str(options.dds), "--dds"), options.interface)
     hashes = (options.distro or os.environ.get("ROS_DISTRO", "")) != "humble"
     rmw = RmwNames(_domain(options.domain), options.prefix, node, hashes)
     link = ZenohLink(options.connect, options.listen, config_file=options.config_file, wait=wait)
@@ -62,8 +69,12 @@ def open_transport(options: NetworkOptions, node: str = "localiser", *, wait: bo
 
 
 def _domain(given: int | None) -> int:
-    text = str(given) if given is not None else os.environ.get("ROS_DOMAIN_ID", "") or "0"
+    if given is not None:
+        return _checked_domain(str(given), "--domain")
+    return _checked_domain(os.environ.get("ROS_DOMAIN_ID", "") or "0", "ROS_DOMAIN_ID")
+
+
+def _checked_domain(text: str, field: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) <= MOST_DOMAIN):
-        field = "--domain" if given is not None else "ROS_DOMAIN_ID"
         raise InputError(f"expected a domain from 0 to {MOST_DOMAIN}, found {text!r}", field=field)
     return int(text)

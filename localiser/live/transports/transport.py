@@ -65,6 +65,14 @@ class ServesRequests(Protocol):
 
 
 @runtime_checkable
+class ReportsProblems(Protocol):
+    """A transport that notices what keeps messages from passing."""
+
+    def report_to(self, report: Callable[[str], None]) -> None:
+        """Tell of what is wrong from now on, in any thread."""
+
+
+@runtime_checkable
 class HearsAll(Protocol):
     """A transport that can also listen to topics that are not known before."""
 

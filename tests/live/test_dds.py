@@ -1,0 +1,126 @@
+"""Over DDS, on the loopback interface: names, both directions, what is latched, and what does not fit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_processes import Program, program
+from short_log import CORRIDOR, Localiser
+
+from localiser.errors import InputError
+from localiser.live import NetworkOptions, open_transport
+from localiser.live.transports import Topic, Transport
+from localiser.live.transports.dds_transport import dds_name, dds_type
+from localiser.storage import open_log, read_track
+from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
+
+COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
+PATIENCE_S = 60.0
+NAMES, HEARS, LATE, MISMATCHED, DEMO = range(101, 106)  # domains, so that no test hears another
+
+
+def test_names_are_those_of_ros() -> None:
+    topic = Topic("/camera/image_raw", "sensor_msgs/msg/Image")
+    assert (dds_name(topic), dds_type(topic.msgtype)) == ("rt/camera/image_raw", "sensor_msgs::msg::dds_::Image_")
+
+
+@pytest.mark.parametrize("name", ["/", "/a b", "/a//b", "/ä", "/a*"])
+def test_a_name_that_ros_does_not_allow_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match="expected the name of a topic"):
+        dds_name(Topic(name, POSE))
+
+
+@contextmanager
+def joined(domain: int, **options: str) -> Iterator[Transport]:
+    pytest.importorskip("cyclonedds")
+    with closing(open_transport(NetworkOptions(dds=domain, **options))) as transport:
+        yield transport
+
+
+@contextmanager
+def counterpart(domain: int, what: str) -> Iterator[subprocess.Popen[str]]:
+    pipe = subprocess.PIPE
+    process = subprocess.Popen([sys.executable, COUNTERPART, str(domain), what], stdin=pipe, stdout=pipe, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def wait_for(happened: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_an_interface_that_is_not_there_is_told() -> None:
+    pytest.importorskip("cyclonedds")
+    with pytest.raises(InputError, match="network interface"):
+        open_transport(NetworkOptions(dds=NAMES, interface="nothing0"))
+    with pytest.raises(InputError, match=r"--dds: expected a domain from 0 to 232"):
+        open_transport(NetworkOptions(dds=233))
+
+
+def test_a_pose_is_heard_by_types_that_are_not_ours() -> None:
+    make, topic = Messages(), Topic("/localiser/pose", POSE)
+    content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.5]), np.diag([0.04, 0.05, 0.06])))
+    with joined(HEARS) as transport, counterpart(HEARS, "hear") as other:
+        wait_for(lambda: transport.is_heard(topic))
+        transport.publish(topic, content)
+        assert other.stdout is not None
+        header, position, variance = other.stdout.read().splitlines()
+        assert other.wait(PATIENCE_S) == 0
+    assert "sec=7, nanosec=9" in header and "frame_id='map'" in header
+    assert position.startswith("Point(x=1.0, y=-2.0") and float(variance) == 0.04
+
+
+def test_what_is_latched_reaches_those_who_come_late() -> None:
+    heard: list[tuple[bytes, bytes]] = []
+    topic = Topic("/initialpose", POSE, latched=True, depth=1)
+    with joined(LATE) as transport, counterpart(LATE, "latched") as other:
+        assert other.stdout is not None and other.stdout.readline() == "ready\n"
+        transport.subscribe(topic, lambda content, source: heard.append((content, source)))
+        wait_for(lambda: heard)
+    message = typestore(ros1=False).deserialize_cdr(heard[0][0], POSE)
+    assert stamp_of(message) == 12_000_000_034 and floor_pose(message)[:2] == (1.5, 2.0)
+    assert heard[0][1], "who sent it"
+
+
+def test_a_quality_of_service_that_does_not_fit_is_told() -> None:
+    told: list[str] = []
+    with joined(MISMATCHED) as transport, counterpart(MISMATCHED, "mismatched"):
+        transport.report_to(told.append)
+        transport.subscribe(Topic("/initialpose", POSE, latched=True), lambda content, source: None)
+        wait_for(lambda: told)
+    assert "/initialpose: a publisher has another quality of service" in told[0]
+    assert "durability" in told[0] or "reliability" in told[0]
+
+
+@pytest.mark.slow
+def test_a_demo_over_dds_is_identical_to_the_replay_of_its_recording(localiser: Localiser, tmp_path: Path) -> None:
+    pytest.importorskip("cyclonedds")
+    bag = tmp_path / "drive.db3"
+    settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
+    with program("live", "demo", CORRIDOR, "--dds", DEMO, "--json", "--record", bag, *settings) as live:
+        lines = live.poses(15)
+        lines += ended(live)
+    track = read_track(localiser.replay(bag, tmp_path / "results", few=False) / "trajectory.csv")
+    assert len(track.t_ns) == len(open_log(bag).frames) >= 15
+    assert track.t_ns.tolist() == [line["t_ns"] for line in lines]
+    poses = [[line["x"], line["z"], line["heading"]] for line in lines]
+    np.testing.assert_allclose(track.poses, poses, rtol=0, atol=1e-9)
+
+
+def ended(live: Program) -> list[dict]:
+    assert live.end() == 0, live.all_said()
+    live.all_said()
+    return live.rest()

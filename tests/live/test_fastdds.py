@@ -1,0 +1,91 @@
+"""Over DDS with Debian's Fast DDS, a counterpart that nobody here wrote: poses to it, images and odometry from it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from localiser.live import NetworkOptions, open_transport
+from localiser.live.transports import Topic
+from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, stated_size, typestore
+
+SOURCES = Path(__file__).resolve().parents[1] / "support" / "fastdds"
+HEARS, SENDS = 111, 112
+IMAGES, RATE_HZ = 60, 20.0
+PATIENCE_S = 120.0
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.debian,
+    pytest.mark.skipif(
+        not (shutil.which("fastddsgen") and shutil.which("g++")),
+        reason="needs Debian's fastddsgen, libfastrtps-dev and g++",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a program that speaks by Fast DDS, built from an IDL file and one source."""
+    pytest.importorskip("cyclonedds")
+    folder = tmp_path_factory.mktemp("fastdds")
+    for name in ("ros.idl", "peer.cpp"):
+        shutil.copy(SOURCES / name, folder)
+    sources = ["peer.cpp", "ros.cxx", "rosPubSubTypes.cxx"]
+    for command in (
+        ["fastddsgen", "-replace", "ros.idl"],
+        ["g++", "-std=c++17", "-O1", *sources, "-lfastrtps", "-lfastcdr", "-o", "peer"],
+    ):
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return folder / "peer"
+
+
+def wait_for(happened: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
+    make, topic = Messages(), Topic("/localiser/pose", POSE)
+    content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.05, 0.06])))
+    with (
+        closing(open_transport(NetworkOptions(dds=HEARS))) as transport,
+        subprocess.Popen([peer, str(HEARS), "hear"], stdout=subprocess.PIPE, text=True) as process,
+    ):
+        wait_for(lambda: transport.is_heard(topic))
+        transport.publish(topic, content)
+        out, _ = process.communicate(timeout=PATIENCE_S)
+    half = np.sqrt(0.5)  # of a heading of 0: a yaw of 90°
+    frame, *numbers = out.split()
+    assert frame == "map"
+    np.testing.assert_allclose([float(number) for number in numbers], [7, 9, 1.0, -2.0, half, half, 0.04], atol=1e-12)
+
+
+@pytest.mark.parametrize("reliable", [True, False])
+def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -> None:
+    """640×480×3 at 20 Hz: none lost where it is reliable, else at most 1 %."""
+    domain = SENDS + reliable
+    images: list[bytes] = []
+    wheels: list[bytes] = []
+    with closing(open_transport(NetworkOptions(dds=domain))) as transport:
+        image = Topic("/camera/image_raw", IMAGE, reliable=reliable, depth=5)
+        transport.subscribe(image, lambda content, source: images.append(content))
+        transport.subscribe(Topic("/odom", ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content))
+        how = "reliable" if reliable else "best"
+        subprocess.run([peer, str(domain), "send", how, str(IMAGES), str(RATE_HZ)], check=True, timeout=PATIENCE_S)
+        least = IMAGES if reliable else 0.99 * IMAGES
+        wait_for(lambda: len(images) >= least and len(wheels) >= least)
+    store = typestore(ros1=False)
+    first, last = (store.deserialize_cdr(content, IMAGE) for content in (images[0], images[-1]))
+    assert stated_size(first) == (640, 480) and (last.data == last.data[0]).all()
+    assert last.header.frame_id == "camera_optical_frame"
+    assert floor_pose(store.deserialize_cdr(wheels[-1], ODOMETRY))[0] == pytest.approx(0.01 * (IMAGES - 1))
