@@ -111,6 +111,10 @@ def replay(
         figures = run.run(advance if speed is None else paced(advance, times_ns, speed))
     if not quiet:
         _show_run(figures, run.folder.path, rrd)
+        if bag is not None:
+            from localiser.ros.layouts import FOLDER
+
+            typer.echo(f"Bag in {bag}; layouts for RViz and Foxglove in {FOLDER}.")
         for warning in figures["warnings"]:
             typer.secho(warning, fg="yellow", err=True)
     if run.viewer is not None:
