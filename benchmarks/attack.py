@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import shutil
 import statistics
@@ -55,7 +56,9 @@ def faults(results: dict[str, list[dict[str, Any]]]) -> list[str]:
     return [f"{len(cases)} × {what}: {', '.join(cases[:4])}" for what, cases in found.items()]
 
 
-def attack(names: list[str], first: int, cases: int, folder: Path, workers: int) -> dict[str, list[dict[str, Any]]]:
+def attack(
+    names: list[str], numbers: range, folder: Path, workers: int, minutes: float
+) -> dict[str, list[dict[str, Any]]]:
     """Run the cases of some targets, evenly mixed, and return how they ended, by target."""
     samples = made_samples(folder)
     results: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
@@ -68,9 +71,9 @@ def attack(names: list[str], first: int, cases: int, folder: Path, workers: int)
                 f"{time.monotonic() - begin:7.0f} s  {case[0]} {case[1]}: {end['end']} at {end.get('at')}", flush=True
             )
 
-    every = [(name, number) for number in range(first, first + cases) for name in names]
-    run_all(every, samples, folder, workers, lambda name: targets.TARGETS[name].limit_s, done)
-    return results
+    every = [(name, number) for number in numbers for name in names]
+    run_all(every, samples, folder, workers, lambda name: targets.TARGETS[name].limit_s, done, minutes)
+    return {name: ends for name, ends in results.items() if ends}
 
 
 def made_samples(folder: Path) -> Path:
@@ -106,6 +109,7 @@ def main() -> None:
     parser.add_argument("--targets", help="some of them, with commas between; * at the end stands for any rest")
     parser.add_argument("--cases", type=int, default=1000, help="cases of every target")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="no case begins later")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("results/attack"))
     parser.add_argument("--one", nargs=2, metavar=("TARGET", "CASE"))
@@ -122,7 +126,8 @@ def main() -> None:
     ]
     begin = time.monotonic()
     folder = arguments.out.resolve()
-    results = attack(names, arguments.first, arguments.cases, folder, arguments.workers)
+    numbers = range(arguments.first, arguments.first + arguments.cases)
+    results = attack(names, numbers, folder, arguments.workers, arguments.minutes)
     (folder / "results.json").write_text(json.dumps(results))
     print(f"\n{table(results)}\n\n{time.monotonic() - begin:.0f} s with {arguments.workers} workers")
     print("\n".join(faults(results)) or "no faults")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import select
@@ -140,8 +141,10 @@ def run_all(
     workers: int,
     limit_s: Callable[[str], float],
     done: Callable[[Case, dict[str, Any]], None],
+    minutes: float = math.inf,
 ) -> None:
-    """Run cases on some workers; `done` gets how each ended, on one thread at a time."""
+    """Run cases on some workers; `done` gets how each ended, on one thread at a time. minutes: none begins later."""
+    end = time.monotonic() + 60 * minutes
     queue: Queue[Case] = Queue()
     for case in cases:
         queue.put(case)
@@ -150,11 +153,11 @@ def run_all(
     def work(place: int) -> None:
         worker = Worker(samples, folder / f"worker{place}")
         try:
-            while True:
+            while time.monotonic() < end:
                 name, number = queue.get_nowait()
-                end = worker(name, number, limit_s(name), folder / "faults" / name / str(number))
+                found = worker(name, number, limit_s(name), folder / "faults" / name / str(number))
                 with lock:
-                    done((name, number), end)
+                    done((name, number), found)
         except Empty:
             pass
         finally:

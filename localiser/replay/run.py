@@ -233,12 +233,16 @@ def replay_log(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderRun:
-    """A replay whose results go into a folder of its own. report: whether its report is drawn."""
+    """A replay whose results go into a folder of its own. report: whether its report is drawn.
+
+    is_new: whether the folder was made for it; then a run that comes to nothing leaves none.
+    """
 
     replay: Replay
     folder: RunFolder
     sinks: Sequence[Sink]
     report: bool = True
+    is_new: bool = False
 
     @classmethod
     def open(cls, replay: Replay, outputs: Outputs, folder: RunFolder | None = None) -> FolderRun:
@@ -246,9 +250,10 @@ class FolderRun:
         log, landmark_map = replay.log, replay.localiser.landmark_map
         by_wheels = replay.localiser.config.increments.source == "wheel"
         bags = [ReplayBag(path, log, landmark_map, by_wheels=by_wheels) for path in (outputs.bag,) if path is not None]
+        is_new = folder is None
         folder = folder or RunFolder.create(outputs.results, log.name)
         context = Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-        return cls(replay, folder, [*sinks_of(outputs, folder.path, context), *bags], outputs.report)
+        return cls(replay, folder, [*sinks_of(outputs, folder.path, context), *bags], outputs.report, is_new)
 
     @property
     def viewer(self) -> LiveView | None:
@@ -288,7 +293,8 @@ class FolderRun:
     def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
         """Save what was done and return the error that says how much that is and where."""
         done, frames = len(self.replay.frames), len(self.replay.log.frames)
-        text = f"{reason}. The run ended after {done} of {frames} frames; what was done is in {self.folder.path}"
+        left = f"what was done is in {self.folder.path}" if done or not self.is_new else "nothing is left of it"
+        text = f"{reason}. The run ended after {done} of {frames} frames; {left}"
         try:
             if done:
                 self._write_results(complete=False)
@@ -297,6 +303,8 @@ class FolderRun:
         except OutputError as error:
             if str(error) != reason:
                 text += f", except {error}"
+        if not done and self.is_new:
+            self.folder.discard()
         return RunEndedEarlyError(text, exit_code)
 
     def _write_results(self, complete: bool) -> dict[str, Any]:

@@ -48,7 +48,7 @@ class MountFile(BaseModel):
     model_config = FileModel
 
     tilt_deg: Annotated[float, Field(gt=-90, lt=90)]
-    height_m: Annotated[float, Field(gt=0, le=100)]
+    height_m: Annotated[float, Field(ge=1e-3, le=100)]
     roll_deg: Degrees = 0.0
     right_m: Metres = 0.0
     back_m: Metres = 0.0

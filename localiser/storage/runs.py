@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from localiser.documents import draft_beside, output_errors, read_text, write_text
-from localiser.errors import InputError
+from localiser.errors import InputError, OutputError
 
 LATEST = "latest"
 
@@ -31,8 +33,7 @@ class RunFolder:
         logs = results / safe_name(log_name)
         with output_errors(logs):
             logs.mkdir(parents=True, exist_ok=True)
-            taken = [int(entry.name) for entry in logs.iterdir() if entry.name.isascii() and entry.name.isdigit()]
-            for number in count(max(taken, default=0) + 1):
+            for number in count(max(_numbers(logs), default=0) + 1):
                 try:
                     (logs / str(number)).mkdir()
                 except FileExistsError:
@@ -41,6 +42,17 @@ class RunFolder:
                 return cls(logs / str(number))
         raise AssertionError("numbers do not end")
 
+    def discard(self) -> None:
+        """Remove the folder of a run that came to nothing; `latest` is the newest of the others again."""
+        logs = self.path.parent
+        shutil.rmtree(self.path, ignore_errors=True)
+        with suppress(OSError, OutputError):  # whatever keeps it is not worth another error
+            if others := _numbers(logs):
+                _point_latest(logs, str(max(others)))
+            else:
+                (logs / LATEST).unlink(missing_ok=True)
+                logs.rmdir()
+
     def write_json(self, name: str, data: Mapping[str, Any]) -> None:
         """Write a JSON file; see `json_text`. Raises OutputError."""
         write_text(self.path / name, json_text(data))
@@ -48,6 +60,10 @@ class RunFolder:
     def write_text(self, name: str, content: str) -> None:
         """Write a text file. Raises OutputError."""
         write_text(self.path / name, content)
+
+
+def _numbers(logs: Path) -> list[int]:
+    return [int(entry.name) for entry in logs.iterdir() if entry.name.isascii() and entry.name.isdigit()]
 
 
 def safe_name(log_name: str) -> str:

@@ -380,8 +380,19 @@ def test_bad_first_frame_is_said_to_leave_nothing(localiser: Localiser, log: Pat
     bad.write_bytes(bad.read_bytes()[:-3000])
     result = localiser("replay", log, "--out", tmp_path / "out", "--quiet")
     assert result.exit_code == 2
-    assert f"after 0 of {FRAMES} frames" in result.err
-    assert rows_of(tmp_path / "out" / "corridor" / "1") == []
+    assert f"after 0 of {FRAMES} frames; nothing is left of it" in result.err
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_run_that_comes_to_nothing_leaves_the_latest_as_it_was(
+    localiser: Localiser, log: Path, tmp_path: Path
+) -> None:
+    first = localiser.replay(log, tmp_path / "out")
+    bad = log / image_rows(log)[0].split(",")[1]
+    bad.write_bytes(bad.read_bytes()[:-3000])
+    assert localiser("replay", log, "--out", tmp_path / "out", "--quiet").exit_code == 2
+    assert (tmp_path / "out" / "corridor" / "latest").resolve() == first
+    assert sorted(part.name for part in (tmp_path / "out" / "corridor").iterdir()) == ["1", "latest"]
 
 
 LIMITED = """

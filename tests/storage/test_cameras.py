@@ -72,7 +72,7 @@ def test_keys_that_ros_adds_for_stereo_are_accepted_where_they_change_nothing() 
         ({"mount": None}, "mount: expected keys and values, found nothing"),
         ({"mount": {"height_m": 1}}, "mount.tilt_deg: expected a value, found nothing"),
         ({"mount": {"tilt_deg": 90, "height_m": 1}}, "mount.tilt_deg: expected less than 90"),
-        ({"mount": {"tilt_deg": 9, "height_m": 0}}, "mount.height_m: expected greater than 0"),
+        ({"mount": {"tilt_deg": 9, "height_m": 0}}, "mount.height_m: expected greater than or equal to 0.001"),
         ({"distortion_model": "pinhole"}, "distortion_model: expected 'plumb_bob'"),
         ({"distortion_model": "equidistant"}, "expected 4 numbers for equidistant, found 5"),
         ({"distortion_coefficients": {"rows": 1, "cols": 3, "data": [0, 0, 0]}}, "expected 0 or 4 or 5 numbers"),

@@ -132,6 +132,8 @@ class Bag:
             return
         with bag_errors(self.path):
             for connection, t_ns, data in self._reader.messages(connections, start=from_ns):
+                if (connection.topic, connection.msgtype) not in wanted:
+                    raise ValueError("two topics share a number, so that their messages cannot be told apart")
                 with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
                     content = self._decode(self._unpack(data), connection.msgtype)
                 yield Message(connection.topic, connection.msgtype, int(t_ns), content)

@@ -19,6 +19,7 @@ FLOOR_FRAME = "base_footprint"  # REP-120: the robot's frame, let down to the fl
 _ROBOT_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 _OPTICAL_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 _LARGEST_M = 100.0
+LEAST_HEIGHT_M = 1e-3  # of a camera above the floor
 _LARGEST_POSITION_M = 1e9
 _LARGEST_START_M = 1e6  # from the map's origin, as in a log's start
 _LARGEST_SIGMA_M, _LARGEST_SIGMA_RAD = 1000.0, 2 * math.pi
@@ -108,7 +109,7 @@ def mount_of(tree: FrameTree, base: str, optical: str) -> Mount:
     axes = _ROBOT_FROM_BASE @ base_from_optical[:3, :3] @ _OPTICAL_FROM_CAMERA
     place = _ROBOT_FROM_BASE @ base_from_optical[:3, 3]
     height_m = tree.between(FLOOR_FRAME, optical)[2, 3] if FLOOR_FRAME in tree else place[1]
-    if not height_m > 0:
+    if not height_m >= LEAST_HEIGHT_M:
         raise ValueError(f"expected the camera {optical!r} above the floor, found it {height_m:.3f} m high")
     # axes = turn(yaw) @ tilt @ roll of `Camera`; its last column is where the camera's back points.
     tilt = math.atan2(axes[1, 2], math.hypot(axes[0, 2], axes[2, 2]))

@@ -155,3 +155,13 @@ def read(path: Path, record: object) -> object:
             recorder.odometry(step * 10**8)
             recorder.image(step * 10**8)
     return open_log(path)
+
+
+def test_a_camera_that_is_hardly_above_the_floor_is_refused() -> None:
+    """Its height would be rounded to nothing."""
+    mount = replace(CAMERA.mount, height_m=1e-12)
+    tree = FrameTree()
+    optical = base_from_optical(mount, CAMERA.level_from_camera)
+    tree._neighbours = {"base": {"optical": optical}, "optical": {"base": np.linalg.inv(optical)}}
+    with pytest.raises(ValueError, match="above the floor"):
+        mount_of(tree, "base", "optical")

@@ -1,0 +1,94 @@
+"""Inputs that once were faults are told now; the harness finds faults, and kills what takes too much."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import sys
+from pathlib import Path
+
+import attack_formats
+import attack_pool
+import attack_targets
+import attack_values
+import attack_worker
+import pytest
+from folders import ROOT
+from small_bag import Recorder, bag
+
+from localiser.errors import InputError
+
+KEPT = sorted((ROOT / "tests" / "attacks").glob("*/*/*"))
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
+
+
+@pytest.mark.parametrize("kept", KEPT, ids=lambda path: f"{path.parent.parent.name}-{path.parent.name}")
+def test_what_once_was_a_fault_is_told(kept: Path, tmp_path: Path) -> None:
+    attack_targets.use_samples(ROOT / "logs" / "corridor")
+    (shutil.copytree if kept.is_dir() else shutil.copy)(kept, tmp_path / kept.name)
+    (tmp_path / "out").mkdir()
+    target = attack_targets.TARGETS[kept.parent.parent.name]
+    end = attack_worker.attempt(target, tmp_path / kept.name, tmp_path / "out")
+    assert end["end"] in ("value", "refused"), end
+
+
+@pytest.mark.parametrize("suffix", sorted(attack_formats.FORMS))
+def test_a_case_is_the_same_each_time_and_differs_from_the_next(suffix: str) -> None:
+    data = b"a,b\n1,2\n3,4\n"
+    made = [attack_formats.mutated(data, suffix, random.Random(f"map {number}")) for number in range(20)]
+    assert made == [attack_formats.mutated(data, suffix, random.Random(f"map {number}")) for number in range(20)]
+    assert len(set(made)) > 5
+
+
+def test_numbers_keep_the_length_of_a_message() -> None:
+    rng = random.Random(0)
+    assert {len(attack_values.with_number(bytes(40), rng)) for _ in range(200)} == {40}
+
+
+def test_bags_are_changed_inside_and_still_opened(tmp_path: Path) -> None:
+    """Most changes of a bag get past its first check: they are told with the topic, or change what is read."""
+
+    def record(recorder: Recorder) -> None:
+        recorder.image(10**8)
+
+    path = next(bag(tmp_path / "bag", record).glob("*.mcap"))
+    data, opened = path.read_bytes(), 0
+    for number in range(40):
+        file = tmp_path / f"{number}.mcap"
+        file.write_bytes(attack_formats.mutated(data, ".mcap", random.Random(number)))
+        try:
+            attack_targets._all_of_log(file, tmp_path)
+            opened += 1
+        except InputError as error:
+            opened += " at " in str(error)
+    assert opened > 3
+
+
+def _broken(path: Path, out: Path) -> None:
+    raise IndexError("broken")
+
+
+def _drafted(path: Path, out: Path) -> None:
+    (out / ".localiser-0123.part").write_text("")
+
+
+def test_faults_are_told_by_their_kind(tmp_path: Path) -> None:
+    assert attack_worker.attempt(attack_targets.Target("x", _broken), tmp_path, tmp_path)["end"] == "IndexError"
+    assert attack_worker.attempt(attack_targets.Target("x", _drafted), tmp_path, tmp_path)["end"] == "draft"
+
+
+@LINUX
+def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "samples").mkdir()
+    (tmp_path / "samples" / "map.yaml").write_text("format: localiser-map/1\nlandmarks: [{id: 1, x: 1.0, z: 2.0}]\n")
+    worker = attack_pool.Worker(tmp_path / "samples", tmp_path / "worker")
+    try:
+        assert worker("map", 1, 60.0, tmp_path / "kept")["end"] in ("value", "refused")
+        monkeypatch.setattr(attack_pool, "MEMORY_MB", 1.0)
+        monkeypatch.setattr(attack_pool, "_LOOK_S", 0.0)
+        assert worker("map", 2, 60.0, tmp_path / "kept")["end"] == "memory"
+        assert (tmp_path / "kept" / "end.json").exists()
+        monkeypatch.undo()
+        assert worker("map", 3, 60.0, tmp_path / "kept")["end"] in ("value", "refused")
+    finally:
+        worker.close()
