@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 import re
 import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 from installed import Installed
+from short_log import CORRIDOR
+
+from localiser.storage import ImageEvent, open_log, write_camera
 
 pytestmark = pytest.mark.slow  # quick: tests/commands/test_example.py and test_distributions.py hold the parts
+
+
+AHEAD_S = 0.3
+"""By how much the wheels' clock is ahead of the video's."""
 
 
 @pytest.fixture(scope="module")
@@ -42,3 +52,52 @@ def test_the_first_quarter_of_an_hour(localiser: Installed, tmp_path: Path) -> N
     localiser("example", ".", cwd=tmp_path)
     tilt = localiser("camera", "tilt", "logs/corridor", cwd=tmp_path)
     assert re.search(r"20\.0", tilt)
+
+
+@pytest.mark.parametrize("source", ["corridor", pytest.param("house", marks=pytest.mark.data)])
+def test_a_video_of_ones_own(source: str, localiser: Installed, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """As the tutorials say: log, clocks, tilt, map, replay, report.
+
+    The video has half the images of the log; the odometry is `t,x,y,yaw` by a clock that is 0.3 s ahead.
+    """
+    folder = CORRIDOR if source == "corridor" else request.getfixturevalue("data_dir") / source
+    start_ns = film(folder, tmp_path)
+    given = ("--camera", "camera.yaml", "--odometry", "odometry.csv", "--start-ns", start_ns)
+    localiser("convert", "phone.mp4", "logs/phone", *given, cwd=tmp_path)
+
+    said = " ".join(localiser("camera", "sync", "logs/phone", "--write", cwd=tmp_path).split())
+    offset_s, sigma_s = map(float, re.findall(r"(\d+\.\d+) s", said)[:2])
+    assert abs(offset_s - AHEAD_S) < max(3 * sigma_s, 0.01) and "earlier than wheels" in said
+
+    localiser("camera", "tilt", "logs/phone", cwd=tmp_path)
+    built = ("--poses", "slam", "-o", "map.yaml", "--trajectory", "path.tum")
+    localiser("map", "build", "logs/phone", *built, cwd=tmp_path)
+    localiser("map", "show", "map.yaml", "-o", "map.png", cwd=tmp_path)
+    localiser("replay", "logs/phone", "--map", "map.yaml", cwd=tmp_path)
+    run = tmp_path / "results" / "phone" / "1"
+    assert (run / "report.html").stat().st_size > 100_000 and (tmp_path / "map.png").exists()
+    own = json.loads((run / "metrics.json").read_text())
+    assert own["confidence"]["sure"] > 0.8 and own["edges_matched"] > 0.3
+
+    judged = localiser("evaluate", "results/phone/1", "--truth", "path.tum", "--json", cwd=tmp_path)
+    (figures,) = json.loads(judged).values()
+    assert figures["position_rmse_m"] < 0.1
+
+
+def film(source: Path, folder: Path) -> int:
+    """Write a video of every second image of a log, its camera and its odometry; return the time of the first image."""
+    log = open_log(source)
+    frames = [frame for frame in log.frames[::2] if isinstance(frame, ImageEvent)]
+    rate_hz = 1e9 * (len(frames) - 1) / (frames[-1].t_ns - frames[0].t_ns)
+    size = (log.camera.width, log.camera.height)
+    video = cv2.VideoWriter(str(folder / "phone.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, size)
+    for frame in frames:
+        video.write(cv2.cvtColor(frame.load(), cv2.COLOR_GRAY2BGR))
+    video.release()
+    write_camera(log.camera, folder / "camera.yaml")
+    with (folder / "odometry.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["t", "x", "y", "yaw"])
+        for t_ns, (x, z, heading) in zip(log.odometry.t_ns, log.odometry.poses, strict=True):
+            rows.writerow([f"{t_ns / 1e9 + AHEAD_S:.9f}", f"{x:.9f}", f"{-z:.9f}", f"{heading + math.pi / 2:.9f}"])
+    return frames[0].t_ns
