@@ -46,14 +46,6 @@ def blocks_loop(
     return grey
 
 
-def median_size_loop(values: NDArray[np.float32], index: NDArray[np.int64]) -> float:
-    """Return the median size of the values at flat indices."""
-    flat, size = values.ravel(), np.empty(len(index), np.float32)
-    for k in range(len(index)):
-        size[k] = abs(flat[index[k]])
-    return float(np.median(size))
-
-
 def peaks_loop(
     smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:

@@ -23,7 +23,8 @@ def mount_loop(
     tukey: where weights end, and the share of a Gaussian's variance that they leave. iterations: with a factor of 1,
     and with one that is learnt. See `fit_mount`.
     """
-    mean, cov, factor = np.zeros(2), np.diag(prior_variance), 1.0
+    mean, factor = np.zeros(2), 1.0
+    cov = np.array([[prior_variance[0], 0.0], [0.0, prior_variance[1]]])
     for iteration in range(iterations[0] + iterations[1]):
         says = crooked = 0.0
         # Information matrix ((a, b), (b, d)) and vector (p, q).
@@ -51,6 +52,7 @@ def mount_loop(
 
 def same_edge_loop(
     bearing: Array,
+    order: NDArray[np.int64],
     per_mount: Array,
     mount_cov: Array,
     variance: Array,
@@ -62,12 +64,13 @@ def same_edge_loop(
 ) -> NDArray[np.int64]:
     """Return the edge (S,) of each segment, the most certain one gathering first: `same_edge`.
 
+    order: (S,) from the most certain segment to the least; sorting would take longer to compile than all of this.
     told_apart: (S, 2) least difference that can be told apart, and by scatter. extent: (S, 2) lowest and highest e.
     """
     count = len(bearing)
     edge = np.full(count, -1, np.int64)
     edges = 0
-    for first in np.argsort(variance, kind="mergesort"):
+    for first in order:
         if edge[first] >= 0:
             continue
         for other in range(count):

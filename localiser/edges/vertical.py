@@ -63,13 +63,15 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
     bearing = ideal.bearing_of_segments(segments.support_px)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
+    variance = (per_px * segments.across_sigma_px) ** 2
     return compiled(same_edge_loop)(
         bearing + per_mount @ mount.mean,
+        np.argsort(variance, kind="stable"),
         per_mount,
         mount.cov,
-        (per_px * segments.across_sigma_px) ** 2,
+        variance,
         np.stack([per_px * _RESOLVED_PX * np.sqrt(2.0), gate_sigma * per_px * segments.sigma_px], axis=-1),
-        ideal.upright_from_pixels(segments.ends_px)[..., 1],
+        np.ascontiguousarray(ideal.upright_from_pixels(segments.ends_px)[..., 1]),
         segments.polarity,
         gate_sigma,
         _BESIDE_SHARE,

@@ -122,15 +122,17 @@ def linearised(
     result, block = np.empty((10, count)), np.zeros((25, BLOCK))
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
-        for row in range(_GIVEN):
-            block[row, :size] = steps[row, first : first + size]
+        for row in range(_GIVEN):  # copied one by one: an assignment of slices takes two seconds more to compile
+            for m in range(size):
+                block[row, m] = steps[row, first + m]
         _place(block, offset)
         for k in range(len(targets)):
             target = (targets[k, 0], targets[k, 1], targets[k, 2], targets[k, 3], targets[k, 4])
             _add(block, target, sin_tilt, is_slope)
         _factor(block)
         for row in range(10):
-            result[row, first : first + size] = block[_A00 + row, :size]
+            for m in range(size):
+                result[row, first + m] = block[_A00 + row, m]
     return result
 
 

@@ -68,7 +68,7 @@ def checked(function: F) -> F:
 
 @cache
 def _compiled(function: Callable[..., Any], error_model: str) -> Any:
-    return _with_numba(function, is_kept=True, error_model=error_model)
+    return _with_numba(function, is_kept=True, error_model=error_model, nogil=True)
 
 
 def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> Any:

@@ -53,14 +53,32 @@ class Endpoints:
         return self.room >= _UNKNOWN
 
 
-@lru_cache(maxsize=16)  # the same edges are asked for several times in a frame
 def endpoints_of(edges: Edges, camera: Camera) -> Endpoints:
     """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
-    count = len(edges)
-    if not np.isfinite(edges.ends_px).all():  # measured by something that tells no ends
+    return _endpoints_of(_Same(edges.ends_px), camera)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Same:
+    """An array that equals itself alone: edges that differ in their clutter have the same ends."""
+
+    array: Array
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.array is self.array
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+
+@lru_cache(maxsize=16)  # the same ends are asked for several times in a frame
+def _endpoints_of(ends: _Same, camera: Camera) -> Endpoints:
+    ends_px = ends.array
+    count = len(ends_px)
+    if not np.isfinite(ends_px).all():  # measured by something that tells no ends
         e = np.tile([-_UNKNOWN, _UNKNOWN], (count, 1))
         return Endpoints(e, np.full(count, _UNKNOWN), np.full((count, 2), _UNKNOWN), np.zeros((count, 2)), 1.0)
-    e, cut = ends_lower_first(edges.ends_px, camera)
+    e, cut = ends_lower_first(ends_px, camera)
     _, _, e_low, e_high = camera.upright_bounds
     row = ROW_PX / camera.focal_px
     near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0

@@ -308,6 +308,14 @@ def _multiply(factor: Array, m: int, odds: Any, ratio: float) -> None:
 
 
 @inlined
+def _put_aside(factor: Array, m: int, log_factor: Array) -> None:
+    """Make row m 1, and add its logarithms to those put aside; an assignment of arrays takes 2 s more to compile."""
+    for k in range(LANES):
+        log_factor[m, k] += np.log(factor[m, k])
+        factor[m, k] = 1.0
+
+
+@inlined
 def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indices, result: Array) -> None:
     """Add the logarithms of finite values ≥ 1 to `result`, to the last digits. bits, mantissa_bits: the same memory."""
     for i in range(len(value)):
@@ -370,7 +378,7 @@ def log_products(
             lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
             _place(poses, order, n, size, lanes, offset, block)
             block[_SEEN] = 0.0
-            count = number = 0
+            count = number = np.int64(0)  # of one type from the first: each type of an argument is compiled for
             for k in item[start[c] : start[c + 1]]:
                 landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
                 hidden, leaning = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M), landmarks[k, 5]
@@ -381,7 +389,7 @@ def log_products(
                     if number > ROOM - BLOCK:
                         _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
                         count = _add_up(pairs, number, ends, slot, density, touched, count)
-                        filled = number = 0
+                        filled = number = np.int64(0)
                     number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
                 _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
             count = _add_up(pairs, number, ends, slot, density, touched, count)
@@ -395,8 +403,7 @@ def log_products(
                 density[touched[t]] = 0.0
                 _multiply(factor, m, odds, ratio)
                 if factor[m, rates - 1] > SAFE:
-                    log_factor[m] += np.log(factor[m])
-                    factor[m] = 1.0
+                    _put_aside(factor, m, log_factor)
             values = factor.ravel()
             _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
             for k in range(rates):

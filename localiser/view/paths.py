@@ -5,6 +5,7 @@ TIME = "time"
 
 WORLD = "world"
 LANDMARKS = f"{WORLD}/map/unseen"
+FAR = f"{WORLD}/map/far"
 VISIBLE = f"{WORLD}/map/visible"
 MATCHED = f"{WORLD}/map/matched"
 SIGHTS = f"{WORLD}/sights"

@@ -41,6 +41,12 @@ def new_stream(context: Context) -> rr.RecordingStream:
 SHOWN = 0.02
 """The weight from which on a place where the robot may be is drawn."""
 
+MOST_LANDMARKS = 3000
+"""Of a larger map only the landmarks within `NEAR_M` of the robot are drawn as lines, and points on the floor stand for
+the rest: tens of thousands of lines in every picture make a viewer slow."""
+
+NEAR_M = 30.0
+
 _TEXT_LEVELS = {"WARNING": rr.TextLogLevel.WARN}
 
 
@@ -52,6 +58,7 @@ class Recorder:
         self._context = context
         self._ends = context.landmark_ends
         self._number, self._t_ns = 0, 0
+        self._near: Array | None = None  # where the robot was when what is near was last drawn
         self._trails: dict[str, Array] = {}
         self._map_from_odometry: Array | None = None
         self._stages: tuple[str, ...] = ()
@@ -87,6 +94,7 @@ class Recorder:
 
     def _log_map(self, frame: LocatedFrame) -> None:
         landmark, pose = frame.matches.landmark, frame.located.estimate.pose
+        self._log_near(pose[:2])
         matched = np.unique(landmark[landmark >= 0])
         expected = frame.matches.visible.copy()
         expected[matched] = False
@@ -94,6 +102,16 @@ class Recorder:
         self._stream.log(paths.MATCHED, world.landmarks(self._ends[matched], palette.MATCHED, 3.0))
         points = self._context.landmark_map.points[matched]
         self._stream.log(paths.SIGHTS, world.sights(self._context.camera, pose, points))
+
+    def _log_near(self, position: Array) -> None:
+        """Draw the landmarks around the robot anew when it has gone some way on a large map."""
+        points = self._context.landmark_map.points
+        is_small = len(points) <= MOST_LANDMARKS
+        if is_small or (self._near is not None and np.hypot(*(position - self._near)) < NEAR_M / 3):
+            return
+        self._near = position.copy()
+        near = self._ends[np.hypot(*(points - position).T) <= NEAR_M]
+        self._stream.log(paths.LANDMARKS, world.landmarks(near, palette.UNSEEN, 1.2))
 
     def _log_poses(self, located: Located, truth: Array | None) -> None:
         estimate = located.estimate
@@ -180,7 +198,10 @@ class Recorder:
     def _log_static(self) -> None:
         log, context = self._stream.log, self._context
         log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-        log(paths.LANDMARKS, world.landmarks(self._ends, palette.UNSEEN, 1.2), static=True)
+        if len(self._ends) <= MOST_LANDMARKS:
+            log(paths.LANDMARKS, world.landmarks(self._ends, palette.UNSEEN, 1.2), static=True)
+        else:
+            log(paths.FAR, world.coarse(context.landmark_map.points, palette.UNSEEN), static=True)
         log(paths.CAMERA, world.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         if context.truth is not None:
             log(paths.TRUTH_PATH, world.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)

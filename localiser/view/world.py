@@ -14,6 +14,9 @@ from localiser.view import palette
 MOST_PARTICLES = 2000
 """More than this cannot be told apart on a screen, and would make up most of the recording."""
 
+MOST_POINTS = 5000
+"""Of a map too large to draw every landmark of it."""
+
 ARROW_M = 0.7
 FRUSTUM_M = 0.9
 CHI2_95_2D = 5.991
@@ -32,6 +35,16 @@ def at_height(points: Array, y_m: float) -> Array:
 def landmarks(ends: Array, colour: palette.Colour, width: float) -> rr.LineStrips3D:
     """Return landmarks with the given ends (L, 2, 3) as vertical lines, `width` in points on the screen."""
     return rr.LineStrips3D(ends.astype(np.float32), colors=colour, radii=rr.Radius.ui_points(width / 2))
+
+
+def coarse(points: Array, colour: palette.Colour) -> rr.Points3D:
+    """Return landmarks (L, 2) as at most `MOST_POINTS` points on the floor: one for each square that has any."""
+    square_m, squares = 1.0, points[:0]
+    while not len(squares) or len(squares) > MOST_POINTS:
+        squares = np.unique(np.floor(points / square_m), axis=0)
+        square_m *= 2.0
+    middles = (squares + 0.5) * (square_m / 2.0)
+    return rr.Points3D(at_height(middles, 0.0).astype(np.float32), colors=colour, radii=rr.Radius.ui_points(1.2))
 
 
 def sights(camera: Camera, pose: Array, points: Array) -> rr.LineStrips3D:

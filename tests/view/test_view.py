@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,8 @@ from localiser.observation import Matches
 from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
 from localiser.view import Context, LiveView, RrdFile, live, palette, paths
 from localiser.view.image import joins
-from localiser.view.world import CHI2_95_2D, MOST_PARTICLES, camera_pose, ellipse_points
+from localiser.view.recorder import NEAR_M
+from localiser.view.world import CHI2_95_2D, MOST_PARTICLES, MOST_POINTS, camera_pose, ellipse_points
 
 FRAMES, STEP_NS = 5, 200_000_000
 STAGE_MS = {"load": 1.0, "edges": 20.0, "filter": 10.0}
@@ -67,7 +69,7 @@ def shown(located: Located, image: Image | None, truth: Array | None, stage_ms: 
 
 def context(**changes: Any) -> Context:
     given = {"truth": truth(), "odometry": None} | changes
-    return Context("unit", CAMERA, MAP, **given)
+    return Context("unit", CAMERA, given.pop("landmark_map", MAP), **given)
 
 
 def truth() -> Trajectory:
@@ -214,6 +216,32 @@ def test_landmarks_are_matched_expected_or_neither(tmp_path: Path) -> None:
     expected = np.array(content[paths.VISIBLE]["LineStrips3D:strips"][0])
     np.testing.assert_allclose(expected, [[[0.8, 0.0, -2.8], [0.8, 1.6, -2.8]]], atol=1e-6)
     assert {len(lines) for lines in content[paths.SIGHTS]["LineStrips3D:strips"]} == {2}
+
+
+def test_of_a_large_map_what_is_near_is_drawn_and_the_rest_is_coarse(tmp_path: Path) -> None:
+    """And what is near is drawn anew only where the robot has gone some way."""
+    points = np.concatenate([MAP.points, np.random.default_rng(0).uniform(-400, 400, (20_000, 2))])
+    large = LandmarkMap.from_points(points)
+    sink = RrdFile(tmp_path / "run.rrd", context(landmark_map=large, truth=None, images=False))
+    for number in range(FRAMES):
+        located, _ = frame(number)
+        if number >= 3:
+            moved = located.estimate.mean + np.array([100.0, 0.0, 0.0])
+            located = replace(located, estimate=replace(located.estimate, mean=moved))
+        one = shown(located, None, None, STAGE_MS)
+        visible = np.concatenate([one.matches.visible, np.zeros(20_000, dtype=bool)])
+        sink.frame(replace(one, matches=replace(one.matches, visible=visible)))
+    sink.close(True)
+    content = read(tmp_path / "run.rrd")
+    (coarse,) = content[paths.FAR]["Points3D:positions"]
+    assert 1000 < len(coarse) <= MOST_POINTS
+    near = content[paths.LANDMARKS]["LineStrips3D:strips"]
+    assert len(near) == 2
+    for strips, x in zip(near, (0.0, 100.0), strict=True):
+        feet = np.array(strips)[:, 0, [0, 2]]
+        expected = (np.hypot(*(points - [x, 0.0]).T) < NEAR_M - 1.0).sum()
+        assert expected <= len(feet) < 2 * expected
+        assert np.hypot(*(feet - [x, 0.0]).T).max() < NEAR_M + 1.0
 
 
 def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Path) -> None:
