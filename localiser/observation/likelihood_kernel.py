@@ -378,7 +378,7 @@ def log_products(
             lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
             _place(poses, order, n, size, lanes, offset, block)
             block[_SEEN] = 0.0
-            count = number = np.int64(0)  # of one type from the first: each type of an argument is compiled for
+            count = number = int(np.int64(0))  # no constant to the compiler, which compiles for each apart
             for k in item[start[c] : start[c + 1]]:
                 landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
                 hidden, leaning = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M), landmarks[k, 5]
@@ -389,7 +389,7 @@ def log_products(
                     if number > ROOM - BLOCK:
                         _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
                         count = _add_up(pairs, number, ends, slot, density, touched, count)
-                        filled = number = np.int64(0)
+                        filled = number = int(np.int64(0))
                     number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
                 _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
             count = _add_up(pairs, number, ends, slot, density, touched, count)

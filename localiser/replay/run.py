@@ -20,10 +20,11 @@ from localiser.evaluate import Track, write_report
 from localiser.filter import Anywhere, LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
-from localiser.localiser import Localiser, check_settings
+from localiser.localiser import Localiser, MeasuredImage, check_settings
 from localiser.motion import MotionModel
 from localiser.observation import Observation
 from localiser.replay.about import described, identity_of
+from localiser.replay.ahead import in_order
 from localiser.replay.bag import ReplayBag
 from localiser.replay.figures import bound_of, landmark_use, run_metrics, track_of, truth_of
 from localiser.replay.sinks import Outputs, Sink, all_of, close_all, sinks_of, without_bulk
@@ -43,6 +44,10 @@ from localiser.storage import (
 from localiser.view import Context, LiveView
 
 STAGES = ("load", "edges", "filter", "sinks")
+
+
+def _is_image(event: object) -> bool:
+    return isinstance(event, ImageEvent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,9 @@ class Replay:
     def _steps(self) -> Iterator[list[LocatedFrame]]:
         localiser = self.localiser
         events = self.log.events(self.start, anywhere=self.start is None)
-        for event in islice(events, self._resumed(), None):
+        events = islice(events, self._resumed(), None)
+        threads = localiser.config.observation.threads
+        for event, measured in in_order(events, self._measured, _is_image, threads):
             match event:
                 case Start():
                     yield localiser.start(event.mean, event.cov, event.t_ns)
@@ -101,18 +108,27 @@ class Replay:
                     yield localiser.measurement(event.t_ns, event.measurement)
                 case Sighting():
                     yield localiser.edges(event.t_ns, event.edges)
-                case ImageEvent():
-                    yield self._image(event)
+                case ImageEvent() if measured is not None:
+                    yield self._image(event, measured())
         yield localiser.finish()
         if self.log.fault is not None:
             raise self.log.fault
 
-    def _image(self, event: ImageEvent) -> list[LocatedFrame]:
+    def _measured(self, event: ImageEvent) -> MeasuredImage:
         data = event.encoded()
         try:
-            return self.localiser.image(event.t_ns, data, event.mount, by_wheels=event.by_wheels)
+            return self.localiser.measure(data, event.mount)
         except InputError as error:
-            raise InputError(error.problem, path=self.log.path, field=event.name) from None
+            raise self._named(error, event) from None
+
+    def _image(self, event: ImageEvent, measured: MeasuredImage) -> list[LocatedFrame]:
+        try:
+            return self.localiser.edges(event.t_ns, measured, event.mount, by_wheels=event.by_wheels)
+        except InputError as error:
+            raise self._named(error, event) from None
+
+    def _named(self, error: InputError, event: ImageEvent) -> InputError:
+        return InputError(error.problem, path=self.log.path, field=event.name)
 
     def _completed(self, frame: LocatedFrame) -> LocatedFrame:
         """Return the frame with the truth; its odometry is what the run went by, which need not be the wheels alone."""
