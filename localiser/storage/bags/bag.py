@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
 TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"

@@ -5,13 +5,17 @@ A recording of a live run therefore has the camera that the run had, and nothing
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.errors import InputError
+from localiser.storage.bags.bag import stamp_of
 from localiser.storage.bags.cameras import camera_of, intrinsics_of
 from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
 from localiser.storage.bags.images import stated_size
+from localiser.storage.bags.inertial import Inertial
+from localiser.storage.bags.moving_frames import Link, MovingFrames, at_time, mount_at, moving_links
 
 _IN_RECTIFIED = "image_rect"  # what image_proc calls images with their lens distortion undone
 
@@ -34,7 +38,9 @@ class CameraFinder:
         self._source, self._at_once = source, at_once
         self._rectified = _IN_RECTIFIED in image_topic
         self._info: Any = None
-        self._tree = FrameTree()
+        self._tree, self._moving = FrameTree(), MovingFrames()
+        self._inertial = Inertial()
+        self._first_ns: int | None = None
         self._optical = self._base = ""
 
     def take_info(self, info: Any) -> None:
@@ -53,6 +59,14 @@ class CameraFinder:
         self._tree.add_all(message.transforms)
         self._look()
 
+    def take_moving(self, message: Any, offset_ns: int = 0) -> None:
+        """Take a TFMessage of transforms that change; offset_ns: what is added to their stamps."""
+        self._moving.add_all(message.transforms, offset_ns)
+
+    def take_inertial(self, message: Any, offset_ns: int = 0) -> None:
+        """Take an Imu; offset_ns: what is added to its stamp. Raises ValueError."""
+        self._inertial.take(message, stamp_of(message) + offset_ns)
+
     def take_image(self, image: Any) -> None:
         """Take an image. Raises ValueError when it has no size, or another than the camera.
 
@@ -61,7 +75,7 @@ class CameraFinder:
         """
         size = stated_size(image)
         if not self._optical:
-            self._optical = plain_frame(image.header.frame_id)
+            self._optical, self._first_ns = plain_frame(image.header.frame_id), stamp_of(image)
             self._look()
         if self._at_once:
             self.size = None if self.camera is None else (self.camera.width, self.camera.height)
@@ -82,8 +96,32 @@ class CameraFinder:
         """Return the camera by everything until now. Raises InputError; ValueError where something is missing."""
         if self._info is None:
             raise ValueError("expected a topic of sensor_msgs/CameraInfo, found none")
-        mount = mount_of(self._tree, self._base, self._optical)
+        mount = self._mount_at(self._first_ns or 0, self._moving_links())
         return camera_of(self._info, mount, rectified=self._rectified, name="", source=self._source)
+
+    def mounts(self, times_ns: Sequence[int]) -> list[Mount | None]:
+        """Return the mount of the camera at each time, None where it does not move. Raises ValueError."""
+        links = self._moving_links()
+        mounts = [self._mount_at(t_ns, links) if links else None for t_ns in times_ns]
+        if not len(self._inertial):
+            return mounts
+        usual = self.made().mount
+        return [self._levelled(mount or usual, t_ns) for mount, t_ns in zip(mounts, times_ns, strict=True)]
+
+    def _levelled(self, mount: Mount, t_ns: int) -> Mount:
+        """Return the mount at a time with tilt and roll by the inertial sensor."""
+        frame, optical = self._inertial.frame, self._optical
+        links = [] if frame == optical else moving_links(self._tree, self._moving, frame, optical)
+        tree = at_time(self._tree, self._moving, links, t_ns)
+        return self._inertial.mount(mount, tree.between(optical, frame)[:3, :3], t_ns)
+
+    def _moving_links(self) -> list[Link]:
+        return moving_links(self._tree, self._moving, self._base, self._optical)
+
+    def _mount_at(self, t_ns: int, links: list[Link]) -> Mount:
+        if not links:
+            return mount_of(self._tree, self._base, self._optical)
+        return mount_at(self._tree, self._moving, links, self._base, self._optical, t_ns)
 
     def _look(self) -> None:
         if not self._at_once or self.camera is not None or self._info is None:

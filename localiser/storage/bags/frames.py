@@ -27,7 +27,7 @@ FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the tur
 
 
 class FrameTree:
-    """Fixed transforms between named frames. A transform is (4, 4) and takes points of a child to its parent."""
+    """Transforms between named frames at one time. A transform is (4, 4) and takes points of a child to its parent."""
 
     def __init__(self) -> None:
         """Start with no frame."""
@@ -42,12 +42,39 @@ class FrameTree:
             transform: Array = np.eye(4)
             transform[:3, :3] = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
             transform[:3, 3] = moved.x, moved.y, moved.z
-            if not (np.abs(transform[:3, 3]) <= _LARGEST_M).all():
-                raise ValueError(f"expected {child!r} within {_LARGEST_M:g} m of {parent!r}")
+            _require_near(parent, child, transform)
             found.append((parent, child, transform))
         for parent, child, transform in found:
-            self._neighbours.setdefault(parent, {})[child] = transform
-            self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform))
+            self.add(parent, child, transform)
+
+    def add(self, parent: str, child: str, transform: Array) -> None:
+        """Add a transform (4, 4). Raises ValueError when the child is too far away."""
+        _require_near(parent, child, transform)
+        self._neighbours.setdefault(parent, {})[child] = transform
+        self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform))
+
+    def link(self, parent: str, child: str) -> None:
+        """Add that a transform joins two frames, unless one is there."""
+        for one, other in ((parent, child), (child, parent)):
+            self._neighbours.setdefault(one, {}).setdefault(other, np.eye(4))
+
+    def copy(self) -> FrameTree:
+        """Return a tree with the same transforms."""
+        other = FrameTree()
+        other._neighbours = {frame: dict(beside) for frame, beside in self._neighbours.items()}
+        return other
+
+    def chain(self, target: str, source: str) -> list[tuple[str, str]] | None:
+        """Return the pairs of neighbours from one frame to another, by the fewest transforms; None where none lead."""
+        steps: dict[str, list[tuple[str, str]]] = {target: []}
+        waiting = [target]
+        while waiting and source not in steps:
+            frame = waiting.pop(0)
+            for neighbour in self._neighbours.get(frame, {}):
+                if neighbour not in steps:
+                    steps[neighbour] = [*steps[frame], (frame, neighbour)]
+                    waiting.append(neighbour)
+        return steps.get(source)
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._neighbours
@@ -66,6 +93,11 @@ class FrameTree:
             known = ", ".join(sorted(self._neighbours)) or "no frame at all"
             raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}")
         return reached[source]
+
+
+def _require_near(parent: str, child: str, transform: Array) -> None:
+    if not (np.abs(transform[:3, 3]) <= _LARGEST_M).all():
+        raise ValueError(f"expected {child!r} within {_LARGEST_M:g} m of {parent!r}")
 
 
 def plain_frame(name: str) -> str:

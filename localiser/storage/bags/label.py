@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
+from localiser.camera import Mount, MountSigma
 from localiser.documents import MAX_DOCUMENT_BYTES, Document, dump, parse
+from localiser.errors import InputError
 from localiser.storage.cameras import FileModel
 from localiser.storage.folder import StartFile, start_data
+from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log
 
 FORMAT: Literal["localiser-bag/1"] = "localiser-bag/1"
@@ -25,6 +29,7 @@ class Label(BaseModel):
     camera_name: Annotated[str, Field(max_length=200)] = ""
     start: StartFile | None = None
     motion: dict[str, Any] | None = None
+    mount_sigma: dict[Literal["yaw_rad", "height_m", "right_m", "back_m"], float] | None = None
     settings: dict[str, Any] | None = None  # everything that a live run was set to, by names such as `mcl.particles`
     topics: dict[str, str] | None = None  # what a live run listened to, by what it is for, such as `image`
 
@@ -43,7 +48,34 @@ def label_text(log: Log) -> str:
         data["start"] = start_data(log.start)
     if motion := motion_settings(log):
         data["motion"] = motion
+    if sigma := _mount_sigma(log):
+        data["mount_sigma"] = sigma
     return dump(data)
+
+
+def _mount_sigma(log: Log) -> dict[str, float]:
+    """Return the sigmas of the mount that no message of ROS can state. Raises InputError unless all images share them.
+
+    Those of tilt and roll stand beside the orientation of an inertial sensor.
+    """
+    found = {}
+    mounts = [frame.mount for frame in log.frames if isinstance(frame, ImageEvent)]
+    for name in ("yaw_rad", "height_m", "right_m", "back_m"):
+        stated: set[float | None] = {getattr(mount.sigma, name) if mount and mount.sigma else None for mount in mounts}
+        if len(stated) > 1:
+            problem = f"expected one sigma of the mount's {name} for all images, which is what a bag can hold"
+            raise InputError(f"{problem}, found {len(stated)}", path=log.path, field="images")
+        if (sigma := stated.pop() if stated else None) is not None:
+            found[name] = float(sigma)
+    return found
+
+
+def with_sigma(mounts: Sequence[Mount | None], label: Label) -> Sequence[Mount | None]:
+    """Return the mounts with the sigmas that the label states."""
+    sigmas: dict[str, Any] = {str(name): sigma for name, sigma in (label.mount_sigma or {}).items()}
+    if not sigmas:
+        return mounts
+    return [mount and replace(mount, sigma=replace(mount.sigma or MountSigma(), **sigmas)) for mount in mounts]
 
 
 def live_label_text(name: str, settings: Mapping[str, Any], topics: Mapping[str, str]) -> str:

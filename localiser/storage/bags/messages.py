@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from localiser.camera import Camera
+from localiser.camera import Camera, MountSigma
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, POSE, TEXT, TRANSFORMS, typestore
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, POSE, TEXT, TRANSFORMS, typestore
 from localiser.storage.bags.cameras import info_fields
 from localiser.storage.bags.frames import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
 from localiser.storage.images import suffix_of
@@ -74,6 +74,25 @@ class Messages:
         """Return the tf2_msgs/TFMessage that says where the camera sits on the robot."""
         transform = base_from_optical(camera.mount, camera.level_from_camera)
         return self._transform(t_ns, BASE, OPTICAL, transform[:3, 3], quaternion_from_rotation(transform[:3, :3]))
+
+    def inertial(self, t_ns: int, camera: Camera) -> Any:
+        """Return a sensor_msgs/Imu that says tilt and roll of the camera, with the sigmas of its mount.
+
+        Its orientation is of the camera's optical frame against east, north and up, for a camera that looks north.
+        """
+        up_from_level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+        turned = up_from_level @ camera.level_from_camera @ np.diag([1.0, -1.0, -1.0])
+        sigma = camera.mount.sigma or MountSigma()
+        about = (sigma.tilt_rad or 0.0, (sigma.roll_rad or 0.0) * math.cos(camera.mount.tilt_rad), math.pi)
+        unknown = np.array([-1.0, *np.zeros(8)])
+        return self.make(
+            IMU,
+            header=header(t_ns, OPTICAL),
+            orientation=_named("xyzw", quaternion_from_rotation(turned)),
+            orientation_covariance=np.diag(np.square(about)).ravel(),
+            angular_velocity_covariance=unknown,
+            linear_acceleration_covariance=unknown,
+        )
 
     def odometry(self, t_ns: int, frame: str, pose: Array) -> Any:
         """Return a nav_msgs/Odometry that says a pose (3,) and no covariance."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from localiser.camera import Mount
 from localiser.errors import InputError
 from localiser.storage.bags.bag import Bag, Message, Topic
 from localiser.storage.bags.images import image_file
@@ -39,8 +40,8 @@ class Playback:
         self._next = 0
         self._last: tuple[int, bytes] | None = None
 
-    def event(self, place: ImagePlace, *, by_wheels: bool = True) -> ImageEvent:
-        """Return the image as an event of a log; by_wheels: see there."""
+    def event(self, place: ImagePlace, *, by_wheels: bool = True, mount: Mount | None = None) -> ImageEvent:
+        """Return the image as an event of a log; by_wheels, mount: see there."""
         field = f"{self._topic.name} at {place.stamp_ns} ns"
 
         def file() -> bytes:
@@ -55,7 +56,8 @@ class Playback:
             return self._last[1]
 
         name = f"{self._topic.name}/{place.order:06d}"
-        return image_event(place.stamp_ns, name, file, self._size, path=self._path, field=field, by_wheels=by_wheels)
+        event = image_event(place.stamp_ns, name, file, self._size, path=self._path, field=field, by_wheels=by_wheels)
+        return event if mount is None else replace(event, mount=mount)
 
     def _fetch(self, place: ImagePlace) -> Message:
         if self._bag is None or place.order != self._next:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from base64 import b64decode
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.documents import Document, validate
 from localiser.errors import InputError
 from localiser.filter import Start
@@ -20,7 +20,7 @@ from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Messa
 from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.decisions import Decisions
 from localiser.storage.bags.frames import floor_pose
-from localiser.storage.bags.label import FORMAT, Label, document_of
+from localiser.storage.bags.label import FORMAT, Label, document_of, with_sigma
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
 from localiser.storage.cameras import camera_from_document, read_camera
@@ -28,6 +28,8 @@ from localiser.storage.folder import start_from_file
 from localiser.storage.images import check_size
 from localiser.storage.log import Log, ReadOptions, require_overlap
 from localiser.storage.maps import map_from_document
+
+Made = TypeVar("Made")
 
 
 class BagReader:
@@ -142,6 +144,10 @@ class _Content:
             self.finder.take_info(content)
         elif role == "transforms":
             self.finder.take_transforms(content)
+        elif role == "imu":
+            self.finder.take_inertial(content, offset_ns)
+        elif role == "moving transforms":
+            self.finder.take_moving(content, offset_ns)
         elif role == DECISIONS_TOPIC:
             self.decisions.take(content.data)
         elif role == STATE_TOPIC:
@@ -176,7 +182,11 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
     _distinct([place.stamp_ns for place in places], path, topic.name)
     odometry = content.odometry.trajectory(path)
     label = content.label or Label(format=FORMAT, name=path.resolve().stem)
-    camera = given or content.finder.camera or _camera(content)
+    mounts: Sequence[Mount | None] = [None] * len(places)
+    if given is None and content.finder.camera is None:
+        mounts = _made(content, lambda: content.finder.mounts([place.stamp_ns for place in places]))
+        mounts = with_sigma(mounts, label)
+    camera = given or content.finder.camera or _made(content, content.finder.made)
     camera = camera if given else replace(camera, name=camera.name or label.camera_name)
     first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
     starts = decisions.starts or [start_from_file(label.start, first_ns) if label.start else None]
@@ -188,7 +198,10 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
         path=path,
         camera=camera,
         odometry=odometry,
-        frames=[playback.event(place, by_wheels=place.order not in decisions.blind) for place in places],
+        frames=[
+            playback.event(place, by_wheels=place.order not in decisions.blind, mount=mount)
+            for place, mount in zip(places, mounts, strict=True)
+        ],
         landmark_map=content.landmark_map,
         start=starts[0] if isinstance(starts[0], Start) else None,
         restarts=[start for start in starts[1:] if start is not None],
@@ -199,10 +212,10 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
     return require_overlap(log)
 
 
-def _camera(content: _Content) -> Camera:
-    """Return the camera by camera_info and transforms. Raises InputError."""
+def _made(content: _Content, make: Callable[[], Made]) -> Made:
+    """Return what is made of camera_info and transforms. Raises InputError."""
     try:
-        return content.finder.made()
+        return make()
     except ValueError as error:
         problem = f"{error}; give camera and mount with --camera FILE"
         raise InputError(problem, path=content.path, field="camera") from None

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from localiser.documents import nearest
 from localiser.errors import InputError
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS, Topic
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, IMU, ODOMETRY, TEXT, TRANSFORMS, Topic
 
 LOG_TOPIC, MAP_TOPIC = "/localiser/log", "/localiser/map"
 CAMERA_TOPIC, DECISIONS_TOPIC = "/localiser/camera", "/localiser/decisions"
-STATE_TOPIC = "/localiser/state"
+STATE_TOPIC, IMU_TOPIC = "/localiser/state", "/localiser/imu"
 OUR_NAMES = "/localiser/"
 """What the names of this program's own topics begin with: no source of images, unless asked for."""
 LABEL_TOPICS = (LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC, DECISIONS_TOPIC, STATE_TOPIC)
@@ -21,6 +21,7 @@ TYPES = {
     "camera_info": (CAMERA_INFO,),
     "odometry": (ODOMETRY,),
     "groundtruth": (ODOMETRY,),
+    "imu": (IMU,),
 }
 _TRUTH = re.compile(r"ground_?truth", re.IGNORECASE)
 _MOST_LISTED = 12
@@ -34,7 +35,8 @@ def choose(
     asked: names by what they are for, which come before any guess. stated: the same, as the bag says.
 
     An odometry whose name says ground truth is the truth. Of several camera_info the one beside the image is taken, as
-    ROS names them. Raises InputError that lists the choices when several fit or none does.
+    ROS names them. An inertial sensor is taken only where it was asked for. Raises InputError that lists the choices
+    when several fit or none does.
     """
     for role in asked:
         if role not in TYPES:
@@ -78,14 +80,16 @@ def choose(
         if topic.msgtype == TRANSFORMS
         and (topic.name.rsplit("/", 1)[-1] == "tf_static" or topic.name == stated.get("transforms"))
     ]
+    moving = [topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf"]
     single = {
         "image": image,
         "odometry": odometry,
         "camera_info": one("camera_info", beside or of_type["camera_info"]),
         "groundtruth": one("groundtruth", truths),
+        "imu": one("imu", [topic for topic in of_type["imu"] if topic.name == IMU_TOPIC]),
     }
     roles = {topic: role for role, topic in single.items() if topic is not None}
-    roles |= dict.fromkeys(fixed, "transforms")
+    roles |= dict.fromkeys(moving, "moving transforms") | dict.fromkeys(fixed, "transforms")
     return roles | {topic: topic.name for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS}
 
 

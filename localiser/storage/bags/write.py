@@ -13,10 +13,10 @@ from typing import Any
 from localiser.documents import drafted, remove
 from localiser.errors import InputError, OutputError
 from localiser.filter import Odometry
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, ODOMETRY, TEXT, TRANSFORMS
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
-from localiser.storage.bags.topics import LOG_TOPIC, MAP_TOPIC
+from localiser.storage.bags.topics import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log, require_odometry
 from localiser.storage.maps import map_text
@@ -24,9 +24,17 @@ from localiser.storage.maps import map_text
 KINDS = ("mcap", "sqlite3", "ros1")
 FILE_KINDS = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 
-_MOUNT, _INFO, _IMAGE = "/tf_static", "/camera/camera_info", "/camera/image_raw/compressed"
+_MOVING, _MOUNT, _INFO, _IMAGE = "/tf", "/tf_static", "/camera/camera_info", "/camera/image_raw/compressed"
 WHEELS_TOPIC, _TRUTH = "/odom", "/ground_truth/odom"
-_TYPES = {_MOUNT: TRANSFORMS, _INFO: CAMERA_INFO, _IMAGE: COMPRESSED, WHEELS_TOPIC: ODOMETRY, _TRUTH: ODOMETRY}
+_TYPES = {
+    _MOVING: TRANSFORMS,
+    IMU_TOPIC: IMU,
+    _MOUNT: TRANSFORMS,
+    _INFO: CAMERA_INFO,
+    _IMAGE: COMPRESSED,
+    WHEELS_TOPIC: ODOMETRY,
+    _TRUTH: ODOMETRY,
+}
 _LATCHED = (_MOUNT, LOG_TOPIC, MAP_TOPIC)
 _LAST_NS = (2**31 - 1) * 10**9  # a stamp's seconds have 32 bits
 
@@ -127,7 +135,8 @@ def _writer(path: Path, kind: str) -> Iterator[Any]:
 def log_messages(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time and message of everything that the log holds, in the order of time."""
     first_ns = log.start_ns
-    yield _MOUNT, first_ns, make.mount(first_ns, log.camera)
+    if not _moves(log):
+        yield _MOUNT, first_ns, make.mount(first_ns, log.camera)
     yield LOG_TOPIC, first_ns, make.text(label_text(log))
     if log.landmark_map is not None:
         yield MAP_TOPIC, first_ns, make.text(map_text(log.landmark_map))
@@ -142,8 +151,19 @@ def _measured(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
         if isinstance(event, Odometry):
             yield WHEELS_TOPIC, t_ns, make.odometry(t_ns, ODOM, event.pose)
         elif isinstance(event, ImageEvent):
+            if _moves(log):
+                camera = log.camera.at(event.mount)
+                yield _MOVING, t_ns, make.mount(t_ns, camera)
+                sigma = camera.mount.sigma
+                if sigma is not None and (sigma.tilt_rad or sigma.roll_rad):
+                    yield IMU_TOPIC, t_ns, make.inertial(t_ns, camera)
             yield _INFO, t_ns, make.camera_info(t_ns, log.camera)
             yield _IMAGE, t_ns, make.compressed(t_ns, event.encoded())
+
+
+def _moves(log: Log) -> bool:
+    """Return whether the camera moves on the robot."""
+    return any(isinstance(frame, ImageEvent) and frame.mount is not None for frame in log.frames)
 
 
 def _kept(make: Messages) -> dict[str, Any]:
