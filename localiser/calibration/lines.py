@@ -58,7 +58,8 @@ def lines_of(edges: Edges, camera: Camera, frame: int = 0) -> Lines:
     """Return all lines of one image: its edges, and those that were rejected as not vertical.
 
     Both, so that a wrong tilt does not choose the lines that agree with it; the mount of `camera` has no say. Edges
-    that were not measured in an image, whose ends are nan, are left out.
+    that were not measured in an image, whose ends are nan, are left out. Lines of an image with a mount of its own are
+    turned into the axes of the usual one, so that all images show the same error of it.
     """
     ends = camera.image_from_pixels(np.concatenate([edges.ends_px, edges.rejected_px]))
     along = ends[:, 1] - ends[:, 0]
@@ -72,6 +73,9 @@ def lines_of(edges: Edges, camera: Camera, frame: int = 0) -> Lines:
     normal = np.cross(middle, np.concatenate([direction, zero], axis=1))
     per_turn = np.cross(middle, np.concatenate([-direction[:, 1:], direction[:, :1], zero], axis=1))
     size = np.linalg.norm(normal, axis=1, keepdims=True)
+    if edges.mount is not None:
+        mounted = camera.level_from_camera.T @ camera.at(edges.mount).level_from_camera
+        normal, per_turn = normal @ mounted.T, per_turn @ mounted.T
     return Lines(normal / size, per_turn / size, sigma[known], np.full(len(ends), frame, dtype=np.int64))
 
 

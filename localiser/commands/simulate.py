@@ -72,7 +72,7 @@ def simulate(
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
-    from localiser.storage import simulate_log, write_log
+    from localiser.storage import ImageEvent, simulate_log, write_log
 
     log = simulate_log(world, seed)
     with progress("Rendering", len(log.frames), quiet) as advance:
@@ -82,6 +82,7 @@ def simulate(
             camera=log.camera,
             odometry=log.odometry,
             images=_rendered(log, advance),
+            mounts=[frame.mount for frame in log.frames if isinstance(frame, ImageEvent)],
             landmark_map=log.landmark_map,
             groundtruth=log.groundtruth,
             start=log.start,

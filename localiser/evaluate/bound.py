@@ -44,6 +44,7 @@ def bearing_information(
         raise ValueError(f"observation: expected slope or line, found {observation}")
     edges = edges.take((edges.landmark_id >= 0) & np.isfinite(sigma_of[observation]))
     seen = points[edges.landmark_id]
+    camera = camera.at(edges.mount)
     camera_pose = camera.pose_in_map(pose)
     if observation == "slope":
         bearing = geometry.bearing_from_point(*np.moveaxis(geometry.robot_from_map(camera_pose, seen), -1, 0))

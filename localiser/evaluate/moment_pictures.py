@@ -28,7 +28,9 @@ def image_svg(frame: LocatedFrame, camera: Camera, landmark_map: LandmarkMap) ->
     if frame.image is not None:
         parts.append(f'<image width="{camera.width}" height="{camera.height}" href="{image_uri(frame.image)}"/>')
     ends = landmark_ends(landmark_map, camera)
-    _, lines = predicted_lines(camera, frame.located.estimate.pose_as_seen, ends, matches.visible)
+    _, lines = predicted_lines(
+        camera.at(frame.located.edges.mount), frame.located.estimate.pose_as_seen, ends, matches.visible
+    )
     parts += [_line(line, "expected") for line in lines]
     known = np.isfinite(edges.ends_px).all(axis=(1, 2))
     for ends_px, landmark in zip(edges.ends_px[known], matches.landmark[known], strict=True):

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.simulate.drive import Drive, drive_of
+from localiser.simulate.mount_motion import stated_mount
 from localiser.simulate.render import Scene, expose, scene_of
 from localiser.simulate.solids import clearance_m
 from localiser.simulate.visible import Visible, visible_landmarks
@@ -20,7 +21,7 @@ from localiser.simulate.world import World
 
 FEWEST_SIGHTINGS = 5  # images that must show a landmark for it to be on the map of the log
 ROBOT_RADIUS_M = 0.15
-_DRIVE, _START, _IMAGES = range(3)  # independent streams of random numbers
+_DRIVE, _START, _IMAGES, _MOUNTS = range(4)  # independent streams of random numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +30,8 @@ class SimulatedLog:
 
     landmark_map: landmarks that at least five images show; their ids are their indices in the map of the whole world.
     start, start_cov: stated pose (3,) at the first image, off the truth by a draw from that covariance (3, 3).
-    visible: for each image what it truly shows; its landmarks are ids.
+    visible: for each image what it truly shows; its landmarks are ids. mounts: of the camera at each image as the robot
+    states them, None where it does not move.
     """
 
     name: str
@@ -39,6 +41,7 @@ class SimulatedLog:
     start: Array
     start_cov: Array
     visible: tuple[Visible, ...]
+    mounts: tuple[Mount | None, ...]
     jpeg_quality: int
     seed: int
     scene: Scene
@@ -68,7 +71,10 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
     drive = drive_of(world, np.random.default_rng([seed, _DRIVE]))
     _require_clear(scene, drive)
     poses = drive.truth.sampled(drive.image_t_ns).poses
-    visible = tuple(visible_landmarks(scene.structure, scene.camera, pose) for pose in poses)
+    times = [int(t_ns) for t_ns in drive.image_t_ns]
+    visible = tuple(
+        visible_landmarks(scene.structure, scene.camera_at(t_ns), pose) for t_ns, pose in zip(times, poses, strict=True)
+    )
     start_cov = np.diag([world.start.sigma_m, world.start.sigma_m, np.deg2rad(world.start.sigma_deg)]) ** 2
     start = poses[0] + np.sqrt(np.diag(start_cov)) * np.random.default_rng([seed, _START]).standard_normal(3)
     start[2] = wrap_angle(start[2])
@@ -80,10 +86,18 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
         start=start,
         start_cov=start_cov,
         visible=visible,
+        mounts=_stated_mounts(scene, times, np.random.default_rng([seed, _MOUNTS])),
         jpeg_quality=world.image.jpeg_quality,
         seed=seed,
         scene=scene,
     )
+
+
+def _stated_mounts(scene: Scene, times_ns: list[int], rng: np.random.Generator) -> tuple[Mount | None, ...]:
+    motion = scene.world.camera.motion
+    if motion is None:
+        return (None,) * len(times_ns)
+    return tuple(stated_mount(scene.camera_at(t_ns).mount, motion, rng) for t_ns in times_ns)
 
 
 def _require_clear(scene: Scene, drive: Drive) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -14,6 +14,7 @@ from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
 from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead
 from localiser.simulate.light import Lighting, lighting_of
+from localiser.simulate.mount_motion import mount_at
 from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
 from localiser.simulate.robot import ImageSpec
 from localiser.simulate.structure import Structure, structure_of
@@ -43,6 +44,16 @@ class Scene:
         path = np.array([point.to for point in self.world.drive.path])
         return lighting_of(self.world.light, self.structure.solids, path)
 
+    def camera_at(self, t_ns: int) -> Camera:
+        """The camera as it is mounted at a time."""
+        return self.camera.at(mount_at(self.camera.mount, self.world.camera.motion, t_ns))
+
+    def seen_by(self, camera: Camera) -> Scene:
+        """Return the scene seen by another camera, with all that has been made of the world."""
+        other = replace(self, camera=camera)
+        other.__dict__.update(atlas=self.atlas, lighting=self.lighting)
+        return other
+
     @property
     def view(self) -> LevelView:
         """The level view of the camera."""
@@ -67,16 +78,18 @@ def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray
 def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return the image with the middle of its exposure at `t_ns`, blurred by the robot's motion."""
     half_ns = round(scene.world.image.exposure_s * 5e8)
-    first, last = truth.at(t_ns - half_ns), truth.at(t_ns + half_ns)
-    steps = _blur_steps(scene.camera, first, last) if half_ns else 1
-    shares = (np.arange(steps) + 0.5) / steps
-    poses = [truth.at(t_ns + round((2 * share - 1) * half_ns)) for share in shares]
-    light = sum((radiance(scene, pose) for pose in poses[1:]), start=radiance(scene, poses[0])) / np.float32(steps)
+    begin_ns, end_ns = t_ns - half_ns, t_ns + half_ns
+    ends = [(truth.at(at_ns), scene.camera_at(at_ns)) for at_ns in (begin_ns, end_ns)]
+    steps = _blur_steps(*ends) if half_ns else 1
+    times = [t_ns + round((2 * share - 1) * half_ns) for share in (np.arange(steps) + 0.5) / steps]
+    sharp = [radiance(scene, truth.at(at_ns), scene.camera_at(at_ns)) for at_ns in times]
+    light = sum(sharp[1:], start=sharp[0]) / np.float32(steps)
     return _developed(light, scene.world.image, rng)
 
 
-def radiance(scene: Scene, robot_pose: Array) -> Image:
-    """Return the image (H, W, 3) float32 RGB of a perfect lens and sensor."""
+def radiance(scene: Scene, robot_pose: Array, camera: Camera | None = None) -> Image:
+    """Return the image (H, W, 3) float32 RGB of a perfect lens and sensor; camera: the scene's, as it is mounted."""
+    scene = scene if camera is None or camera is scene.camera else scene.seen_by(camera)
     pose = scene.camera.pose_in_map(robot_pose)
     columns = columns_of(scene.view, pose, scene.structure.edges.points)
     eye = scene.camera.mount.height_m
@@ -85,10 +98,17 @@ def radiance(scene: Scene, robot_pose: Array) -> Image:
     return scene.view.image(_level_image(scene, pose, columns, spans))
 
 
-def _blur_steps(camera: Camera, first: Array, last: Array) -> int:
-    """Return how many sharp images make a blurred one; turning moves the image most, driving at most half as much."""
-    motion = geometry.between(first, last)
-    moved_px = camera.focal_px * (abs(motion[2]) + np.hypot(motion[0], motion[1]) / 2)
+def _blur_steps(first: tuple[Array, Camera], last: tuple[Array, Camera]) -> int:
+    """Return how many sharp images make a blurred one; turning moves the image most, driving at most half as much.
+
+    first, last: pose (3,) of the robot, and the camera as it is mounted, at both ends of the exposure.
+    """
+    (one, camera), (other, after) = first, last
+    motion, mount, then = geometry.between(one, other), camera.mount, after.mount
+    turned = abs(motion[2] + (then.yaw_rad - mount.yaw_rad)) + np.hypot(
+        then.tilt_rad - mount.tilt_rad, then.roll_rad - mount.roll_rad
+    )
+    moved_px = camera.focal_px * (turned + np.hypot(motion[0], motion[1]) / 2)
     return int(np.clip(np.ceil(moved_px / _BLUR_STEP_PX), 1, _BLUR_STEPS_MOST))
 
 

@@ -37,8 +37,26 @@ class MountSpec(Model):
     back_m: Metres = 0.0
 
 
+class Sway(Model):
+    """A sine about the usual value, in its unit."""
+
+    amplitude: float
+    hz: Annotated[float, Field(gt=0, le=20)]
+    phase_deg: float = 0.0
+
+
+class MountMotionSpec(Model):
+    """How the camera moves on the robot. stated_sigma_deg: error of tilt and roll as the log states them per image."""
+
+    tilt_deg: Sway | None = None
+    roll_deg: Sway | None = None
+    yaw_deg: Sway | None = None
+    height_m: Sway | None = None
+    stated_sigma_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+
+
 class CameraSpec(Model):
-    """Pinhole and lens; the principal point is the image centre when not given."""
+    """Pinhole and lens; the principal point is the image centre when not given. motion: of the mount, none if fixed."""
 
     width: Annotated[int, Field(ge=16, le=4096)] = 640
     height: Annotated[int, Field(ge=16, le=4096)] = 480
@@ -48,6 +66,7 @@ class CameraSpec(Model):
     distortion_model: Literal["none", "plumb_bob", "rational_polynomial", "equidistant"] = "none"
     distortion: tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...] = Field(default=(), strict=False)
     mount: MountSpec
+    motion: MountMotionSpec | None = None
 
     @model_validator(mode="after")
     def _distortion_is_complete(self) -> CameraSpec:

@@ -41,7 +41,14 @@ def simulate_log(world: World | Path | str, seed: int = 0) -> Log:
         )
     size = (made.camera.width, made.camera.height)
     frames = [
-        image_event(int(t_ns), f"image {index}", cache(partial(_rendered, made, index)), size, path=path)
+        image_event(
+            int(t_ns),
+            f"image {index}",
+            cache(partial(_rendered, made, index)),
+            size,
+            path=path,
+            mount=made.mounts[index],
+        )
         for index, t_ns in enumerate(made.drive.image_t_ns)
     ]
     start = Start(frames[0].t_ns, made.start, made.start_cov)

@@ -101,7 +101,7 @@ class Recorder:
         self._stream.log(paths.VISIBLE, world.landmarks(self._ends[expected], palette.VISIBLE, 2.0))
         self._stream.log(paths.MATCHED, world.landmarks(self._ends[matched], palette.MATCHED, 3.0))
         points = self._context.landmark_map.points[matched]
-        self._stream.log(paths.SIGHTS, world.sights(self._context.camera, pose, points))
+        self._stream.log(paths.SIGHTS, world.sights(self._context.camera.at(frame.located.edges.mount), pose, points))
 
     def _log_near(self, position: Array) -> None:
         """Draw the landmarks around the robot anew when it has gone some way on a large map."""
@@ -119,7 +119,9 @@ class Recorder:
             self._stream.log(paths.PARTICLES, world.particles(located.particles))
         self._stream.log(paths.ELLIPSE, world.ellipse(estimate))
         self._stream.log(paths.ESTIMATE, world.arrow(estimate.pose, palette.ESTIMATE, 4.0))
-        self._stream.log(paths.CAMERA, world.camera_transform(self._context.camera, estimate.pose))
+        self._stream.log(
+            paths.CAMERA, world.camera_transform(self._context.camera.at(located.edges.mount), estimate.pose)
+        )
         self._log_trail(paths.ESTIMATE_TRAIL, estimate.pose, palette.ESTIMATE)
         if truth is not None:
             self._stream.log(paths.TRUTH, world.arrow(truth, palette.TRUTH, 2.5))
@@ -167,7 +169,7 @@ class Recorder:
         # Without an image the last one would stay on the screen under the new edges.
         log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else image_view.picture(frame.image))
         pose = frame.located.estimate.pose
-        shown, lines = predicted_lines(self._context.camera, pose, self._ends, matches.visible)
+        shown, lines = predicted_lines(self._context.camera.at(edges.mount), pose, self._ends, matches.visible)
         log(paths.REJECTED, image_view.rejected(edges))
         log(paths.PREDICTED, image_view.predicted(lines))
         log(paths.EDGES, image_view.vertical_edges(edges, matches.landmark >= 0))

@@ -30,6 +30,9 @@ def usable_images(log: Log, most: int) -> list[ImageEvent]:
     images = [frame for frame in log.frames if isinstance(frame, ImageEvent) and log.odometry.covers(frame.t_ns)]
     if not images:
         raise InputError("expected a log with images, found edges that were measured already", path=log.path)
+    if any(image.mount is not None for image in images):
+        problem = "expected a camera that does not move on the robot, found a mount of its own for each image"
+        raise InputError(problem, path=log.path, field="images")
     return [images[i] for i in spread(len(images), most)]
 
 
