@@ -2,7 +2,7 @@
 
 An image should fit the map from where the wheels say the robot is. Where it fits much worse than usual, another
 explanation is weighed beside it: the wheels are wrong, the robot went on at its pace (an Ornstein-Uhlenbeck process of
-its speed), and it turned as the edges say that continue from the last image. Bayes' rule compares both,
+its speed), and it turned as most edges say that continue from the last image. Bayes' rule compares both,
 
     odds(wrong) = prior odds · (mean p(edges | at the pace) / mean p(edges | by the wheels))^0.6
 
@@ -25,11 +25,9 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between
 from localiser.particles import Estimate, Particles, log_sum, only
 from localiser.visual_odometry import (
-    Belief,
     Frames,
     Gaussian,
     VisualOdometryParameters,
-    follow,
     motion_gaussian,
     seen_increment,
     twist_of_wheels,
@@ -37,9 +35,10 @@ from localiser.visual_odometry import (
 
 POWER = 0.6  # of the likelihood: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
-UNUSUAL = 0.5  # part of the usual log-likelihood below which the other explanation is weighed
+UNUSUAL = 0.7
 MEMORY = 0.9  # part of what is usual that an image leaves
 FEW = 64  # particles that tell how well the wheels predict an image
+TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
 STANDS_M, STANDS_RAD = 0.01, np.radians(0.5)  # what wheels that stand still may show
 
 
@@ -68,13 +67,15 @@ class Evidence:
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
-        twist, log_ratio = prior, 0.0
-        if len(self.before) and len(self.after):
-            frames = Frames.of(self.before, self.after, self.camera)
-            starts = [prior.mean, *frames.likely_motions(prior)]
-            twist = follow(frames, [Belief(prior, starts, way=False)]).twist
-            miss_rad, var = twist.mean[2] - prior.mean[2], prior.cov[2, 2]
-            log_ratio = min(0.5 * float(np.log(twist.cov[2, 2] / var) - miss_rad**2 / var), 0.0)
+        frames = Frames.of(self.before, self.after, self.camera)
+        likely = frames.likely_motions(prior) if len(self.before) and len(self.after) else []
+        if not likely:
+            return seen_increment(motion_gaussian(prior)), 0.0
+        miss_rad, var = likely[0][2] - prior.mean[2], prior.cov[2, 2]
+        kept = min(TURN_SIGMA_RAD**2 / var, 1.0)
+        scale = np.array([1.0, 1.0, kept**0.5])
+        twist = Gaussian(np.array([*prior.mean[:2], likely[0][2]]), prior.cov * np.outer(scale, scale))
+        log_ratio = min(0.5 * float(np.log(kept) - miss_rad**2 / var), 0.0)
         return seen_increment(motion_gaussian(twist)), log_ratio
 
 
@@ -84,13 +85,15 @@ class Wheels:
 
     wrong: probability that they were wrong at the last image. usual: (2,) mean log-likelihood of images whose motion
     they told: by the map, and by the image before. pose: (3,) estimate at the last image, None where none was tracked.
-    pace: twist per second then, None where not known.
+    pace: twist per second, None where not known. fit: whether the last image fitted where the wheels said. The pace is
+    the estimate's while images fit; where one does not, the robot is expected to go on at the pace from before.
     """
 
     wrong: float = 0.0
     usual: Array = field(default_factory=lambda: np.zeros(2))
     pose: Array | None = None
     pace: Gaussian | None = None
+    fit: bool = True
 
     @property
     def are_wrong(self) -> bool:
@@ -117,9 +120,11 @@ class Wheels:
         by_map = evidence.by_map(only(driven, slice(None, None, max(len(driven) // FEW, 1))))
         right = np.array([by_map, evidence.by_last_image(increment)])
         fits = (right >= UNUSUAL * self.usual)[: 2 if stands else 1].all()
+        usual = MEMORY * self.usual + (1.0 - MEMORY) * right
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
-            return replace(self, wrong=0.0, usual=MEMORY * self.usual + (1.0 - MEMORY) * right), None
-        paced, log_paced = evidence.turned(parameters.twist(self.pace, seconds))
+            return replace(self, wrong=0.0, usual=usual, fit=True), None
+        expected = parameters.twist(self.pace, seconds)
+        paced, log_paced = evidence.turned(expected)
         moved = move(paced)
         log_ratio = evidence.by_map(moved) - by_map
         if stands:
@@ -127,12 +132,17 @@ class Wheels:
             log_ratio += evidence.by_last_image(paced) + log_paced - evidence.by_last_image(held) - log_held
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + POWER * log_ratio, -50.0, 50.0))
-        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))))
-        return wheels, (paced, moved) if wheels.are_wrong else None
+        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=False)
+        if wheels.are_wrong:
+            return wheels, (paced, moved)
+        pace = Gaussian(expected.mean / seconds, expected.cov / seconds**2)
+        return replace(wheels, usual=usual, pace=pace), None
 
     def located(self, estimate: Estimate | None, seconds: float) -> Wheels:
         """Return what is known once the robot has been located, `seconds` after the last image; None: it was not."""
         if estimate is None or self.pose is None or seconds <= 0:
             return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
+        if not (self.fit or self.are_wrong):
+            return replace(self, pose=estimate.pose)
         twist = between(self.pose, estimate.pose) / seconds
         return replace(self, pose=estimate.pose, pace=Gaussian(twist, estimate.pose_cov / seconds**2))

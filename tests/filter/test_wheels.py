@@ -10,12 +10,16 @@ import pytest
 from short_log import CORRIDOR
 
 from localiser import Localiser
+from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges, find_edges
 from localiser.filter import LocatedFrame, Odometry, Start
-from localiser.geometry import between, compose, wrap_angle
+from localiser.filter.wheels import Evidence, Wheels
+from localiser.geometry import Increment, between, compose, wrap_angle
+from localiser.particles import POSE, Estimate, Particles
 from localiser.replay.start import start_of
 from localiser.storage import ImageEvent, Log, open_log
+from localiser.visual_odometry import Gaussian, VisualOdometryParameters
 
 BEGIN_S, END_S = 12.0, 15.0
 
@@ -72,3 +76,20 @@ def test_wheels_that_err_for_three_seconds(drive: tuple[Log, dict[int, Edges]], 
         assert not told.any()
     elif fault != "fall silent":  # then the way between is interpolated, and may be right
         assert told[faulty].mean() > 0.7 and told[seconds < BEGIN_S].sum() == 0
+
+
+def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
+    """Wheels that count double move the estimate a little at first; that must not become the expected pace."""
+    parameters, pace = VisualOdometryParameters(), Gaussian(np.array([0.0, -0.4, 0.0]), 1e-4 * np.eye(3))
+    camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
+    poor = Evidence(camera, Edges.none(), Edges.none(), lambda cloud: np.full(len(cloud), 2.0), None)
+    known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
+    cloud = Particles(POSE, np.zeros((3, 64)), np.zeros(64))
+    double = Increment.from_mean(np.array([0.0, -0.16, 0.0]))
+
+    told, other = known.after(poor, double, 1e-4 * np.eye(3), cloud, lambda _: cloud, parameters, 0.2)
+    assert other is None
+    assert told.pace is not None
+    told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
+    assert told.pace is not None
+    np.testing.assert_allclose(told.pace.mean, parameters.twist(pace, 0.2).mean / 0.2)
