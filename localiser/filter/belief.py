@@ -46,6 +46,12 @@ OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true on
 FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
+# Rooms repeat themselves. While the tracked place explains what is seen, another place gains on it by at most this for
+# each metre, however well it fits.
+PATIENCE = 1.5
+# It explains it where its log-likelihood along the last metre, of which so much is remembered, is above this.
+SUPPORT_M, MOST_SUPPORT, SUPPORTED = 1.0, 8.0, 2.0
+SUSPECTED = 0.008  # probability of having been carried from which on what it explained before counts for nothing
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
@@ -71,6 +77,7 @@ class Belief:
     unfit: float = 0.0
     unproposed: float = 1.0
     unmapped: float = 0.0
+    support: float = 0.0
 
     @classmethod
     def stated(cls) -> Belief:
@@ -111,7 +118,7 @@ class Belief:
         """
         clues, is_tracked, carried = search.clues(sighting), few is not None, jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
-        belief = self._judged(clues, few, novelty, carried, move)
+        belief = self._judged(clues, few, jump, carried, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         belief = replace(belief, unfit=self.unfit + novelty / scenes if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
@@ -123,22 +130,27 @@ class Belief:
         most = round(BESIDE * search.most) if is_tracked else search.most
         return replace(belief, unproposed=0.0)._resampled(most, rng)
 
-    def _judged(self, clues: Clues, few: Particles | None, novelty: float, carried: float, move: Move) -> Belief:
+    def _judged(self, clues: Clues, few: Particles | None, jump: Jump, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
+        novelty = max(jump.novelty, carried)
         belief, detections = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections
-        log_tracked, blind = 0.0, 0.0
+        log_tracked, blind, support = 0.0, 0.0, 0.0
         if few is not None:
             by_rate = clues.by_rate(few)
             tracked, log_tracked = Candidates.of(few, detections).weighed(by_rate, novelty, needs_landmarks=False)
             detections = tracked.mean_rate
             blind = clues.blind_weight(few, by_rate)
+            support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move(candidates.particles))
             by_rate = clues.by_rate(moved.particles)
             candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
+        if support > SUPPORTED:
+            log_elsewhere = min(log_elsewhere, max(log_tracked, 0.0) + PATIENCE * jump.path_m)
         log_bare = 0.0 if clues.is_blind else -BARE * novelty
-        belief = replace(belief, candidates=candidates, detections=detections)
+        support = min(support + log_tracked, MOST_SUPPORT)
+        belief = replace(belief, candidates=candidates, detections=detections, support=support)
         return belief._weighed(log_tracked + blind * log_bare, log_elsewhere, log_bare)
 
     def _moved_on(self, novelty: float, carried: float) -> Belief:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import lgamma
 
 import numpy as np
 
@@ -25,10 +24,12 @@ from localiser.observation import EarlierImage, PredictsScenes, Sighting
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
 WITH_OLDER = 2  # images a scene back that are compared with: an edge that the last of them missed is in the one before
-CONTINUED, EDGES = 0.8, 30.0  # fraction of the edges that continue one of the image before, as if seen in so many edges
-CONCENTRATION = 6.0  # a + b of the beta distribution of that fraction: edges of one object come and go together
-WHOLLY_NEW = 6.0  # log-ratio of having been carried from which on the images before are of another scene
-MEMORY = 0.98  # part of what is known of the fraction that an image leaves
+WHOLLY_NEW = 4.0  # log-ratio of having been carried from which on the images before are of another scene
+# The fraction of edges that continue one of the image before is beta distributed: its mean at first and after a robot
+# was carried, and a + b, as edges of one object come and go together.
+USUAL, CARRIED, CONCENTRATION = 0.8, 0.2, 6.0
+FRACTIONS: Array = np.linspace(0.01, 0.99, 50)
+MEMORY = 0.95  # part of the usual fraction that an image leaves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,28 +48,30 @@ class SeenImage:
 class Jump:
     """How new an image is, and whether the robot was carried since the last one.
 
-    novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges that continue | carried) / p(… | not carried).
+    novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges | carried) / p(edges | not carried).
+    path_m: driven since the last image.
     """
 
     novelty: float
     log_ratio: float = 0.0
+    path_m: float = 0.0
 
     def carried(self, chance: float) -> float:
         """Return the probability of having been carried, whose prior `chance` is that between two scenes."""
-        odds = chance / (1.0 - chance) * np.exp(min(self.log_ratio, 100.0))
-        return float(max(self.novelty * chance, odds / (1.0 + odds) if self.log_ratio > 0 else 0.0))
+        share = 1.0 if self.log_ratio > 0.0 else self.novelty
+        odds = share * chance / (1.0 - chance) * np.exp(min(self.log_ratio, 100.0))
+        return float(odds / (1.0 + odds))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """Images from those that are a whole scene back until now, oldest first.
 
-    edges, continued: how many edges there were, and how many of them continued one of the image before; old ones fade.
+    usual: fraction of the edges that continue one of the image before, in the images of late.
     """
 
     images: tuple[SeenImage, ...] = ()
-    edges: float = EDGES
-    continued: float = CONTINUED * EDGES
+    usual: float = USUAL
 
     def followed(
         self, observation: PredictsScenes, motion: MotionModel, sighting: Sighting, increment: Increment
@@ -81,37 +84,45 @@ class Scene:
         back = sum(_scenes(one.since) >= 1.0 for one in images)  # how many are a scene back
         images = images[max(back - WITH_OLDER, 0) :]
 
-        def clutter(chosen: Sequence[SeenImage]) -> tuple[Array, float]:
+        def clutter(chosen: Sequence[SeenImage]) -> tuple[Array, Array]:
             return observation.scene_clutter(sighting, [one.before(motion) for one in chosen])
 
         reference = min(back, WITH_OLDER)
         density, _ = clutter(images[max(reference, 1) - 1 :: -1] if images else [])
-        jump, edges, continued = Jump(1.0), self.edges, self.continued
+        jump, usual = Jump(1.0), self.usual
         if images:
-            log_ratio, count = 0.0, len(sighting.edges)
-            if count:
-                again = clutter(images[-1:])[1] * count
-                log_ratio = _log_carried(count, again, continued / edges)
-                edges, continued = MEMORY * edges + count, MEMORY * continued + again
-            jump = Jump(min(_scenes(increment), 1.0), log_ratio)
+            log_ratio = 0.0
+            if len(sighting.edges):
+                log_ratio, fraction = _log_carried(clutter(images[-1:])[1], usual)
+                usual = MEMORY * usual + (1.0 - MEMORY) * fraction
+            jump = Jump(min(_scenes(increment), 1.0), log_ratio, float(increment.path_m))
         if len(images) > 1 and _scenes(images[-2].since) < APART:
             images = images[:-1]
         if jump.log_ratio > WHOLLY_NEW:
             images = ()
         here = (SeenImage(sighting, Increment.from_mean(np.zeros(3))),) if len(sighting.edges) else ()
-        return Scene((*images, *here), edges, continued), density, jump
+        return Scene((*images, *here), usual), density, jump
 
 
-def _log_carried(edges: int, continued: float, usual: float) -> float:
-    """Return log p(n of E edges continue | carried) / p(n of E | not carried), both beta-binomial.
+def _log_carried(continuing: Array, usual: float) -> tuple[float, float]:
+    """Return log p(edges | carried) / p(edges | not carried), and the fraction that continue the image before.
 
-    usual: fraction that continues when the robot was not carried; afterwards as many do not. At ½ and below, edges come
-    and go so often that they tell nothing.
+    continuing: (E,) how much likelier an edge is if it continues one. Each does with the fraction f, so that
+    p(edges | f) = Π (1 - f + f · ratio). usual: mean of f of a robot that was not carried. At ½ and below, edges
+    come and go so often that they tell nothing.
     """
-    a = CONCENTRATION * max(usual, 0.5)
-    b = CONCENTRATION - a
-    log_after = lgamma(continued + b) + lgamma(edges - continued + a)
-    return log_after - lgamma(continued + a) - lgamma(edges - continued + b)
+    log_fit = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
+    carried = log_fit + _log_beta(CARRIED)
+    stayed = log_fit + _log_beta(max(usual, 0.5))
+    weight = np.exp(stayed - stayed.max())
+    return float(np.logaddexp.reduce(carried) - np.logaddexp.reduce(stayed)), float(weight @ FRACTIONS / weight.sum())
+
+
+def _log_beta(mean: float) -> Array:
+    """Return the logarithm of the beta density at `FRACTIONS`, up to a constant that both hypotheses share."""
+    a, b = CONCENTRATION * mean, CONCENTRATION * (1.0 - mean)
+    density = (a - 1.0) * np.log(FRACTIONS) + (b - 1.0) * np.log1p(-FRACTIONS)
+    return np.asarray(density - np.logaddexp.reduce(density))
 
 
 def _scenes(increment: Increment) -> float:

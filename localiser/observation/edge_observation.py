@@ -206,8 +206,8 @@ class EdgeObservation:
         density = clutter_density(*measured, motion, turn_var, span_rad)
         return replace(sighting, edges=replace(sighting.edges, clutter=density))
 
-    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, float]:
-        """Return how dense clutter is at each edge (E,), and how many edges continue earlier ones, 0 … 1.
+    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, Array]:
+        """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one.
 
         See `observation.scene_clutter`.
         """

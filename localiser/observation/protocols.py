@@ -149,8 +149,8 @@ class FollowsClutter(Observation, Protocol):
 class PredictsScenes(Observation, Protocol):
     """An observation that knows how well an image predicts a later one, wherever the robot is."""
 
-    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, float]:
-        """Return how dense clutter is at each edge (E,), and how many edges continue earlier ones, 0 … 1.
+    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, Array]:
+        """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one.
 
         earlier: images of the same scene, the one that is believed most first; the others tell of edges that it missed.
         The density is relative to E edges that are spread evenly.

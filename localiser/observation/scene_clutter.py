@@ -54,27 +54,27 @@ class EarlierEdges:
         return now if self.camera is None or self.camera is now.camera else replace(now, camera=self.camera)
 
 
-def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -> tuple[Array, float]:
-    """Return how dense clutter is at each edge (E,), and how many edges continue earlier ones, 0 … 1.
+def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -> tuple[Array, Array]:
+    """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one (E,).
 
     The density is relative to E edges spread evenly over the field of view, with ends as `endpoint_likelihood` has
-    them. earlier: images of the same scene, the one that is believed most first. The others tell of edges that it
-    missed.
+    them. The ratio is that to a new edge, 1 where there is nothing to continue. earlier: images of the same scene, the
+    one that is believed most first. The others tell of edges that it missed.
     """
     count = len(edges)
     if not count:
-        return np.ones(0), 0.0
+        return np.ones(0), np.ones(0)
     grouped = _grouped(angle, edges)
     images = [one for one in earlier if len(one.edges)]
     if not images:
-        return grouped, 0.0
+        return grouped, np.ones(count)
     again, expected = np.zeros(count), 0.0
     for index, image in enumerate(images):
         shown = _missed_by(angle, image, images[:index])
         again += SEEN_AGAIN * _continued(angle, edges, image) @ shown
         expected += SEEN_AGAIN * float(shown.sum())
     new = max(count - expected, NEW * count, 1.0) * grouped
-    return (again + new) / count, float((again / (again + new)).mean())
+    return (again + new) / count, again / max(expected, 1e-9) / grouped
 
 
 def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]) -> Array:
