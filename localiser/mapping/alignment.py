@@ -79,7 +79,7 @@ def _peaks(first: Array, second: Array, similarity: bool) -> list[tuple[Array, f
     voters = _thinned(first, most), _thinned(second, most)
     turns = np.arange(-np.pi, np.pi, _TURN_STEP_RAD)
     peaks = [
-        (*_most_voted(*voters, turn, scale), turn, scale)
+        (*most_voted(*voters, turn, scale), turn, scale)
         for scale in (_SCALES if similarity else (1.0,))
         for turn in turns
     ]
@@ -102,14 +102,19 @@ def _thinned(points: Array, most: int) -> Array:
     return np.asarray(points[order[np.linspace(0, len(points) - 1, most).astype(int)]])
 
 
-def _most_voted(first: Array, second: Array, turn: float, scale: float) -> tuple[int, Array]:
-    """Return the number of votes for the best shift, and that shift (2,)."""
+def most_voted(
+    first: Array, second: Array, turn: float, scale: float, most_bins: int = _MOST_BINS
+) -> tuple[int, Array]:
+    """Return the number of votes for the best shift (m) of `second` (B, 2) over `first` (A, 2), and that shift (2,).
+
+    turn: rad. most_bins: from so many places on only those are counted that have votes.
+    """
     turned = map_from_robot(np.array([0.0, 0.0, turn]), scale * second)
     shifts = (first[:, None] - turned[None]).reshape(-1, 2)
     low = shifts.min(axis=0)
     cell = ((shifts - low) / _BIN_M).astype(np.int64)
     size = cell.max(axis=0) + 2
-    if float(size[0]) * float(size[1]) > _MOST_BINS:
+    if float(size[0]) * float(size[1]) > most_bins:
         most, place = _most_voted_of_few(cell, int(size[1]))
         return most, low + _BIN_M * (place + 1.0)
     votes = np.bincount(cell[:, 0] * size[1] + cell[:, 1], minlength=int(size[0] * size[1])).reshape(size)
@@ -120,7 +125,7 @@ def _most_voted(first: Array, second: Array, turn: float, scale: float) -> tuple
 
 
 def _most_voted_of_few(cell: NDArray[np.int64], columns: int) -> tuple[int, Array]:
-    """Return the most votes and their place (2,), as `_most_voted` finds them, of cells (S, 2) that lie far apart."""
+    """Return the most votes and their place (2,), as `most_voted` finds them, of cells (S, 2) that lie far apart."""
     around = np.concatenate([cell - step for step in ([0, 0], [0, 1], [1, 0], [1, 1])])
     around = around[(around >= 0).all(axis=1)]
     key, count = np.unique(around[:, 0] * columns + around[:, 1], return_counts=True)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import agreeing, align, alignment, fused, joined_maps, matches
-from localiser.mapping.alignment import fitted_motion
+from localiser.mapping import agreeing, align, fused, joined_maps, matches
+from localiser.mapping.alignment import fitted_motion, most_voted
 
 
 def hall(seed: int, count: int = 40) -> np.ndarray:
@@ -112,13 +112,11 @@ def test_ids_stay_unique() -> None:
     assert map_from_robot(np.zeros(3), joined.points).shape == (6, 2)
 
 
-def test_votes_are_counted_alike_whether_or_not_most_places_have_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_votes_are_counted_alike_whether_or_not_most_places_have_none() -> None:
     for seed in range(5):
         first, second = hall(seed), robot_from_map(np.array([3.0, -2.0, 0.4]), hall(seed, 35))
-        dense = [alignment._most_voted(first, second, turn, 1.0) for turn in (-0.4, 0.0, 0.4)]
-        with monkeypatch.context() as patched:
-            patched.setattr(alignment, "_MOST_BINS", 0)
-            sparse = [alignment._most_voted(first, second, turn, 1.0) for turn in (-0.4, 0.0, 0.4)]
+        dense = [most_voted(first, second, turn, 1.0) for turn in (-0.4, 0.0, 0.4)]
+        sparse = [most_voted(first, second, turn, 1.0, most_bins=0) for turn in (-0.4, 0.0, 0.4)]
         for (votes, shift), (again, moved) in zip(dense, sparse, strict=True):
             assert votes == again and shift == pytest.approx(moved)
 

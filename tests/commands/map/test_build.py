@@ -204,7 +204,7 @@ def test_a_second_build_finds_no_edges_anew(cache: Path, monkeypatch: pytest.Mon
     steps: list[int] = []
     first = edges_of_log(log, EdgeParameters(), lambda *_: steps.append(1), cache)
 
-    def never(*_: object) -> Edges:
+    def never(*_: object, **__: object) -> Edges:
         raise AssertionError("edges were found again")
 
     monkeypatch.setattr(log_edges, "find_edges", never)
