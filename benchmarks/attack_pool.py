@@ -23,7 +23,7 @@ MEMORY_MB = 1500.0
 
 _ADDRESSES = 16 * 2**30  # what is reserved is more than what is used
 _LARGEST_FILE = 2 * 2**30
-_LOOK_S = 0.05
+LOOK_S = 0.05
 _PATIENCE = 10  # times the limit of processor time: who waits that long waits for ever, also on a busy machine
 
 Case = tuple[str, int]
@@ -75,7 +75,7 @@ class Worker:
         assert process.stdout is not None
         begin, worked = time.monotonic(), processor_s(process.pid)
         while True:
-            if select.select([process.stdout], [], [], _LOOK_S)[0]:
+            if select.select([process.stdout], [], [], LOOK_S)[0]:
                 line = process.stdout.readline()
                 if line:
                     found: dict[str, Any] = json.loads(line)

@@ -106,7 +106,7 @@ def _reader(name: str) -> Run:
     return read
 
 
-def _all_of_log(path: Path, out: Path) -> None:
+def all_of_log(path: Path, out: Path) -> None:
     from localiser.storage import ImageEvent, open_log
 
     for event in open_log(path).events():
@@ -279,13 +279,13 @@ READERS: dict[str, Target] = {
     "video": Target("video.avi", _video),
     "state": Target("saved.state", _state),
     "cache": Target("edges.npz", _cache),
-    "log": Target("log", _all_of_log),
-    "log-edges": Target("edges", _all_of_log),
-    "mrclam": Target("mrclam", _of_robot(_all_of_log)),
-    "bag-ros1": Target("bag.bag", _all_of_log),
-    "bag-mcap": Target("file.mcap", _all_of_log),
-    "bag-sqlite": Target("file.db3", _all_of_log),
-    "bag-folder": Target("sqlite3", _all_of_log),
+    "log": Target("log", all_of_log),
+    "log-edges": Target("edges", all_of_log),
+    "mrclam": Target("mrclam", _of_robot(all_of_log)),
+    "bag-ros1": Target("bag.bag", all_of_log),
+    "bag-mcap": Target("file.mcap", all_of_log),
+    "bag-sqlite": Target("file.db3", all_of_log),
+    "bag-folder": Target("sqlite3", all_of_log),
     "live": Target("live", _live, change=_change_messages),
 }
 

@@ -28,7 +28,7 @@ def parsed(words: list[str]) -> None:
     with suppress(typer.Exit):  # --help
         while isinstance(command, TyperGroup):
             context = command.make_context(name, list(words), parent=context)
-            rest = [*context._protected_args, *context.args]
+            _, rest, _ = command.make_parser(context).parse_args(list(words))
             if not rest:
                 return
             name, command, words = command.resolve_command(context, rest)
@@ -73,7 +73,7 @@ def test_a_tutorial_runs_as_it_is_written(
     cut_log(CORRIDOR, shipped / example.LOG, FRAMES)
     for part in ("configs", "maps"):
         shutil.copytree(ROOT / part, shipped / part)
-    monkeypatch.setattr(example, "_PACKAGE", shipped.parent)
+    monkeypatch.setattr(example, "PACKAGE", shipped.parent)
     monkeypatch.chdir(tmp_path)
     if "localiser example ." not in "".join(block.text for block in blocks(page)):
         assert localiser("example", ".").exit_code == 0

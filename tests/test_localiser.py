@@ -231,6 +231,10 @@ class Beacon:
         return -0.5 * ((np.hypot(*particles.columns[:2]) - sighting.measurement[0]) / 0.05) ** 2
 
 
+class Other(Beacon):
+    """Another observation."""
+
+
 class Shifted:
     """A motion model without noise that moves every particle 1 m to the right."""
 
@@ -286,10 +290,6 @@ def test_a_state_with_ones_own_observation_goes_on_to_the_last_bit() -> None:
     expected = first.odometry(SECOND, [0.0, 0.0, 0.0])
     np.testing.assert_array_equal(poses(again.odometry(SECOND, [0.0, 0.0, 0.0])), poses(expected))
     assert len(expected) == 1
-
-    class Other(Beacon):
-        """Another observation."""
-
     with pytest.raises(InputError, match=r"own observation: expected .*Beacon, .* found .*Other"):
         by_beacon(Other()).restore(first.save())
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.options import BagCamera, Quiet, Topics, progress, topics_by_role
-from localiser.documents import encodable
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -66,6 +65,7 @@ def convert(
     Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --camera and, where
     there is any, --odometry; without it a replay takes the motion from the images. The log gets the name of OUT.
     """
+    from localiser.documents import encodable
     from localiser.storage import is_video, open_log, read_video, thinned, write_bag
 
     every_s = None if every is None else _seconds(every)

@@ -17,7 +17,7 @@ DEMO_EPILOG = "Example: `localiser demo --view web`"
 
 LOG = Path("logs/corridor")
 PARTS = (Path("configs"), LOG, Path("maps/corridor.yaml"))
-_PACKAGE = Path(__file__).resolve().parents[1]
+PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def example_folder() -> Path:
@@ -25,10 +25,10 @@ def example_folder() -> Path:
 
     Raises LocaliserError when there is none.
     """
-    for folder in (_PACKAGE / "example", _PACKAGE.parent):
+    for folder in (PACKAGE / "example", PACKAGE.parent):
         if all((folder / part).exists() for part in PARTS):
             return folder
-    raise LocaliserError(f"the example drive is not part of this installation, expected in {_PACKAGE / 'example'}")
+    raise LocaliserError(f"the example drive is not part of this installation, expected in {PACKAGE / 'example'}")
 
 
 def demo(

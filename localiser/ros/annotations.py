@@ -14,7 +14,7 @@ from localiser.filter import LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import predicted_lines
 from localiser.storage.bags import ANNOTATIONS, Messages, header
-from localiser.view import palette
+from localiser.view import MATCHED, UNMATCHED, VISIBLE, Colour
 
 _LINE_LIST = 4
 _PIXEL_CENTRE = 0.5  # the origin is the corner of the top-left pixel there, and its centre here
@@ -27,14 +27,14 @@ def drawn_lines(make: Messages, frame: LocatedFrame, ends: Array, camera: Camera
     known = np.isfinite(edges).all(axis=(1, 2))
     expected_px = np.stack([expected[:, :-1], expected[:, 1:]], axis=2).reshape(-1, 2)  # each piece of each line
     groups = [
-        (expected_px, palette.VISIBLE, 1.0),
-        (edges[known & ~matched].reshape(-1, 2), palette.UNMATCHED, 2.0),
-        (edges[known & matched].reshape(-1, 2), palette.MATCHED, 2.0),
+        (expected_px, VISIBLE, 1.0),
+        (edges[known & ~matched].reshape(-1, 2), UNMATCHED, 2.0),
+        (edges[known & matched].reshape(-1, 2), MATCHED, 2.0),
     ]
     return make.make(ANNOTATIONS, points=[_lines(make, stamp_ns, *group) for group in groups if len(group[0])])
 
 
-def _lines(make: Messages, stamp_ns: int, points_px: Array, colour: palette.Colour, thickness_px: float) -> Any:
+def _lines(make: Messages, stamp_ns: int, points_px: Array, colour: Colour, thickness_px: float) -> Any:
     """Return lines between every two of the points (2 N, 2)."""
     point = make.store.types["foxglove_msgs/msg/Point2"]
     return make.make(

@@ -10,7 +10,7 @@ from localiser.camera import Camera
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array
 from localiser.storage.bags import MARKERS, Messages, header
-from localiser.view import palette
+from localiser.view import MATCHED, VISIBLE, Colour
 
 _LINES, _ADD, _DELETE = 5, 0, 2  # LINE_LIST, ADD and DELETE of visualization_msgs/Marker
 _MARKER = "visualization_msgs/msg/Marker"
@@ -19,7 +19,7 @@ _POST_M, _SIGHT_M = 0.03, 0.01
 
 def landmark_markers(make: Messages, ends: Array, stamp_ns: int, frame: str) -> Any:
     """Return one marker: every landmark as an upright line between its ends (L, 2, 3) in the map."""
-    lines = _lines(make, stamp_ns, frame, "landmarks", ends, palette.VISIBLE, _POST_M)
+    lines = _lines(make, stamp_ns, frame, "landmarks", ends, VISIBLE, _POST_M)
     return make.make(MARKERS, markers=[lines])
 
 
@@ -33,15 +33,11 @@ def match_markers(make: Messages, found: LocatedFrame, ends: Array, camera: Came
     x, z, _ = camera.pose_in_map(found.located.estimate.pose)
     here = np.broadcast_to([x, camera.mount.height_m, z], (len(seen), 3))
     sights = np.stack([here, seen.mean(axis=1)], axis=1)
-    posts = _lines(make, stamp_ns, frame, "matched", seen, palette.MATCHED, _POST_M)
-    return make.make(
-        MARKERS, markers=[posts, _lines(make, stamp_ns, frame, "sights", sights, palette.MATCHED, _SIGHT_M)]
-    )
+    posts = _lines(make, stamp_ns, frame, "matched", seen, MATCHED, _POST_M)
+    return make.make(MARKERS, markers=[posts, _lines(make, stamp_ns, frame, "sights", sights, MATCHED, _SIGHT_M)])
 
 
-def _lines(
-    make: Messages, stamp_ns: int, frame: str, name: str, ends: Array, colour: palette.Colour, width_m: float
-) -> Any:
+def _lines(make: Messages, stamp_ns: int, frame: str, name: str, ends: Array, colour: Colour, width_m: float) -> Any:
     """Return a marker of lines with these ends (N, 2, 3) in the map; one that deletes it where there are none."""
     red, green, blue, alpha = (value / 255 for value in colour)
     return make.make(

@@ -14,7 +14,7 @@ from localiser.geometry import Array
 from localiser.landmarks import predicted_lines
 from localiser.storage import encode_image
 from localiser.storage.bags import Messages
-from localiser.view import palette
+from localiser.view import MATCHED, UNMATCHED, VISIBLE, Colour
 
 JPEG_QUALITY = 80
 _SHIFT = 4  # bits after the point in the pixels that OpenCV draws to
@@ -32,9 +32,9 @@ def annotated(make: Messages, frame: LocatedFrame, ends: Array, camera: Camera, 
     _, expected = predicted_lines(camera, pose, ends, frame.matches.visible)
     edges, matched = frame.located.edges, frame.matches.landmark >= 0
     known = np.isfinite(edges.ends_px).all(axis=(1, 2))
-    _draw(pixels, expected, palette.VISIBLE, 1)
-    _draw(pixels, edges.ends_px[known & ~matched], palette.UNMATCHED, 2)
-    _draw(pixels, edges.ends_px[known & matched], palette.MATCHED, 2)
+    _draw(pixels, expected, VISIBLE, 1)
+    _draw(pixels, edges.ends_px[known & ~matched], UNMATCHED, 2)
+    _draw(pixels, edges.ends_px[known & matched], MATCHED, 2)
     return make.compressed(stamp_ns, encode_image(pixels, ".jpg", JPEG_QUALITY))
 
 
@@ -46,7 +46,7 @@ def _colour(image: Image) -> NDArray[np.uint8] | None:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy(), dtype=np.uint8)
 
 
-def _draw(pixels: NDArray[np.uint8], lines: Array, colour: palette.Colour, width: int) -> None:
+def _draw(pixels: NDArray[np.uint8], lines: Array, colour: Colour, width: int) -> None:
     """Draw lines (N, S, 2) in pixels."""
     red, green, blue, _ = colour
     strips = [np.round(line * 2**_SHIFT).astype(np.int32) for line in lines]

@@ -8,6 +8,7 @@ from localiser.view.context import Context
 from localiser.view.file import RrdFile
 from localiser.view.live import LiveView, check_kind
 from localiser.view.mapping import Finished, Growing, MapFile, MapView, building_context
+from localiser.view.palette import MATCHED, UNMATCHED, VISIBLE, Colour
 from localiser.view.recorded import RecordingViewer
 
 if TYPE_CHECKING:

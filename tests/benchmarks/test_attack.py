@@ -57,7 +57,7 @@ def test_bags_are_changed_inside_and_still_opened(tmp_path: Path) -> None:
         file = tmp_path / f"{number}.mcap"
         file.write_bytes(attack_formats.mutated(data, ".mcap", random.Random(number)))
         try:
-            attack_targets._all_of_log(file, tmp_path)
+            attack_targets.all_of_log(file, tmp_path)
             opened += 1
         except InputError as error:
             opened += " at " in str(error)
@@ -85,7 +85,7 @@ def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkey
     try:
         assert worker("map", 1, 60.0, tmp_path / "kept")["end"] in ("value", "refused")
         monkeypatch.setattr(attack_pool, "MEMORY_MB", 1.0)
-        monkeypatch.setattr(attack_pool, "_LOOK_S", 0.0)
+        monkeypatch.setattr(attack_pool, "LOOK_S", 0.0)
         assert worker("map", 2, 60.0, tmp_path / "kept")["end"] == "memory"
         assert (tmp_path / "kept" / "end.json").exists()
         monkeypatch.undo()

@@ -39,7 +39,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (shipped / folder).mkdir(parents=True)
     cut_log(CORRIDOR, shipped / example.LOG, FRAMES)
     (shipped / example.PARTS[2]).write_bytes((ROOT / example.PARTS[2]).read_bytes())
-    monkeypatch.setattr(example, "_PACKAGE", package)
+    monkeypatch.setattr(example, "PACKAGE", package)
     return shipped
 
 
@@ -75,7 +75,7 @@ def test_the_example_overwrites_nothing(localiser: Localiser, empty: Path, insta
 def test_a_package_without_the_example_says_so(
     localiser: Localiser, empty: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(example, "_PACKAGE", empty / "localiser")
+    monkeypatch.setattr(example, "PACKAGE", empty / "localiser")
     result = localiser("demo")
     assert result.exit_code == 2 and "not part of this installation" in result.err
 

@@ -162,6 +162,6 @@ def test_a_camera_that_is_hardly_above_the_floor_is_refused() -> None:
     mount = replace(CAMERA.mount, height_m=1e-12)
     tree = FrameTree()
     optical = base_from_optical(mount, CAMERA.level_from_camera)
-    tree._neighbours = {"base": {"optical": optical}, "optical": {"base": np.linalg.inv(optical)}}
+    tree.add("base", "optical", optical)
     with pytest.raises(ValueError, match="above the floor"):
         mount_of(tree, "base", "optical")
