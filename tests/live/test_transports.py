@@ -31,6 +31,7 @@ zenoh = pytest.importorskip("zenoh")
 
 PATIENCE_S = 30.0
 ODOMETRY = Topic("/odom", "nav_msgs/msg/Odometry", reliable=False, depth=5)
+RELIABLE = Topic("/odom", "nav_msgs/msg/Odometry", depth=10)
 FIXED = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True, depth=1)
 
 
@@ -66,11 +67,11 @@ def wait_until(met: Callable[[], object]) -> None:
 def test_messages_go_from_client_to_client(endpoint: str, names: Any) -> None:
     got: list[tuple[bytes, bytes]] = []
     with joined(endpoint, names=names) as robot, joined(endpoint, names=names) as live:
-        live.subscribe(ODOMETRY, lambda *message: got.append(message))
-        wait_until(lambda: robot.is_heard(ODOMETRY))
-        wait_until(lambda: robot.publish(ODOMETRY, b"begun") or got)  # whoever has just joined may miss the first
+        live.subscribe(RELIABLE, lambda *message: got.append(message))
+        wait_until(lambda: robot.is_heard(RELIABLE))
+        wait_until(lambda: robot.publish(RELIABLE, b"begun") or got)  # whoever has just joined may miss the first
         for number in range(5):
-            robot.publish(ODOMETRY, bytes([number]))
+            robot.publish(RELIABLE, bytes([number]))
         wait_until(lambda: got[-1][0] == b"\4")
     assert [content for content, _ in got if content != b"begun"] == [bytes([number]) for number in range(5)]
     assert {len(source) for _, source in got} == ({16} if names == "rmw_zenoh" else {0})
