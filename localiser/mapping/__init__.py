@@ -4,6 +4,7 @@ from localiser.mapping.aliasing import Aliasing, find_aliasing
 from localiser.mapping.alignment import Alignment, align, matches
 from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
 from localiser.mapping.build import BuildParameters, BuildWatch, MapBuilt, build_map
+from localiser.mapping.build_together import build_map_together
 from localiser.mapping.check import (
     ENOUGH,
     Coverage,

@@ -21,6 +21,7 @@ from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.mapping.coarse_bearings import COARSE_RAD
 from localiser.mapping.factors import Prior
+from localiser.mapping.far_images import PLACE_SIGMA_M, are_far, build_from_far_images
 from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.log_edges import edges_of_log
@@ -37,7 +38,7 @@ from localiser.mapping.recorded import (
     turn_sigmas,
     wheels_of,
 )
-from localiser.mapping.sightings import Sightings
+from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow
 from localiser.motion import MotionParameters
@@ -112,7 +113,7 @@ def build_map(
     config = config or BuildParameters()
     name = poses if isinstance(poses, str) else source
     known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
-    inside, trajectory = _sampled_at_images(log, known)
+    inside, trajectory = sampled_at_images(log, known)
     require_motion(log, trajectory)
     exact = name not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
@@ -131,7 +132,7 @@ def build_map(
         raise InputError(
             f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
         )
-    parameters, camera, slam = config.mapping, log.camera, None
+    parameters, camera, slam, probability = config.mapping, log.camera, None, None
     if name == SLAM:
         slam = _slam(log, sightings, trajectory, config)
         trajectory, camera = Trajectory(trajectory.t_ns, slam.poses), slam.camera
@@ -139,10 +140,22 @@ def build_map(
     else:
         sigma = measured_sigma(sightings, camera.focal_px, parameters)
         cameras = sightings.camera_poses(camera, trajectory.poses)
-        built = _built_along(cameras, sightings, sigma, turn_sigma, parameters, exact=exact)
+        track = follow(sightings, cameras, turn_sigma, parameters.tracks)
+        built, probability = built_along(
+            cameras, sightings, sigma, track, parameters, exact=exact, far=are_far(cameras)
+        )
     cameras = sightings.camera_poses(camera, trajectory.poses)
     landmark_map = landmark_map_of(
-        sightings, built, cameras, sigma, camera, parameters, log.name, f"{log.name}, poses: {name}"
+        sightings,
+        built,
+        cameras,
+        sigma,
+        camera,
+        parameters,
+        log.name,
+        f"{log.name}, poses: {name}",
+        probability=probability,
+        pose_sigma_m=0.0 if probability is None else PLACE_SIGMA_M,
     )
     require_landmarks(log, landmark_map, sightings, built, parameters)
     result = MapBuilt(landmark_map, trajectory, sightings, built, slam)
@@ -151,7 +164,7 @@ def build_map(
     return result
 
 
-def _sampled_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
+def sampled_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
     """Return the indices of the images within the time of the known poses, and the poses at these images."""
     t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
     inside = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))
@@ -172,14 +185,24 @@ def _slam(log: RecordedLog, sightings: Sightings, odometry: Trajectory, config: 
     return build_from_log(sightings, wheels, Prior.of(config.motion), odometry.poses[0], log.camera, config.mapping)
 
 
-def _built_along(
-    cameras: Array, sightings: Sightings, sigma: Array, turn_sigma: Array, parameters: MappingParameters, *, exact: bool
-) -> Built:
-    """Return the landmarks seen from camera poses (T, 3); exact: these are known and not from odometry.
+def built_along(
+    cameras: Array,
+    sightings: Sightings,
+    sigma: Array,
+    track: Index,
+    parameters: MappingParameters,
+    *,
+    exact: bool,
+    far: bool,
+) -> tuple[Built, Array | None]:
+    """Return the landmarks (L) seen from camera poses (T, 3), and how likely each exists (L,) where that is known.
 
-    Where bearings are too coarse to follow an edge from image to image, a mixture of landmarks explains all of them.
+    track: (S,) as edges were followed. exact: poses are known and not from odometry. far: see `are_far`. Where bearings
+    are too coarse to follow an edge from image to image, a mixture of landmarks explains all of them; where images are
+    too far apart, crossings of rays do.
     """
     if exact and np.median(sigma) > COARSE_RAD:
-        return build_from_coarse(sightings, cameras, sigma, parameters)
-    track = follow(sightings, cameras, turn_sigma, parameters.tracks)
-    return build_from_poses(sightings, track, cameras, sigma, parameters)
+        return build_from_coarse(sightings, cameras, sigma, parameters), None
+    if exact and far:
+        return build_from_far_images(sightings, cameras, sigma, parameters)
+    return build_from_poses(sightings, track, cameras, sigma, parameters), None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,31 @@ class Sightings:
             foot_sigma_m=foot_sigma_m,
             profile=profile,
             mounts=_mounts(frames),
+        )
+
+    @classmethod
+    def together(cls, parts: Sequence[Sightings], cameras: Sequence[Camera]) -> Sightings:
+        """Return the tables of several logs as one, their frames one after the other; cameras: one for each log."""
+        width = max(part.profile.shape[1] for part in parts)
+        mounts = [
+            [part.camera_at(frame, camera).mount for frame in range(part.frames)]
+            for part, camera in zip(parts, cameras, strict=True)
+        ]
+        columns: dict[str, Any] = {
+            f.name: np.concatenate([getattr(part, f.name) for part in parts])
+            for f in fields(cls)
+            if f.name not in ("first", "frame", "profile", "mounts")
+        }
+        frames = np.concatenate([[0], np.cumsum([part.frames for part in parts])])
+        sizes = np.concatenate([np.diff(part.first) for part in parts])
+        return cls(
+            first=np.concatenate([[0], np.cumsum(sizes)]),
+            frame=np.concatenate([part.frame + begin for part, begin in zip(parts, frames[:-1], strict=True)]),
+            profile=np.concatenate(
+                [p.profile if p.profile.shape[1] == width else np.full((len(p), width), np.nan) for p in parts]
+            ),
+            mounts=tuple(mount for part in mounts for mount in part),
+            **columns,
         )
 
     def camera_at(self, frame: int, camera: Camera) -> Camera:

@@ -35,12 +35,18 @@ EXAMPLES = """Examples:
 
 `localiser map build logs/corridor --poses slam -o maps/mine.yaml --trajectory mine.tum --view web`
 
+`localiser map build monday tuesday --poses truth -o maps/mine.yaml`
+
 `localiser map build logs/corridor --poses mine.tum -o maps/mine.yaml --set mapping.parallax_min_deg=8`"""
 
 
 def build(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set.")
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG…",
+            help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set. Several make one map, by their truth.",
+        ),
     ],
     out: NewMap,
     poses: Annotated[
@@ -70,16 +76,22 @@ def build(
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing map.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Build a map of the vertical edges that a LOG shows, with what is known of each."""
+    """Build a map of the vertical edges that a LOG shows, or several, with what is known of each."""
     from dataclasses import replace
+    from functools import partial
 
     from localiser.commands.map.watch import MapWatch
     from localiser.mapping import build_map, cache_folder
     from localiser.storage import write_map, write_tum
 
     require_writable(out, trajectory, rrd, overwrite=force)
+    if len(logs) > 1:
+        _require_truth_only(poses, {"--trajectory": trajectory, "--rrd": rrd, "--view": view != "none"})
+        opening = partial(opened, format=log_format, topics=topics_by_role(topics), camera=camera)
+        _build_together([opening(log, config, [*(overrides or [])]) for log in logs], out, quiet)
+        return
     recorded, settings = opened(
-        log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+        logs[0], config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
     )
     track, source = poses_named(poses)
     with MapWatch(recorded, settings.mapping, rrd, view) as watch:
@@ -144,6 +156,35 @@ def poses_named(poses: str) -> tuple[str | Trajectory, str]:
     if poses in ("truth", "odometry", "slam") or not path.exists():
         return poses, poses
     return read_poses(path) if path.suffix == ".csv" else read_tum(path), path.name
+
+
+def _require_truth_only(poses: str, options: dict[str, object]) -> None:
+    """Raise InputError for what several logs cannot be built with."""
+    from localiser.errors import InputError
+
+    if poses != "truth":
+        raise InputError(
+            f"expected truth for several logs, which must share one frame, found {poses!r}", field="--poses"
+        )
+    for name, value in options.items():
+        if value:
+            raise InputError("expected one log with this option, found several", field=name)
+
+
+def _build_together(opened_logs: list[tuple[Log, Config]], out: Path, quiet: bool) -> None:
+    """Build one map of several logs, by their true poses and the settings of the first."""
+    from dataclasses import replace
+
+    from localiser.mapping import build_map_together, cache_folder
+    from localiser.storage import write_map
+
+    logs = [log for log, _ in opened_logs]
+    with progress("Finding edges", sum(len(log.frames) for log in logs), quiet) as advance:
+        built = build_map_together(logs, opened_logs[0][1], progress=advance, cache=cache_folder())
+    header: dict[str, object] = {"built_from_frames": built.sightings.frames}
+    write_map(replace(built.landmark_map, header=header), out)
+    if not quiet:
+        _show_built(built, out)
 
 
 def _stay(viewer: MapView) -> None:
