@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ TWICE_M = 0.02
 ENOUGH = 3
 """Landmarks in view that fix a pose: two leave an arc of places."""
 _NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
+_SHARED_M = 0.016  # sigma of places that is the most which a build adds to that of every landmark
 _MATCH_RAD = np.deg2rad(1.5)  # an edge farther from where a landmark should be seen is another's
 _STEP_M, _MOST_STEPS = 0.25, 60  # between places; along the longer side of the building
 _AT_ONCE = 4096  # poses whose views are worked out together
@@ -83,8 +84,24 @@ def duplicates(landmark_map: LandmarkMap) -> Index:
     apart = np.hypot(*(landmark_map.points[one] - landmark_map.points[other]).T)
     alike = landmark_map.polarity[one] * landmark_map.polarity[other] >= 0
     # A covariance that is not known makes nothing likely.
-    same = agreeing(landmark_map, landmark_map, pairs, TWICE_M)
+    own = replace(landmark_map, cov=_own_cov(landmark_map.cov))
+    same = agreeing(own, own, pairs, TWICE_M)
     return np.asarray(pairs[alike & ((apart < TWICE_M) | same)])
+
+
+def _own_cov(cov: Array) -> Array:
+    """Return covariances (L, 2, 2) without the variance that all landmarks share, up to `_SHARED_M`².
+
+    It stands for errors of images and poses that no number of images averages out, and says nothing of whether two
+    neighbours, such as the backs of two books, are one.
+    """
+    known = np.isfinite(cov).all(axis=(1, 2)) & (np.trace(cov, axis1=1, axis2=2) > 0)
+    if not known.any():
+        return cov
+    least = float(np.linalg.eigvalsh(cov[known])[:, 0].min())
+    own = cov.copy()
+    own[known] -= np.clip(least, 0.0, _SHARED_M**2) * np.eye(2)
+    return own
 
 
 def doubtful(landmark_map: LandmarkMap, existence_min: float = 0.5, sigma_max_m: float = 0.2) -> Index:

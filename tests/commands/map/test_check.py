@@ -31,6 +31,16 @@ def test_doubles_are_near_and_alike() -> None:
     assert len(duplicates(LandmarkMap.from_points(points[[0, 2, 6]]))) == 0
 
 
+@pytest.mark.parametrize("shared_m", [0.006, 0.015])
+def test_neighbours_are_not_doubles_for_an_error_that_all_landmarks_share(shared_m: float) -> None:
+    """Two books 3 cm apart, two that a few images show badly, and a surveyed corner."""
+    points = np.array([[0.0, 0.0], [0.03, 0.0], [3.0, 0.0], [3.05, 0.0], [6.0, 0.0]])
+    own_m = np.array([0.001, 0.001, 0.03, 0.03, 0.0])
+    cov = (own_m**2 + shared_m**2 * (own_m > 0))[:, None, None] * np.eye(2)
+    landmarks = replace(LandmarkMap.from_points(points), cov=cov)
+    assert duplicates(landmarks).tolist() == [[2, 3]]
+
+
 def test_doubtful_landmarks_are_unlikely_or_vague() -> None:
     cov = np.tile(1e-4 * np.eye(2), (4, 1, 1))
     cov[2] *= 1e4
