@@ -257,5 +257,5 @@ def _measured(
     everything = LandmarkMap.from_points(pieces[:, :2], bottom_m=pieces[:, 2], top_m=pieces[:, 3])
     visible = at == np.arange(len(truth))[:, None]
     found = simulated_edges(everything, camera, truth, rng, noise=NOISE, visible=visible)
-    known = [np.where(one.landmark_id >= 0, of[one.landmark_id], -1) for one in found]
-    return [replace(one, landmark_id=landmark) for one, landmark in zip(found, known, strict=True)]
+    of = np.append(of, -1)  # an index of -1 is no landmark
+    return [replace(one, landmark_id=of[one.landmark_id]) for one in found]

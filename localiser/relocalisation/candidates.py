@@ -20,7 +20,7 @@ PER_CELL = 60  # particles in each cell of floor and heading, on average
 LEAST_WEIGHT = 1e-9  # of a cell, below which it is given up
 EVENNESS = 0.25  # power of a cell's weight by which it gets particles
 SPREAD = 0.2  # of the spread of a cell: by how much its particles are moved, so that copies part
-MEMORY_SCENES = 3.0  # scenes after which the detection rate may be another
+MEMORY_SCENES = 5.0  # scenes after which the detection rate may be another
 _NEVER = -500.0  # log-likelihood of a pose that is given up
 
 
