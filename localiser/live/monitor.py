@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from localiser.edges import light_of
 from localiser.filter import SURE, LocatedFrame
 
 AGAIN_S = 10.0
+LIT_EVERY = 5  # images, of which one is looked at for its light
 """How long a message of one kind is not repeated."""
 
 SILENT_S = 1.0
@@ -92,6 +94,12 @@ class Monitor:
             self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°")
         if located.warning:
             self.warn("map", located.warning)
+        if frame.image is not None and self.counts["located"] % LIT_EVERY == 1:
+            light = light_of(frame.image)
+            if light.is_dark:
+                self.warn("dark images", f"the image is dark: 95 % is below grey level {light.bright_grey:.0f} of 255")
+            if light.is_washed_out:
+                self.warn("washed-out images", f"the image is washed out: {light.saturated:.0%} of it is white")
         now = time.monotonic()
         self._first, self._last = self._first or now, now
         self._times.append(now)

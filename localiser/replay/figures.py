@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from localiser import evaluate, motion
 from localiser.calibration import check_mount, clock_offset
-from localiser.edges import Edges
+from localiser.edges import DARK_GREY, WASHED_OUT, Edges
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array, Trajectory
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from localiser.replay.run import Replay
 
 CLOCK_PAIRS = 60  # of images, for the offset of the clocks: about a second of computing
+BADLY_LIT = 0.1  # fraction of the images from which on their light is told
+SILENT_NS = 1_000_000_000  # without odometry, though images come
 WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on that is told
 
 
@@ -42,7 +44,9 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
     figures |= {"biases": _constants(run)} | _mount(run, edges)
     clock, clock_warnings = _clock(run, edges)
     figures |= clock
-    figures["warnings"] += clock_warnings + _map_warnings(run) + _wheel_warnings(run)
+    figures |= _light(run)
+    figures["warnings"] += clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run)
+    figures["warnings"] += _silence_warnings(run)
     in_view, matched = (landmark_use(run) > 0).T
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
@@ -148,6 +152,61 @@ def _wheel_warnings(run: Replay) -> list[str]:
         f"The wheels contradict the images in {wrong.sum()} of {len(wrong)} images, the first after {first:.1f} s and "
         f"the last after {last:.1f} s: do they slip, stand still or fall silent? There the edges alone were followed."
     ]
+
+
+def _silence_warnings(run: Replay) -> list[str]:
+    """Return when the odometry fell silent while images came, as a text for people."""
+    if run.localiser.config.increments.source == "vision":
+        return []
+    wheels, images = run.log.odometry.t_ns, run.track.t_ns
+    begins, ends = wheels[:-1], wheels[1:]
+    images_inside = np.searchsorted(images, ends) - np.searchsorted(images, begins, side="right")
+    silent = (ends - begins > SILENT_NS) & (images_inside > 0)
+    if not silent.any():
+        return []
+    lengths_s, since_s = (ends - begins)[silent] / 1e9, (begins[silent] - images[0]) / 1e9
+    longest = int(lengths_s.argmax())
+    return [
+        f"The odometry was silent for more than {SILENT_NS / 1e9:g} s {len(lengths_s)}×, for {lengths_s.sum():.1f} s "
+        f"in all, in which {images_inside[silent].sum()} images came; the longest time was {lengths_s[longest]:.1f} s, "
+        f"after {since_s[longest]:.1f} s."
+    ]
+
+
+def _light(run: Replay) -> dict[str, Any]:
+    """Return how the images were exposed, medians and fractions; nothing where there are none."""
+    light = run.light
+    if not light:
+        return {}
+    return {
+        "light": {
+            "bright_grey_median": round(float(np.median([one.bright_grey for one in light])), 1),
+            "saturated_median": round(float(np.median([one.saturated for one in light])), 4),
+            "dark": round(sum(one.is_dark for one in light) / len(light), 6),
+            "washed_out": round(sum(one.is_washed_out for one in light) / len(light), 6),
+        }
+    }
+
+
+def _light_warnings(run: Replay) -> list[str]:
+    """Return that many images are too dark or washed out, as texts for people."""
+    light = run.light
+    dark, washed_out = ([one for one in light if getattr(one, name)] for name in ("is_dark", "is_washed_out"))
+    texts, fewest = [], max(BADLY_LIT * len(light), WRONG_IMAGES)
+    if len(dark) >= fewest:
+        grey = np.median([one.bright_grey for one in dark])
+        texts.append(
+            f"{len(dark)} of {len(light)} images looked at are dark: 95 % of their pixels are below grey "
+            f"level {grey:.0f} of 255 (median; expected above {DARK_GREY:.0f}). "
+            "Give the camera more light or a longer exposure."
+        )
+    if len(washed_out) >= fewest:
+        share = np.median([one.saturated for one in washed_out])
+        texts.append(
+            f"{len(washed_out)} of {len(light)} images looked at are washed out: {share:.0%} of their pixels are white "
+            f"(median; expected below {WASHED_OUT:.0%}). Give the camera less light or a shorter exposure."
+        )
+    return texts
 
 
 def _clock(run: Replay, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:

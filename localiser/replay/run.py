@@ -14,7 +14,7 @@ import numpy as np
 
 from localiser import evaluate
 from localiser.config import Config, in_force, read_config, to_yaml, with_seed
-from localiser.edges import Detector
+from localiser.edges import Detector, Light, light_of
 from localiser.errors import InputError, LocaliserError, OutputError, RunEndedEarlyError
 from localiser.evaluate import Track, write_report
 from localiser.filter import Anywhere, LocatedFrame, Odometry, Sighting, Start
@@ -43,6 +43,7 @@ from localiser.storage import (
 )
 from localiser.view import Context, LiveView
 
+LIT_EVERY = 5  # images, of which one is looked at for its light
 STAGES = ("load", "edges", "filter", "sinks")
 
 
@@ -55,8 +56,8 @@ class Replay:
     """A log that is replayed, and what was located until now.
 
     localiser: as it was made for this run; it has the map, which was read from `map_file` where that is not None, and
-    the settings. start: None where nothing is said of it. frames: without images and particles. timing: what each of
-    them took (ms), by stage.
+    the settings. start: None where nothing is said of it. frames: without images and particles. light: how every
+    fifth image is exposed. timing: what each of them took (ms), by stage.
     """
 
     log: Log
@@ -64,6 +65,7 @@ class Replay:
     start: Start | None
     map_file: Path | None = None
     frames: list[LocatedFrame] = field(default_factory=list)
+    light: list[Light] = field(default_factory=list)
     timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
 
     @cached_property
@@ -142,6 +144,8 @@ class Replay:
     def _hand_over(self, frame: LocatedFrame, sinks: Sequence[Sink]) -> None:
         begin = perf_counter()
         self.frames.append(without_bulk(frame))
+        if frame.image is not None and len(self.frames) % LIT_EVERY == 1:
+            self.light.append(light_of(frame.image))
         for sink in sinks:
             sink.frame(frame)
         stage_ms = {**frame.stage_ms, "sinks": 1e3 * (perf_counter() - begin)}
