@@ -13,8 +13,10 @@ from localiser.edges import light_of
 from localiser.filter import SURE, LocatedFrame
 
 AGAIN_S = 10.0
-LIT_EVERY = 5  # images, of which one is looked at for its light
 """How long a message of one kind is not repeated."""
+
+LIT_EVERY = 5
+"""Of how many images one is looked at for its light."""
 
 SILENT_S = 1.0
 _NO_WARNINGS = ("located", "sure", "edges", "matched")

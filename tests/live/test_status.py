@@ -5,8 +5,10 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from unittest.mock import patch
 
+import cv2
+import numpy as np
 import pytest
-from live_feed import Feed, camera, drive
+from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
 
 from localiser.live import end_table, status_line
@@ -74,4 +76,20 @@ def test_the_line_says_where_the_robot_is_and_the_table_what_the_run_came_to() -
     rows = [" ".join(row.split()) for row in capture.get().splitlines()]
     assert f"images located {len(feed.published)}" in rows
     assert {"images sure 100 %", "warning: bad image 1"} <= set(rows)
+    feed.close()
+
+
+@pytest.mark.parametrize(("grey", "kind"), [(10, "dark images"), (255, "washed-out images")])
+def test_an_image_in_bad_light_is_told(grey: int, kind: str) -> None:
+    size = LOG.camera.height, LOG.camera.width
+    plain = cv2.imencode(".png", np.full(size, grey, dtype=np.uint8))[1].tobytes()
+    feed = Feed()
+    feed([*camera(), *drive(1)])
+    assert not {"dark images", "washed-out images"} & set(feed.run.monitor.wrong)
+    feed.close()
+    feed = Feed()
+    messages = drive(1)
+    feed([*camera(), *(image(one.at_ns, 0, plain) if one.role == "image" else one for one in messages)])
+    assert feed.run.monitor.wrong[kind] == 1
+    assert any(("is dark" if grey < 64 else "is washed out") in text for text in feed.said)
     feed.close()
