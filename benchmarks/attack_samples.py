@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from localiser.camera import Camera
 from localiser.commands import app
 from localiser.documents import dump
 from localiser.documents import load as load_document
@@ -28,8 +29,8 @@ def make(folder: Path) -> Path:
     """Write the samples into a new folder, which is returned."""
     folder.mkdir(parents=True)
     log = _short(open_log(ROOT / "logs" / "corridor"))
-    _write(folder / "log", log)
-    _write_edges(folder / "edges", log)
+    _write(folder / "log", log, as_edges=False)
+    _write(folder / "edges", log, as_edges=True)
     for kind, name in (("ros1", "bag.bag"), ("mcap", "mcap"), ("sqlite3", "sqlite3")):
         write_bag(folder / name, log, kind)
     shutil.copy(next((folder / "mcap").glob("*.mcap")), folder / "file.mcap")
@@ -83,37 +84,24 @@ def _short(log: Log) -> Log:
     )
 
 
-def _write(folder: Path, log: Log) -> None:
-    images = [(frame.t_ns, frame.encoded()) for frame in log.frames if isinstance(frame, ImageEvent)]
+def _write(folder: Path, log: Log, *, as_edges: bool) -> None:
+    """Write the log, with its images or with edges in their place, which are replayed in a tenth of the time."""
+    images = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
     write_log(
         folder,
-        name=log.name,
+        name="edges" if as_edges else log.name,
         camera=log.camera,
         odometry=log.odometry,
-        images=images,
+        images=None if as_edges else [(frame.t_ns, frame.encoded()) for frame in images],
+        sightings=_found(images, log.camera) if as_edges else None,
         landmark_map=log.landmark_map,
         groundtruth=log.groundtruth,
         start=log.start,
     )
 
 
-def _write_edges(folder: Path, log: Log) -> None:
-    """Write the log with edges in place of images, which is replayed in a tenth of the time."""
-    found = [
-        Sighting(frame.t_ns, find_edges(frame.load(), log.camera))
-        for frame in log.frames
-        if isinstance(frame, ImageEvent)
-    ]
-    write_log(
-        folder,
-        name="edges",
-        camera=log.camera,
-        odometry=log.odometry,
-        sightings=found,
-        landmark_map=log.landmark_map,
-        groundtruth=log.groundtruth,
-        start=log.start,
-    )
+def _found(images: list[ImageEvent], camera: Camera) -> list[Sighting]:
+    return [Sighting(image.t_ns, find_edges(image.load(), camera)) for image in images]
 
 
 def _write_pictures(folder: Path, log: Log) -> None:

@@ -65,7 +65,7 @@ class Belief:
 
     candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
     towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
-    proposed, or since there was last no need to.
+    proposed, or since there was last no need to. support: log-likelihood of the tracked place along the last metre.
     """
 
     tracked: float
@@ -118,7 +118,7 @@ class Belief:
         """
         clues, is_tracked, carried = search.clues(sighting), few is not None, jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
-        belief = self._judged(clues, few, jump, carried, move)
+        belief = self._judged(clues, few, replace(jump, novelty=novelty), carried, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         belief = replace(belief, unfit=self.unfit + novelty / scenes if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
@@ -132,7 +132,7 @@ class Belief:
 
     def _judged(self, clues: Clues, few: Particles | None, jump: Jump, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
-        novelty = max(jump.novelty, carried)
+        novelty = jump.novelty
         belief, detections = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections
         log_tracked, blind, support = 0.0, 0.0, 0.0
         if few is not None:
