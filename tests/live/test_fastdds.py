@@ -72,20 +72,37 @@ def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
 
 @pytest.mark.parametrize("reliable", [True, False])
 def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -> None:
-    """640×480×3 at 20 Hz: none lost where it is reliable, else at most 1 %."""
+    """640×480×3 at 20 Hz: none lost where it is reliable, else those alone that the system's socket buffers dropped."""
     domain = SENDS + reliable
     images: list[bytes] = []
     wheels: list[bytes] = []
+    command = [peer, str(domain), "send", "reliable" if reliable else "best", str(IMAGES), str(RATE_HZ)]
     with closing(open_transport(NetworkOptions(dds=domain))) as transport:
         image = Topic("/camera/image_raw", IMAGE, reliable=reliable, depth=5)
         transport.subscribe(image, lambda content, source: images.append(content))
         transport.subscribe(Topic("/odom", ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content))
-        how = "reliable" if reliable else "best"
-        subprocess.run([peer, str(domain), "send", how, str(IMAGES), str(RATE_HZ)], check=True, timeout=PATIENCE_S)
-        least = IMAGES if reliable else 0.99 * IMAGES
-        wait_for(lambda: len(images) >= least and len(wheels) >= least)
+        with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
+            wait_for(lambda: images and wheels)
+            process.communicate("heard\n", timeout=PATIENCE_S)
+        assert process.returncode == 0
+        wait_for(lambda: len(sent(images)) + (0 if reliable else dropped()) >= IMAGES)
     store = typestore(ros1=False)
-    first, last = (store.deserialize_cdr(content, IMAGE) for content in (images[0], images[-1]))
-    assert stated_size(first) == (640, 480) and (last.data == last.data[0]).all()
-    assert last.header.frame_id == "camera_optical_frame"
-    assert floor_pose(store.deserialize_cdr(wheels[-1], ODOMETRY))[0] == pytest.approx(0.01 * (IMAGES - 1))
+    heard = [store.deserialize_cdr(content, IMAGE) for content in sent(images)]
+    assert [one.data[0] for one in heard] == sorted({one.data[0] for one in heard}), "in their order, none twice"
+    assert all(stated_size(one) == (640, 480) and (one.data == one.data[0]).all() for one in heard)
+    assert all(one.header.frame_id == "camera_optical_frame" for one in heard)
+    if reliable:
+        assert floor_pose(store.deserialize_cdr(wheels[-1], ODOMETRY))[0] == pytest.approx(0.01 * (IMAGES - 1))
+
+
+def sent(images: list[bytes]) -> list[bytes]:
+    """Return those after the empty ones that go out until they are heard."""
+    return [content for content in images if len(content) > 1000]
+
+
+def dropped() -> int:
+    """Return how many datagrams this process lost for want of space in the buffers of its sockets."""
+    links = [one.readlink().name for one in Path("/proc/self/fd").iterdir() if one.is_symlink()]
+    inodes = {name.removeprefix("socket:[").removesuffix("]") for name in links if name.startswith("socket:")}
+    rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return sum(int(row[-1]) for row in rows if row[9] in inodes)

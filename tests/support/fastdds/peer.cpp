@@ -1,11 +1,15 @@
 // A counterpart over DDS that is not ours: Fast DDS as Debian has it, with types that fastddsgen made of ros.idl.
 //
 // peer DOMAIN hear                        prints the first PoseWithCovarianceStamped on rt/localiser/pose
-// peer DOMAIN send reliable|best COUNT HZ  sends images and odometry, stamped when they are sent
+// peer DOMAIN send reliable|best COUNT HZ  sends images and odometry, stamped when they are sent, once a line on stdin
+//                                          says that empty ones are heard
 
+#include <atomic>
 #include <chrono>
 #include <cstdio>
 #include <cstring>
+#include <iostream>
+#include <stdexcept>
 #include <string>
 #include <thread>
 
@@ -27,6 +31,7 @@ using ImageType = sensor_msgs::msg::dds_::Image_PubSubType;
 using OdometryType = nav_msgs::msg::dds_::Odometry_PubSubType;
 
 constexpr int PATIENCE_S = 60;
+constexpr int KEPT = 10;
 constexpr unsigned WIDTH = 640, HEIGHT = 480;
 
 DomainParticipant* participant_on_loopback(int domain) {
@@ -50,8 +55,13 @@ template <class Type>
 DataWriter* writer(DomainParticipant* participant, const std::string& name, bool reliable) {
   DataWriterQos qos;
   qos.reliability().kind = reliable ? RELIABLE_RELIABILITY_QOS : BEST_EFFORT_RELIABILITY_QOS;
-  qos.reliability().max_blocking_time = {1, 0};
-  qos.history().depth = 10;
+  qos.reliability().max_blocking_time = {PATIENCE_S, 0};
+  // Of what is reliable nothing is replaced before it is acknowledged: to write waits for a reader that is busy.
+  qos.history().kind = reliable ? KEEP_ALL_HISTORY_QOS : KEEP_LAST_HISTORY_QOS;
+  qos.history().depth = KEPT;
+  qos.resource_limits().max_instances = 1;
+  qos.resource_limits().max_samples = qos.resource_limits().max_samples_per_instance = KEPT;
+  qos.resource_limits().allocated_samples = KEPT;
   qos.publish_mode().kind = SYNCHRONOUS_PUBLISH_MODE;
   qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
   return participant->create_publisher(PUBLISHER_QOS_DEFAULT)
@@ -64,12 +74,6 @@ void stamp(Header& header, const char* frame) {
   header.stamp().sec(now / 1000000000);
   header.stamp().nanosec(now % 1000000000);
   header.frame_id(frame);
-}
-
-bool matched(DataWriter* of) {
-  PublicationMatchedStatus status;
-  of->get_publication_matched_status(status);
-  return status.current_count > 0;
 }
 
 int hear(DomainParticipant* participant) {
@@ -92,14 +96,41 @@ int hear(DomainParticipant* participant) {
   return 1;
 }
 
+void write(DataWriter* by, void* message) {
+  if (!by->write(message)) throw std::runtime_error("a message was not written");
+}
+
+void acknowledged(DataWriter* by) {
+  if (by->wait_for_acknowledgments({PATIENCE_S, 0}) != ReturnCode_t::RETCODE_OK) {
+    throw std::runtime_error("messages were not acknowledged");
+  }
+}
+
+// That a reader is matched says that it was found, not that it found us. So small messages go out until a line on
+// stdin says that they are heard; the last ones are acknowledged where that is asked for.
+void until_heard(DataWriter* images, DataWriter* wheels) {
+  std::atomic<bool> heard{false};
+  std::thread waiting([&heard] {
+    std::string line;
+    std::getline(std::cin, line);
+    heard = true;
+  });
+  ImageType::type image;
+  OdometryType::type odometry;
+  while (!heard) {
+    write(images, &image);
+    write(wheels, &odometry);
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  waiting.join();
+  acknowledged(images);
+  acknowledged(wheels);
+}
+
 int send(DomainParticipant* participant, bool reliable, int count, double hz) {
   auto* images = writer<ImageType>(participant, "rt/camera/image_raw", reliable);
   auto* wheels = writer<OdometryType>(participant, "rt/odom", reliable);
-  for (int k = 0; !(matched(images) && matched(wheels)); ++k) {
-    if (k > PATIENCE_S * 20) return 1;
-    std::this_thread::sleep_for(std::chrono::milliseconds(50));
-  }
-  std::this_thread::sleep_for(std::chrono::seconds(1));
+  until_heard(images, wheels);
   ImageType::type image;
   image.height(HEIGHT);
   image.width(WIDTH);
@@ -115,12 +146,12 @@ int send(DomainParticipant* participant, bool reliable, int count, double hz) {
     std::memset(image.data().data(), k % 256, image.data().size());
     odometry.pose().pose().position().x(0.01 * k);
     stamp(odometry.header(), "odom");
-    wheels->write(&odometry);
+    write(wheels, &odometry);
     stamp(image.header(), "camera_optical_frame");
-    images->write(&image);
+    write(images, &image);
   }
-  images->wait_for_acknowledgments({5, 0});
-  std::this_thread::sleep_for(std::chrono::seconds(1));
+  acknowledged(images);
+  acknowledged(wheels);
   return 0;
 }
 
