@@ -5,4 +5,5 @@ from localiser.live.prepare import LiveOptions, opened
 from localiser.live.send_pose import send_pose
 from localiser.live.stand_in import Passage, StandIn
 from localiser.live.status import end_table, status_line
+from localiser.live.topic_names import check_outputs, input_topics
 from localiser.live.transports import ENDPOINT, NetworkOptions, open_transport

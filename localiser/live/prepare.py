@@ -14,11 +14,10 @@ import numpy as np
 from localiser import view
 from localiser.camera import Camera, Mount
 from localiser.config import Config
-from localiser.documents import nearest, read_text
-from localiser.errors import InputError
+from localiser.documents import read_text
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
-from localiser.live.inbound import TOPICS, topic_for
+from localiser.live.inbound import topic_for
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, Published
 from localiser.live.publishing import Publisher
@@ -28,10 +27,11 @@ from localiser.live.run import LiveRun
 from localiser.live.simulated_time import SimulatedTime
 from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
+from localiser.live.topic_names import check_outputs, input_topics
 from localiser.live.transports import NetworkOptions, ReportsProblems, Take, Transport, open_transport
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
-from localiser.ros import Frames, outputs_named
+from localiser.ros import Frames, Output, outputs_named
 from localiser.storage import encode_image, read_camera, read_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
@@ -77,7 +77,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
     landmark_map = read_map(options.map_file)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
-    topics = _topics(options.topics, options.network.prefix)
+    topics, outputs = _names(options)
     viewers: list[view.LiveView] = []
 
     def tell(text: str, level: str) -> None:
@@ -114,7 +114,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"], topics["camera_info"])
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
-        run.publisher = _publisher(options, transport, recording)
+        run.publisher = _publisher(options, transport, outputs, recording)
         run.simulated = SimulatedTime() if options.use_sim_time else None
         run.requests = Requests(options.map_file.parent)
         serve(transport, inbox, options.network.prefix, options.services)
@@ -136,9 +136,18 @@ def _is_listened_to(role: str, options: LiveOptions) -> bool:
     return role != "clock" or options.use_sim_time
 
 
-def _publisher(options: LiveOptions, transport: Transport, recording: Recording | None) -> Publisher:
-    """Return what publishes results, under the names that were asked for. Raises InputError."""
+def _names(options: LiveOptions) -> tuple[dict[str, str], dict[str, Output]]:
+    """Return the topics that come in, by role, and what goes out, by kind. Raises InputError where two are the same."""
+    topics = input_topics(options.topics, options.network.prefix)
     outputs = outputs_named(options.publish, options.network.prefix)
+    check_outputs(topics, outputs)
+    return topics, outputs
+
+
+def _publisher(
+    options: LiveOptions, transport: Transport, outputs: Mapping[str, Output], recording: Recording | None
+) -> Publisher:
+    """Return what publishes results."""
     publisher = Publisher(transport, outputs, options.frames, round(options.transform_tolerance_s * 1e9))
     if recording is not None:
         publisher.record = lambda topic, msgtype, content: recording.write(topic, msgtype, time.time_ns(), content)
@@ -150,18 +159,11 @@ def into(inbox: Inbox, role: str, topic: str) -> Take:
     return lambda content, source: inbox.put(Arrival(role, topic, content, source=source))
 
 
-def _topics(asked: Mapping[str, str], prefix: str) -> dict[str, str]:
-    for role in asked:
-        if role not in TOPICS:
-            raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
-    return {role: f"{prefix}{topic}" for role, topic in TOPICS.items()} | dict(asked)
-
-
 def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None
-    topics = _topics(options.topics, options.network.prefix)
+    topics = input_topics(options.topics, options.network.prefix)
     recording = Recording(options.record, failed)
     texts = {
         LOG_TOPIC: live_label_text(options.record.stem, _changed_settings(options.config), topics),

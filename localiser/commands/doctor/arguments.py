@@ -69,7 +69,7 @@ def doctor(
     from localiser.commands.doctor import checks as examination
     from localiser.commands.map.edit import parse_point
     from localiser.config import read_config
-    from localiser.live import TOPICS, open_transport
+    from localiser.live import input_topics, open_transport
     from localiser.storage import read_camera, read_map, require_new_file
 
     if picture is not None:
@@ -84,12 +84,7 @@ def doctor(
         from contextlib import closing
 
         network = network_of(connect, listen, zenoh_config, domain, namespace, names, distro)
-        heard = examination.Heard(
-            {
-                **{role: f"{network.prefix}{topic}" for role, topic in TOPICS.items()},
-                **topics_by_role(topics),
-            }
-        )
+        heard = examination.Heard(input_topics(topics_by_role(topics), network.prefix))
         with closing(open_transport(network, "localiser_doctor")) as transport:
             heard.listen(transport, seconds)
         findings += [*examination.topic_checks(heard), *examination.clock_checks(heard)]

@@ -1,0 +1,47 @@
+"""Names of topics by what they are for; each topic is for one thing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from localiser.documents import nearest
+from localiser.errors import InputError
+from localiser.live.inbound import TOPICS
+from localiser.ros import Output
+
+
+def input_topics(asked: Mapping[str, str], prefix: str = "") -> dict[str, str]:
+    """Return the topic of every role. asked: in place of those in TOPICS. prefix: put before those not asked for.
+
+    Raises InputError for an unknown role, and where a topic would have two roles: each of its messages would be taken,
+    and recorded, twice.
+    """
+    for role in asked:
+        if role not in TOPICS:
+            raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
+    topics = {role: f"{prefix}{topic}" for role, topic in TOPICS.items()} | dict(asked)
+    _check_apart([(role, "--topic", name) for role, name in topics.items()])
+    return topics
+
+
+def check_outputs(topics: Mapping[str, str], outputs: Mapping[str, Output]) -> None:
+    """Check that nothing goes out on a topic that comes in, nor two things on one topic. Raises InputError.
+
+    topics: of what comes in, by role.
+    """
+    incoming = [(f"what comes in as {role}", "--topic", name) for role, name in topics.items()]
+    outgoing = [(f"what goes out as {kind}", "--publish", output.topic) for kind, output in outputs.items()]
+    _check_apart(incoming + outgoing)
+
+
+def _check_apart(named: list[tuple[str, str, str]]) -> None:
+    """Raise InputError where two have one name. named: what, by which option, and the name."""
+    found: dict[str, str] = {}
+    for what, option, name in named:
+        topic = name.strip("/")
+        if topic in found:
+            raise InputError(
+                f"expected a topic of its own for each kind, found {name} for {found[topic]} and for {what}",
+                field=option,
+            )
+        found[topic] = what

@@ -1,0 +1,45 @@
+"""Names of topics: each is for one thing."""
+
+from __future__ import annotations
+
+import pytest
+from short_log import CORRIDOR, Localiser
+
+from localiser.errors import InputError
+from localiser.live import TOPICS, check_outputs, input_topics
+from localiser.ros import outputs_named
+
+
+def test_a_prefix_is_put_before_what_is_not_named() -> None:
+    topics = input_topics({"odometry": "/wheels"}, "/robot1")
+    assert (topics["odometry"], topics["image"]) == ("/wheels", "/robot1/camera/image_raw/compressed")
+    assert list(topics) == list(TOPICS)
+
+
+@pytest.mark.parametrize("name", ["/odom", "odom", "/odom/"])
+def test_one_topic_for_two_kinds_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match=r"--topic: expected a topic of its own .* for odometry and for groundtruth"):
+        input_topics({"groundtruth": name})
+    with pytest.raises(InputError, match="unknown kind of topic"):
+        input_topics({"truth": name})
+
+
+@pytest.mark.parametrize(
+    ("publish", "told"),
+    [
+        ({"pose": "/initialpose"}, "/initialpose for what comes in as initialpose and for what goes out as pose"),
+        ({"pose": "/here", "path": "/here"}, "/here for what goes out as pose and for what goes out as path"),
+    ],
+)
+def test_one_topic_in_and_out_is_refused(publish: dict[str, str], told: str) -> None:
+    with pytest.raises(InputError, match=f"--publish: expected .* found {told}"):
+        check_outputs(input_topics({}), outputs_named(publish))
+    check_outputs(input_topics({}), outputs_named({"pose": "/amcl_pose", "path": ""}))
+
+
+@pytest.mark.parametrize(
+    "arguments", [("live", "--map", CORRIDOR / "map.yaml"), ("doctor", "--connect", "tcp/127.0.0.1:9")]
+)
+def test_commands_refuse_it_before_they_join_a_network(localiser: Localiser, arguments: tuple[object, ...]) -> None:
+    result = localiser(*arguments, "--topic", "groundtruth=/odom")
+    assert result.exit_code == 2 and "for odometry and for groundtruth" in result.err
