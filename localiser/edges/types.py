@@ -55,6 +55,7 @@ class Edges:
     rejected_px: (R, 2, 2) segments that were found and are not vertical edges, to look at.
     mount: of the camera when it took this image, which bearings and ranges hold for; None: as the camera says. What
         takes edges and a camera uses `camera.at(edges.mount)`.
+    height_sigma_m: how certain the camera's height above the floor is, 1 sigma, beyond what `ends_px` are.
     """
 
     bearing: Array
@@ -74,6 +75,7 @@ class Edges:
     common: CommonError
     rejected_px: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
     mount: Mount | None = None
+    height_sigma_m: float = 0.0
 
     def __len__(self) -> int:
         return len(self.bearing)
@@ -120,6 +122,7 @@ class Edges:
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Edges:
         """Return the edges at `index` (indices or mask (E,)), in that order."""
-        whole = {"common": self.common.take(index), "rejected_px": self.rejected_px, "mount": self.mount}
+        names = ("rejected_px", "mount", "height_sigma_m")
+        whole = {"common": self.common.take(index)} | {name: getattr(self, name) for name in names}
         columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in whole}
-        return Edges(**columns, **whole)  # type: ignore[arg-type]
+        return Edges(**columns, **whole)

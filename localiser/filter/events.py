@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from localiser.edges import Edges
 from localiser.filter.attitude import Attitude
 from localiser.filter.confidence import MapWarning, Reason
+from localiser.filter.height import Height
 from localiser.geometry import Array, Increment
 from localiser.observation import Sighting
 from localiser.particles import Clusters, Estimate, Particles
@@ -47,8 +48,9 @@ class Located:
     likeliest one. particles: all of them. ess: effective sample size. edges: as they were measured. increment: motion
     since the last image. odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is
     within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
-    first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. sighting: what
-    particles were weighed by, edges corrected by the attitude. warning: what a user should look at, else "".
+    first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. height: by how
+    much the camera's does. sighting: what particles were weighed by, edges corrected by both. warning: what a user
+    should look at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     """
 
@@ -63,6 +65,7 @@ class Located:
     reason: Reason = ""
     clusters: Clusters | None = None
     attitude: Attitude | None = None
+    height: Height = field(default_factory=Height)
     sighting: Sighting | None = None
     warning: MapWarning = ""
     wheels_are_wrong: bool = False

@@ -19,6 +19,7 @@ from localiser import particles
 from localiser.filter.attitude import Attitude, Level, measured_for_image
 from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
+from localiser.filter.height import LEAST_NOVELTY, Height, height_measured
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -28,6 +29,7 @@ from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EstimatesConstantErrors, LinearisedMotion, MotionModel, MotionParameters, covariance_of
 from localiser.observation import (
+    ComparesEnds,
     EarlierImage,
     FollowsClutter,
     GuidesSteps,
@@ -95,9 +97,10 @@ class FilterState:
 
     particles: hypotheses of where the robot was at `at_ns`; None while it is not tracked. weighed: whether they have
     been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and where.
-    attitude: tilt and roll of the camera; None: as stated. seen: the last image. scene: the images that the belief
-    compares the next one with. wheels: whether they are right. pace: twist per second at the last image, from the
-    edges. odometry: poses since then, and the last one before. waiting: sightings that odometry has not reached yet.
+    attitude: tilt and roll of the camera; None: as stated. height: of the camera. seen: the last image. scene: the
+    images that the belief compares the next one with. wheels: whether they are right. pace: twist per second at the
+    last image, from the edges. odometry: poses since then, and the last one before. waiting: sightings that odometry
+    has not reached yet.
     """
 
     particles: Particles | None = None
@@ -106,6 +109,7 @@ class FilterState:
     inliers: InlierRate = field(default_factory=InlierRate.unknown)
     belief: Belief = field(default_factory=Belief.anywhere)
     attitude: Attitude | None = None
+    height: Height = field(default_factory=Height)
     seen: Sighting | None = None
     pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
@@ -153,6 +157,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
+    measured, sighting = sighting, _from_height(mcl, state, sighting)
     # Drive: how did the robot move, by odometry, unless the edges contradict it? A few particles move blindly.
     drive, few = _checked(mcl, state, sighting, _driven(mcl, state, sighting), rng)
     image = _received(mcl, state, sighting, drive)
@@ -165,7 +170,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Compare: is the robot at another place, or not on this map at all?
     weighed = _compared(mcl, state, few, weighed, image, rng)
     # Estimate: before resampling, which only adds noise.
-    located = _located(state, weighed, sighting, image)
+    located = _located(state, weighed, measured, image)
+    state.height = _height(mcl, state, located, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
     state.particles = _resampled(mcl, state, weighed, located.ess, rng)
     seconds = (sighting.t_ns - state.at_ns) / 1e9
@@ -374,6 +380,7 @@ def _located(state: FilterState, weighed: Particles | None, measured: Sighting, 
         wheels_are_wrong=state.wheels.are_wrong,
         clusters=clusters,
         attitude=state.attitude,
+        height=state.height,
         sighting=image.sighting,
     )
 
@@ -386,6 +393,26 @@ def _resampled(
     if weighed is not None and (ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != count):
         return particles.take(weighed, systematic_resample(weighed.weight, count, rng))
     return weighed
+
+
+def _from_height(mcl: Mcl, state: FilterState, sighting: Sighting) -> Sighting:
+    """Return an image as seen from the height that is learnt."""
+    if mcl.level is None or not len(sighting.edges):
+        return sighting
+    return replace(sighting, edges=state.height.corrected(sighting.edges, mcl.level.camera))
+
+
+def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> Height:
+    """Return what is known of the camera's height after an image, while a place is tracked."""
+    observation, edges = mcl.observation, image.sighting.edges
+    if mcl.level is None or not isinstance(observation, ComparesEnds) or state.particles is None or not len(edges):
+        return state.height
+    stated = mcl.level.camera.at(located.edges.mount)
+    height = state.height.seen(image.novelty)
+    if height.novelty < LEAST_NOVELTY or height_measured(stated.mount):
+        return height
+    as_stated = replace(image.sighting, edges=replace(edges, mount=located.edges.mount))
+    return height.after(observation.end_offsets(located.estimate.pose_as_seen, as_stated, mcl.landmark_map), stated)
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.errors import InputError
-from localiser.filter import LocatedFrame, Start
+from localiser.filter import SURE, LocatedFrame, Start
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.live.clock import LATE_NS, RobotClock
@@ -430,6 +430,10 @@ class LiveRun:
         for publish in self.publish:
             publish(published)
         work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]
+        if self.localiser is not None and found.located.p_correct > SURE:
+            stated_m = self.localiser.camera.at(found.located.edges.mount).mount.height_m
+            if off := found.located.height.warning(stated_m):
+                self.monitor.warn("height", off)
         self.monitor.located(found, published.latency_ms, work_ms, published.error_m)
 
     def _facts(self, latency_ms: float) -> dict[str, str]:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, in_camera, sight, sigmas_m
+from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, image_heights, in_camera, sight, sigmas_m
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import likelihood, polarity
 from localiser.observation.angle import Angle
@@ -35,7 +35,7 @@ from localiser.observation.detection_rate import DETECTION_RATES
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
 from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
-from localiser.observation.protocols import EarlierImage, Matches, Sighting, Targets
+from localiser.observation.protocols import EarlierImage, EndOffsets, Matches, Sighting, Targets
 from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
@@ -241,6 +241,27 @@ class EdgeObservation:
         gate = np.sqrt((residual / sigma) ** 2 + 2 * np.log(odds))
         matches.landmark[edge], matches.residual[edge] = seen.landmark[pair], residual
         return replace(matches, sigma=_placed(sigma, edge, len(edges)), gate=_placed(gate, edge, len(edges)))
+
+    def end_offsets(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> EndOffsets:
+        """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
+
+        A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
+        that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.
+        """
+        edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
+        landmark = self.associate(pose, sighting, landmark_map).landmark
+        edge = np.flatnonzero((landmark >= 0) & np.isfinite(edges.ends_px).all(axis=(1, 2)))
+        landmark, camera = landmark[edge], self.camera
+        _, ahead_m = in_camera(camera.pose_in_map(pose[None]), landmark_map.points[landmark])
+        ends_m = np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])
+        expected = np.column_stack(image_heights(camera, ahead_m[0], *ends_m.T))
+        measured, cut = endpoints.ends_lower_first(edges.ends_px[edge], camera)
+        _, _, e_low, e_high = camera.upright_bounds
+        inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~cut
+        depth = ahead_m[0, :, None] * np.cos(camera.mount.tilt_rad)
+        depth = depth - (ends_m - camera.mount.height_m) * np.sin(camera.mount.tilt_rad)
+        per_height = -ahead_m[0, :, None] / depth**2
+        return EndOffsets((measured - expected)[inside], per_height[inside])
 
     # -- pairs of an edge and a landmark ----------------------------------------------------------------------------
 

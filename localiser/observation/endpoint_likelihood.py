@@ -36,12 +36,14 @@ _UNKNOWN = 1e9  # beyond every height
 class Endpoints:
     """Where the edges of a frame end, lower and upper end each: (E, 2) in the order of the columns.
 
-    e: upright heights in the image. per_length: (E,) 1 / length in e, 1e9 where unknown. room: the height over which
-    clutter ends, were it everywhere as dense as here. peak: what an edge that reaches where its landmark ends has there
-    beside clutter. missed: how often an edge ends before its landmark does; 1 where nothing is known of ends.
+    e: upright heights in the image. sigma: of an end that is its landmark's, in e. per_length: (E,) 1 / length in e,
+    1e9 where unknown. room: the height over which clutter ends, were it everywhere as dense as here. peak: what an edge
+    that reaches where its landmark ends has there beside clutter. missed: how often an edge ends before its landmark
+    does; 1 where nothing is known of ends.
     """
 
     e: Array
+    sigma: Array
     per_length: Array
     room: Array
     peak: Array
@@ -55,7 +57,7 @@ class Endpoints:
 
 def endpoints_of(edges: Edges, camera: Camera) -> Endpoints:
     """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
-    return _endpoints_of(_Same(edges.ends_px), camera)
+    return _endpoints_of(_Same(edges.ends_px), camera, edges.height_sigma_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,21 +74,34 @@ class _Same:
 
 
 @lru_cache(maxsize=16)  # the same ends are asked for several times in a frame
-def _endpoints_of(ends: _Same, camera: Camera) -> Endpoints:
+def _endpoints_of(ends: _Same, camera: Camera, height_sigma_m: float) -> Endpoints:
     ends_px = ends.array
     count = len(ends_px)
+    known_sigma = SIGMA_PX / camera.focal_px
     if not np.isfinite(ends_px).all():  # measured by something that tells no ends
         e = np.tile([-_UNKNOWN, _UNKNOWN], (count, 1))
-        return Endpoints(e, np.full(count, _UNKNOWN), np.full((count, 2), _UNKNOWN), np.zeros((count, 2)), 1.0)
+        sigma, room, peak = np.full((count, 2), known_sigma), np.full((count, 2), _UNKNOWN), np.zeros((count, 2))
+        return Endpoints(e, sigma, np.full(count, _UNKNOWN), room, peak, 1.0)
     e, cut = ends_lower_first(ends_px, camera)
     _, _, e_low, e_high = camera.upright_bounds
     row = ROW_PX / camera.focal_px
     near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
     room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
-    peak = (1.0 - MISSED) * room * camera.focal_px / (np.sqrt(2 * np.pi) * SIGMA_PX)
+    sigma = known_sigma * np.hypot(1.0, height_sigma_m * end_per_height(e, camera) / known_sigma)
+    peak = (1.0 - MISSED) * room / (np.sqrt(2 * np.pi) * sigma)
     per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
     # The border ends an edge wherever its landmark does.
-    return Endpoints(e, per_length, np.where(cut, _UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+    return Endpoints(e, sigma, per_length, np.where(cut, _UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+
+
+def end_per_height(e: Array, camera: Camera) -> Array:
+    """Return by how much ends e (E, 2), the lower first, move for each metre of the camera's height, unsigned, 1/m.
+
+    They are at the distance d ahead where the lower one is on the floor; an end at e then moves by (c + e s)² / d.
+    """
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    per_ahead = np.maximum(s - e[:, :1] * c, 0.0) / (camera.mount.height_m * (c + e[:, :1] * s))
+    return np.asarray((c + e * s) ** 2 * per_ahead)
 
 
 def ends_lower_first(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
@@ -123,6 +138,6 @@ def agreement(
     inside = np.minimum(top, high) - np.maximum(bottom, low)
     covered = np.clip((inside + 2 * TOLERANCE_PX * per_px) * ends.per_length[edge], 0.0, 1.0)
     short = np.minimum(ends.room[edge] * per_visible[:, None], 1.0) * np.where(in_image, ends.missed, 1.0)
-    off = np.where(in_image, ends.e[edge] - expected, np.inf) / (SIGMA_PX * per_px)
+    off = np.where(in_image, ends.e[edge] - expected, np.inf) / ends.sigma[edge]
     at = np.where(known, short + ends.peak[edge] * np.exp(-0.5 * off**2), 1.0)
     return np.asarray(covered**2 * at.prod(axis=1))

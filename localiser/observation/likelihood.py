@@ -42,15 +42,15 @@ class Scene:
     """What all particles share in a frame: landmarks, edges and the camera, as the loop takes them.
 
     landmarks: (L, 6) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
-    m², mean polarity of its edges. edges: (E, 11) compared angle (rad, ascending, inf where unknown), its variance
+    m², mean polarity of its edges. edges: (E, 13) compared angle (rad, ascending, inf where unknown), its variance
     (rad²), upright image heights of the lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room
-    that clutter has and the peak beside it, polarity, 1 / how dense clutter is there. offset: right, back (m) and yaw
-    (rad) of the camera on the robot.
+    that clutter has, the peak beside it and 1 / sigma, polarity, 1 / how dense clutter is there.
+    offset: right, back (m) and yaw (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
-    own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, 1 / sigma of
-    its ends, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean. reach: which landmarks
-    are in range from where.
+    own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, p(missed).
+    span: of the compared angle (rad). is_slope: whether that is the lean. reach: which landmarks are in range from
+    where.
     """
 
     landmarks: Array
@@ -61,7 +61,7 @@ class Scene:
     range_m: tuple[float, float]
     widest: float
     gate: tuple[float, float]
-    ends: tuple[float, float, float]
+    ends: tuple[float, float]
     span: float
     is_slope: bool
 
@@ -77,7 +77,8 @@ def scene_of(
     known = np.isfinite(measured) & np.isfinite(variance)
     measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
     ends = endpoints.endpoints_of(edges, camera)
-    of_edges: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak, edges.polarity]
+    of_edges: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]
+    of_edges += [1.0 / ends.sigma, edges.polarity]
     margin = sight.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
     sin_cos = float(np.sin(mount.tilt_rad)), float(np.cos(mount.tilt_rad))
     return Scene(
@@ -86,7 +87,7 @@ def scene_of(
         edges=np.column_stack([*of_edges, 1.0 / edges.clutter])[np.argsort(measured, kind="stable")],
         offset=(mount.right_m, mount.back_m, mount.yaw_rad),
         view=(*sin_cos, *(np.array(camera.upright_bounds) + margin).tolist(), max(sight.length_min_px, 1e-9) / focal),
-        ends=(endpoints.TOLERANCE_PX / focal, focal / endpoints.SIGMA_PX, ends.missed),
+        ends=(endpoints.TOLERANCE_PX / focal, ends.missed),
         range_m=(sight.range_min_m, sight.range_max_m),
         widest=widest_tangent(camera, sight),
         gate=(GATE_SIGMAS, float(variance[known].max(initial=0.0))),

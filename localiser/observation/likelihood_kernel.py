@@ -42,7 +42,8 @@ _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN, _SCALE = range(6, 15)
 # Columns of edges.
-_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH, _POLARITY, _RARE = range(11)
+_MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
+_PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _RARE = range(9, 13)
 # Rows of pairs.
 _RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _ALIKE, _DENSITY = (
     range(11)
@@ -253,12 +254,13 @@ def _fill(
     stop: int,
 ) -> None:
     """Write what else is to be known of pairs start … stop, all of one landmark."""
-    missed = ends[2]
+    missed = ends[1]
     unknown_foot, unknown_top = hidden
     for i in range(start, stop):
         m, e = slot[i] % _BLOCK, slot[i] // _BLOCK
         foot, top, per = block[_FOOT, m], block[_TOP, m], block[_PER_VISIBLE, m]
-        pairs[_LOWER, i], pairs[_UPPER, i] = edges[e, _LOW] - foot, edges[e, _HIGH] - top
+        pairs[_LOWER, i] = (edges[e, _LOW] - foot) * edges[e, _PER_SIGMA_LOW]
+        pairs[_UPPER, i] = (edges[e, _HIGH] - top) * edges[e, _PER_SIGMA_HIGH]
         short_low, short_high = min(edges[e, _ROOM_LOW] * per, 1.0), min(edges[e, _ROOM_HIGH] * per, 1.0)
         pairs[_SHORT_LOW, i] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
         pairs[_SHORT_HIGH, i] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
@@ -278,13 +280,12 @@ def _normal(y: float) -> float:
 
 
 @inlined
-def _add_up(pairs: Array, number: int, ends: Any, slot: Counts, density: Array, touched: Counts, count: int) -> int:
+def _add_up(pairs: Array, number: int, slot: Counts, density: Array, touched: Counts, count: int) -> int:
     """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
-    per_sigma = ends[1]
     for i in range((number + LANES - 1) // LANES * LANES):
         per = 1.0 / pairs[_SPREAD, i]
         covered = min(pairs[_COVERED, i], 1.0)
-        lower, upper = pairs[_LOWER, i] * per_sigma, pairs[_UPPER, i] * per_sigma
+        lower, upper = pairs[_LOWER, i], pairs[_UPPER, i]
         at_foot = pairs[_SHORT_LOW, i] + pairs[_OF_PEAK_LOW, i] * _normal(-0.5 / 16 * lower * lower)
         at_top = pairs[_SHORT_HIGH, i] + pairs[_OF_PEAK_HIGH, i] * _normal(-0.5 / 16 * upper * upper)
         agreement = _normal(-0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] * per) * covered * covered
@@ -352,7 +353,7 @@ def log_products(
     view: tuple[float, ...],
     limits: tuple[float, float, float],
     gate: tuple[float, float],
-    ends: tuple[float, float, float],
+    ends: tuple[float, float],
     span: float,
     is_slope: bool,
 ) -> Array:
@@ -388,11 +389,11 @@ def log_products(
                 while some > 0:  # one edge of each particle, and again with those that have another near
                     if number > ROOM - BLOCK:
                         _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
-                        count = _add_up(pairs, number, ends, slot, density, touched, count)
+                        count = _add_up(pairs, number, slot, density, touched, count)
                         filled = number = int(np.int64(0))
                     number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
                 _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
-            count = _add_up(pairs, number, ends, slot, density, touched, count)
+            count = _add_up(pairs, number, slot, density, touched, count)
 
             for m in range(BLOCK):
                 block[_SCALE, m] = per_density / (max(block[_SEEN, m], 1.0) if is_inlier_rate else 1.0)

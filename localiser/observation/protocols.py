@@ -167,6 +167,30 @@ class Associates(Observation, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EndOffsets:
+    """Where matched edges end, beside where their landmarks do: P ends inside the image.
+
+    offset: (P,) measured minus expected upright image height. per_height: (P,) derivative of the expected one by the
+    camera's height above the floor, 1/m.
+    """
+
+    offset: Array
+    per_height: Array
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+
+@runtime_checkable
+class ComparesEnds(Observation, Protocol):
+    """An observation that tells the camera's height: it compares where edges end with where landmarks do."""
+
+    def end_offsets(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> EndOffsets:
+        """Return this of the edges that belong to landmarks, seen from one robot pose (3,)."""
+        ...
+
+
 @runtime_checkable
 class LocalisesGlobally(RatesInliers, Protocol):
     """An observation of edges that poses can be proposed from with no idea where the robot is."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose
-from localiser.observation import ENDPOINT_SIGMA_PX, Angle, ends_lower_first
+from localiser.observation import ENDPOINT_SIGMA_PX, Angle, end_per_height, ends_lower_first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +48,8 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
     order = known[np.argsort(bearing[known], kind="stable")]
     ends, cut = ends_lower_first(edges.ends_px[order], camera)
     unknown = np.isnan(ends).any(axis=1)
+    known_sigma = np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))
+    by_height = edges.height_sigma_m * end_per_height(ends, camera)[:, 0]
     foot = np.where(unknown, _height_at(camera, bearing[order], edges.foot_range_m[order]), ends[:, 0])
     return View(
         camera=camera,
@@ -55,7 +57,7 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
         bearing_sigma=np.sqrt(variance[order]),
         foot=foot,
         cut=cut[:, 0] & ~unknown,
-        foot_sigma=float(np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))),
+        foot_sigma=float(np.hypot(known_sigma, np.median(by_height[~unknown]) if not unknown.all() else 0.0)),
         length_px=np.nan_to_num(edges.length_px[order], nan=1.0),
     )
 

@@ -41,12 +41,12 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         reasons=[result.reason for result in located],
         distance_scale=_learnt(located[-1].estimate, "distance_scale"),
     )
-    figures |= {"biases": _constants(run)} | _mount(run, edges)
+    figures |= {"biases": _constants(run)} | _mount(run, edges) | _height(run)
     clock, clock_warnings = _clock(run, edges)
     figures |= clock
     figures |= _light(run)
     figures["warnings"] += clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run)
-    figures["warnings"] += _silence_warnings(run)
+    figures["warnings"] += _silence_warnings(run) + _height_warnings(run)
     in_view, matched = (landmark_use(run) > 0).T
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
@@ -207,6 +207,25 @@ def _light_warnings(run: Replay) -> list[str]:
             f"(median; expected below {WASHED_OUT:.0%}). Give the camera less light or a shorter exposure."
         )
     return texts
+
+
+def _height(run: Replay) -> dict[str, float]:
+    """Return the height of the camera by where the edges of landmarks end; nothing where a log has no ends."""
+    last = run.frames[-1].located
+    if not any(len(frame.located.edges) and np.isfinite(frame.located.edges.ends_px).all() for frame in run.frames):
+        return {}
+    stated_m = run.log.camera.at(last.edges.mount).mount.height_m
+    return {
+        "height_found_m": round(stated_m + last.height.mean_m, 6),
+        "height_found_sigma_m": round(last.height.sigma_m, 6),
+    }
+
+
+def _height_warnings(run: Replay) -> list[str]:
+    """Return that the stated height of the camera cannot be right, as a text for people."""
+    last = run.frames[-1].located
+    text = last.height.warning(run.log.camera.at(last.edges.mount).mount.height_m)
+    return [f"{text[0].upper()}{text[1:]}."] if text else []
 
 
 def _clock(run: Replay, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:

@@ -33,6 +33,8 @@ def diagnostics(make: Messages, frame: LocatedFrame, stamp_ns: int, facts: Mappi
         "edges": str(len(landmark)),
         "edges_matched": str(int((landmark >= 0).sum())),
         "wheels_are_wrong": str(located.wheels_are_wrong).lower(),
+        "height_off_m": f"{located.height.mean_m:.3f}",
+        "height_off_sigma_m": f"{located.height.sigma_m:.3f}",
         **facts,
     }
     level = OK if located.p_correct > SURE else WARN if located.p_correct >= LEAST_SURE else ERROR

@@ -1,0 +1,108 @@
+"""The height of the camera above the floor, learnt from where the edges of known landmarks end.
+
+A camera that sits lower than is stated sees the floor nearer than it is: the feet of all landmarks are too low in the
+image, by more the nearer they are. So every end of an edge whose landmark is known tells by how much the stated height
+is off, δ:
+
+    p(ends | δ) = Σ_m Π_e [ m / height of the image + (1 - m) N(e; e_l(pose) + δ ∂e_l/∂h, σ²) ]
+
+where m is the fraction of edges that end before their landmarks do. It differs from room to room. Ends that are hidden
+are far from where they should be, so δ is not Gaussian. Its probability is kept on a grid.
+
+Half of σ² is common to the ends of an image, what is left of an error of the tilt, and their number does not average
+it away. Images count by how far the robot has moved between them. A height that was measured for each image, with a
+sigma, errs in each image in its own way and is taken as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.geometry import Array
+from localiser.observation import ENDPOINT_SIGMA_PX, EndOffsets
+
+OFFSETS_M: Array = np.linspace(-0.4, 0.4, 161)
+STATED_SIGMA_M = 0.03  # of a height that people measure or take from a drawing
+UNEVEN_M = 0.01  # how even a floor is between the robot and what it looks at [DIN 18202]
+MISSED = (0.2, 0.5, 0.8, 0.95)  # how many ends of an image are not their landmark's: hidden, or cut in two
+FORGOTTEN = 1e-6  # probability, with each image, that what was learnt is wrong
+STEP_M = 0.005  # in which the height is corrected, so that what depends on it need not be worked out for every image
+LEAST_NOVELTY = 0.2  # between images that are learnt from
+# From how many sigmas on an offset is used instead of what is stated, and how many contradict that.
+_USED, _SIGMAS = 1.0, 3.0
+
+
+_STATED: Array = np.exp(-0.5 * (OFFSETS_M / STATED_SIGMA_M) ** 2)
+_STATED /= _STATED.sum()
+_APART_M: Array = OFFSETS_M[:, None] - OFFSETS_M
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Height:
+    """How much higher the camera is than stated. probability: (K,) of each of `OFFSETS_M`. novelty: not yet used."""
+
+    probability: Array = field(default_factory=_STATED.copy)
+    novelty: float = 0.0
+
+    @property
+    def mean_m(self) -> float:
+        """The expected offset."""
+        return float(self.probability @ OFFSETS_M)
+
+    @property
+    def sigma_m(self) -> float:
+        """How certain the offset is, 1 sigma, on a floor that is as even as floors are."""
+        return float(np.sqrt(self.probability @ (OFFSETS_M - self.mean_m) ** 2 + UNEVEN_M**2))
+
+    def warning(self, stated_m: float) -> str:
+        """Return what a user should know of the stated height, "" where it may be right."""
+        if abs(self.mean_m) <= _SIGMAS * self.sigma_m:
+            return ""
+        sign = "higher" if self.mean_m > 0 else "lower"
+        return (
+            f"the camera is {abs(self.mean_m):.2f} m {sign} than the {stated_m:.3f} m that are stated: "
+            f"{stated_m + self.mean_m:.3f} m ± {self.sigma_m:.3f} m by where the edges of landmarks end. "
+            "That height is used; set it in the camera's file"
+        )
+
+    def seen(self, novelty: float) -> Height:
+        """Return it with the novelty of one more image, 0 … 1."""
+        return replace(self, novelty=min(self.novelty + novelty, 1.0))
+
+    def after(self, ends: EndOffsets, camera: Camera) -> Height:
+        """Return what is known after the ends of an image, which were compared at the stated height."""
+        if not len(ends):
+            return replace(self, novelty=0.0)
+        sigma = ENDPOINT_SIGMA_PX / camera.focal_px / np.sqrt(2)  # of what is each end's own, and of what is common
+        off = (ends.offset[:, None] - ends.per_height[:, None] * OFFSETS_M) / sigma
+        _, _, e_low, e_high = camera.upright_bounds
+        there = np.exp(-0.5 * off**2) * (e_high - e_low) / (np.sqrt(2 * np.pi) * sigma)
+        log_fits = [np.log(missed + (1.0 - missed) * there).sum(axis=0) for missed in MISSED]
+        log_fit = self.novelty * np.logaddexp.reduce(log_fits)
+        common = _APART_M * np.median(np.abs(ends.per_height)) / sigma
+        fit = np.exp(-0.5 * common**2) @ np.exp(log_fit - log_fit.max())
+        known = (1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED
+        return Height(known * fit / (known @ fit))
+
+    def corrected(self, edges: Edges, camera: Camera) -> Edges:
+        """Return the edges as seen from the height that is learnt, with its sigma while that matters."""
+        stated = camera.at(edges.mount).mount
+        if stated.sigma is not None and stated.sigma.height_m is not None:
+            return replace(edges, height_sigma_m=stated.sigma.height_m)
+        sigma_m = float(np.sqrt(self.probability @ (OFFSETS_M - self.mean_m) ** 2))
+        if sigma_m > UNEVEN_M:
+            edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
+        if abs(self.mean_m) < _USED * self.sigma_m:
+            return edges
+        height_m = stated.height_m + round(self.mean_m / STEP_M) * STEP_M
+        range_m = edges.foot_range_m * (height_m / stated.height_m)
+        return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
+
+
+def height_measured(mount: Mount) -> bool:
+    """Return whether the height was measured for one image, with a sigma."""
+    return mount.sigma is not None and mount.sigma.height_m is not None
