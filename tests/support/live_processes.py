@@ -11,7 +11,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Thread
@@ -146,3 +147,17 @@ def free_endpoint() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+_DOMAINS = range(102, 214)
+_tried = count(7 * os.getpid())  # the workers of one test run begin apart
+
+
+def free_domain() -> int:
+    """Return a domain of DDS that nobody on this machine takes part in: nobody listens where participants are found."""
+    for number in _tried:
+        domain = _DOMAINS[number % len(_DOMAINS)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.bind(("", 7400 + 250 * domain))
+            return domain
+    raise AssertionError
