@@ -97,8 +97,8 @@ def live(
         typer.Option(
             "--publish",
             metavar="KIND=NAME",
-            help="Another topic for pose, tf, particles, landmarks, matches, path, image, annotations or diagnostics, "
-            "such as pose=/amcl_pose; `KIND=` for none. Repeatable.",
+            help="Another topic for pose, tf, particles, map, landmarks, matches, path, image, annotations or "
+            "diagnostics, such as pose=/amcl_pose; `KIND=` for none. Repeatable.",
         ),
     ] = None,
     services: Annotated[

@@ -14,7 +14,9 @@ from localiser.ros import Frames, Message, Outgoing, Output
 RECORDED = frozenset(("pose", "tf", "landmarks", "diagnostics"))
 """What is made for a recording also when nobody listens; the rest can be made again by a replay of it."""
 
-NEVER_RECORDED = frozenset(("image",))
+NEVER_RECORDED = frozenset(("image", "map"))
+"""What need not be recorded: it is large, or a recording begins with it."""
+
 Record = Callable[[str, str, bytes], None]
 """Takes topic, type and content of a message that went out."""
 
@@ -50,7 +52,7 @@ class Publisher:
         """Begin, or begin anew with another map: what was located before says nothing any more."""
         self._outgoing = Outgoing(landmark_map, camera, self.frames, self.tolerance_ns, tuple(self.outputs))
         self._name_odometry()
-        self._send(self._outgoing.landmarks(stamp_ns))
+        self._send([*self._outgoing.map(stamp_ns), *self._outgoing.landmarks(stamp_ns)])
 
     def forget(self) -> None:
         """Forget what was located, because the robot is somewhere else."""

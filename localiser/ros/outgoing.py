@@ -18,6 +18,7 @@ from localiser.ros.markers import landmark_markers, match_markers
 from localiser.ros.outputs import OUTPUTS
 from localiser.ros.path import DrivenPath
 from localiser.ros.picture import annotated
+from localiser.storage import map_text
 from localiser.storage.bags import MAP, ODOM, POSES, Messages, header
 
 MOST_PARTICLES = 300
@@ -61,8 +62,14 @@ class Outgoing:
     def __post_init__(self) -> None:
         self._ends = landmark_ends(self.landmark_map, self.camera)
 
+    def map(self, stamp_ns: int) -> list[Message]:
+        """Return the map as the text of its file, which is latched. To be sent when a run begins or its map changes."""
+        if "map" not in self.kinds:
+            return []
+        return [self._message("map", stamp_ns, self._make.text(map_text(self.landmark_map)))]
+
     def landmarks(self, stamp_ns: int) -> list[Message]:
-        """Return what is latched: the map. To be sent once, when a run begins or its map changes."""
+        """Return the map's landmarks to draw, which are latched like the map."""
         if "landmarks" not in self.kinds:
             return []
         markers = landmark_markers(self._make, self._ends, stamp_ns, self.frames.map)

@@ -7,7 +7,18 @@ from dataclasses import dataclass, replace
 
 from localiser.documents import nearest
 from localiser.errors import InputError
-from localiser.storage.bags import ANNOTATIONS, COMPRESSED, DIAGNOSTICS, MARKERS, PATH, POSE, POSES, TRANSFORMS
+from localiser.storage.bags import (
+    ANNOTATIONS,
+    COMPRESSED,
+    DIAGNOSTICS,
+    MAP_TOPIC,
+    MARKERS,
+    PATH,
+    POSE,
+    POSES,
+    TEXT,
+    TRANSFORMS,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +39,7 @@ _ALL = (
     Output("pose", "/localiser/pose", POSE),
     Output("tf", "/tf", TRANSFORMS, depth=100),
     Output("particles", "/localiser/particles", POSES),
+    Output("map", MAP_TOPIC, TEXT, latched=True, depth=1),
     Output("landmarks", "/localiser/landmarks", MARKERS, latched=True, depth=1),
     Output("matches", "/localiser/matches", MARKERS),
     Output("path", "/localiser/path", PATH),

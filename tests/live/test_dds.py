@@ -11,19 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_processes import Program, program
-from short_log import CORRIDOR, Localiser
+from live_processes import free_domain
 
 from localiser.errors import InputError
 from localiser.live import NetworkOptions, open_transport
 from localiser.live.transports import Topic, Transport
 from localiser.live.transports.dds_transport import dds_name, dds_type
-from localiser.storage import open_log, read_track
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
 PATIENCE_S = 60.0
-NAMES, HEARS, LATE, MISMATCHED, DEMO = range(101, 106)  # domains, so that no test hears another
+NAMES, HEARS, LATE, MISMATCHED = (free_domain() for _ in range(4))
 
 
 def test_names_are_those_of_ros() -> None:
@@ -103,24 +101,3 @@ def test_a_quality_of_service_that_does_not_fit_is_told() -> None:
         wait_for(lambda: told)
     assert "/initialpose: a publisher has another quality of service" in told[0]
     assert "durability" in told[0] or "reliability" in told[0]
-
-
-@pytest.mark.slow
-def test_a_demo_over_dds_is_identical_to_the_replay_of_its_recording(localiser: Localiser, tmp_path: Path) -> None:
-    pytest.importorskip("cyclonedds")
-    bag = tmp_path / "drive.db3"
-    settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
-    with program("live", "demo", CORRIDOR, "--dds", DEMO, "--json", "--record", bag, *settings) as live:
-        lines = live.poses(15)
-        lines += ended(live)
-    track = read_track(localiser.replay(bag, tmp_path / "results", few=False) / "trajectory.csv")
-    assert len(track.t_ns) == len(open_log(bag).frames) >= 15
-    assert track.t_ns.tolist() == [line["t_ns"] for line in lines]
-    poses = [[line["x"], line["z"], line["heading"]] for line in lines]
-    np.testing.assert_allclose(track.poses, poses, rtol=0, atol=1e-9)
-
-
-def ended(live: Program) -> list[dict]:
-    assert live.end() == 0, live.all_said()
-    live.all_said()
-    return live.rest()

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_processes import free_domain
 
 from localiser.live import NetworkOptions, open_transport
 from localiser.live.transports import Topic
 from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, stated_size, typestore
 
 SOURCES = Path(__file__).resolve().parents[1] / "support" / "fastdds"
-HEARS, SENDS = 111, 112
 IMAGES, RATE_HZ = 60, 20.0
 PATIENCE_S = 120.0
 
@@ -55,11 +55,11 @@ def wait_for(happened: Callable[[], object]) -> None:
 
 
 def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
-    make, topic = Messages(), Topic("/localiser/pose", POSE)
+    make, topic, domain = Messages(), Topic("/localiser/pose", POSE), free_domain()
     content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.05, 0.06])))
     with (
-        closing(open_transport(NetworkOptions(dds=HEARS))) as transport,
-        subprocess.Popen([peer, str(HEARS), "hear"], stdout=subprocess.PIPE, text=True) as process,
+        closing(open_transport(NetworkOptions(dds=domain))) as transport,
+        subprocess.Popen([peer, str(domain), "hear"], stdout=subprocess.PIPE, text=True) as process,
     ):
         wait_for(lambda: transport.is_heard(topic))
         transport.publish(topic, content)
@@ -73,7 +73,7 @@ def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
 @pytest.mark.parametrize("reliable", [True, False])
 def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -> None:
     """640×480×3 at 20 Hz: none lost where it is reliable, else those alone that the system's socket buffers dropped."""
-    domain = SENDS + reliable
+    domain = free_domain()
     images: list[bytes] = []
     wheels: list[bytes] = []
     command = [peer, str(domain), "send", "reliable" if reliable else "best", str(IMAGES), str(RATE_HZ)]
@@ -83,9 +83,12 @@ def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -
         transport.subscribe(Topic("/odom", ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content))
         with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
             wait_for(lambda: images and wheels)
-            process.communicate("heard\n", timeout=PATIENCE_S)
+            assert process.stdin is not None
+            process.stdin.write("heard\n")
+            process.stdin.flush()
+            wait_for(lambda: len(sent(images)) + (0 if reliable else dropped()) >= IMAGES)
+            process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0
-        wait_for(lambda: len(sent(images)) + (0 if reliable else dropped()) >= IMAGES)
     store = typestore(ros1=False)
     heard = [store.deserialize_cdr(content, IMAGE) for content in sent(images)]
     assert [one.data[0] for one in heard] == sorted({one.data[0] for one in heard}), "in their order, none twice"

@@ -30,12 +30,14 @@ def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
     transport = KeepingTransport()
     fed(Publisher(transport, outputs_named()))([*camera(), *drive(4)])
     assert transport.kinds() == {f"/{name}" for name in (
-        "localiser/pose", "tf", "localiser/particles", "localiser/landmarks", "localiser/matches", "localiser/path",
-        "localiser/image/compressed", "localiser/annotations", "diagnostics",
+        "localiser/pose", "tf", "localiser/particles", "localiser/map", "localiser/landmarks", "localiser/matches",
+        "localiser/path", "localiser/image/compressed", "localiser/annotations", "diagnostics",
     )}  # fmt: skip
     few = KeepingTransport(heard={"/tf"})
     fed(Publisher(few, outputs_named()))([*camera(), *drive(4)])
-    assert few.kinds() == {"/tf", "/localiser/landmarks"}, "what is latched goes out for those who come later"
+    assert few.kinds() == {"/tf", "/localiser/map", "/localiser/landmarks"}, (
+        "what is latched goes out for those who come later"
+    )
     assert few.advertised == transport.advertised
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,7 +19,7 @@ from localiser.geometry import pose_from_ros
 from localiser.ros import OUTPUTS, Frames, Message, Outgoing, outputs_named
 from localiser.ros.outgoing import MOST_PARTICLES
 from localiser.ros.path import MOST_POSES
-from localiser.storage import open_log
+from localiser.storage import open_log, read_map
 from localiser.storage.bags import typestore
 
 LOG = open_log(CORRIDOR)
@@ -55,7 +56,12 @@ def stamp_of(header: Any) -> int:
 
 def test_every_kind_is_made_and_can_be_read(frames: list[LocatedFrame]) -> None:
     make = outgoing()
-    made = [*make.landmarks(STAMP_NS), *make.image(frames[-1], STAMP_NS), *make.transform(STAMP_NS)]
+    made = [
+        *make.map(STAMP_NS),
+        *make.landmarks(STAMP_NS),
+        *make.image(frames[-1], STAMP_NS),
+        *make.transform(STAMP_NS),
+    ]
     assert sorted(message.kind for message in made) == sorted(OUTPUTS)
     for message in made:
         assert read(message) is not None
@@ -106,6 +112,13 @@ def test_particles_are_few_and_lie_where_the_cloud_does(frames: list[LocatedFram
     x, z, _ = frames[-1].located.estimate.pose
     assert np.mean([pose.position.x for pose in poses]) == pytest.approx(x, abs=0.02)
     assert np.mean([-pose.position.y for pose in poses]) == pytest.approx(z, abs=0.02)
+
+
+def test_the_map_is_the_text_of_its_file(tmp_path: Path) -> None:
+    (message,) = outgoing().map(STAMP_NS)
+    (tmp_path / "map.yaml").write_text(read(message).data)
+    np.testing.assert_array_equal(read_map(tmp_path / "map.yaml").points, LOG.landmark_map.points)
+    assert outgoing(kinds=("pose",)).map(STAMP_NS) == []
 
 
 def test_landmarks_are_upright_lines_in_the_map(frames: list[LocatedFrame]) -> None:

@@ -2,7 +2,7 @@
 //
 // peer DOMAIN hear                        prints the first PoseWithCovarianceStamped on rt/localiser/pose
 // peer DOMAIN send reliable|best COUNT HZ  sends images and odometry, stamped when they are sent, once a line on stdin
-//                                          says that empty ones are heard
+//                                          says that empty ones are heard; leaves when stdin ends
 
 #include <atomic>
 #include <chrono>
@@ -152,6 +152,8 @@ int send(DomainParticipant* participant, bool reliable, int count, double hz) {
   }
   acknowledged(images);
   acknowledged(wheels);
+  while (std::cin.get() != EOF) {  // that a participant leaves may be heard before what it sent
+  }
   return 0;
 }
 

@@ -1,0 +1,110 @@
+"""What a live run does the same over zenoh and over DDS: demo, domains that are apart, what is kept for late comers."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_networks import KINDS, Network, domains
+from live_processes import LEAST_HZ, PATIENCE_S, SETTINGS, START, free_domain, program
+from short_log import CORRIDOR, Localiser
+
+from localiser.live import open_transport
+from localiser.live.transports import Topic
+from localiser.ros import OUTPUTS
+from localiser.storage import open_log, read_map, read_track
+from localiser.storage.bags import ODOM, ODOMETRY, Messages, typestore
+
+WHEELS = Topic("/odom", ODOMETRY)
+LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--start", START, "--json", *SETTINGS)
+ROBOT = ("simulate", CORRIDOR, "--serve", "--odometry-hz", 50, "--quiet", "--wait")
+WORST_M = 0.15
+MAKE = Messages()
+
+
+@pytest.fixture(params=KINDS)
+def domain(request: pytest.FixtureRequest) -> Iterator[Callable[[], Network]]:
+    """Return what makes domains of ROS 2, each over the same router, or each of DDS."""
+    with domains(request.param) as made:
+        yield made
+
+
+def wait_until(met: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_demo_is_identical_to_the_replay_of_its_recording(localiser: Localiser, tmp_path: Path, kind: str) -> None:
+    pytest.importorskip("cyclonedds" if kind == "dds" else "zenoh")
+    bag = tmp_path / "drive.db3"
+    settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
+    network = ("--dds", free_domain()) if kind == "dds" else ()
+    with program("live", "demo", CORRIDOR, *network, "--json", "--record", bag, *settings) as live:
+        lines = live.poses(15)
+        assert live.end() == 0, live.all_said()
+        live.all_said()
+        lines += live.rest()
+    track = read_track(localiser.replay(bag, tmp_path / "results", few=False) / "trajectory.csv")
+    assert len(track.t_ns) == len(open_log(bag).frames) >= 15
+    assert track.t_ns.tolist() == [line["t_ns"] for line in lines]
+    poses = [[line["x"], line["z"], line["heading"]] for line in lines]
+    np.testing.assert_allclose(track.poses, poses, rtol=0, atol=1e-9)
+
+
+def test_messages_do_not_leave_their_domain(domain: Callable[[], Network]) -> None:
+    mine, other = domain(), domain()
+    heard: list[bytes] = []
+    wanted, unwanted = (MAKE.encode(MAKE.odometry(t_ns, ODOM, np.zeros(3))) for t_ns in (1, 2))
+    with closing(open_transport(mine.options)) as member, closing(open_transport(other.options)) as beside:
+        member.subscribe(WHEELS, lambda content, source: heard.append(content))
+        wait_until(lambda: member.is_heard(WHEELS))
+        assert not beside.is_heard(WHEELS)
+        beside.publish(WHEELS, unwanted)
+        wait_until(lambda: member.publish(WHEELS, wanted) or heard)
+    assert set(heard) == {wanted}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them")
+def test_two_robots_in_two_domains_do_not_hear_each_other(domain: Callable[[], Network]) -> None:
+    """Each run follows its own robot, which started later than the other one; neither notices a second publisher."""
+    first, second = domain(), domain()
+    with program(*LIVE, *first.arguments) as one, program(*LIVE, *second.arguments) as two, ExitStack() as robots:
+        for run, network in ((one, first), (two, second)):
+            run.wait_to_say("ready")
+            robots.enter_context(program(*ROBOT, *network.arguments))
+        for run in (one, two):
+            lines = run.poses_at(LEAST_HZ, 20)
+            assert np.median([line["error_m"] for line in lines if "error_m" in line]) < WORST_M
+            run.end()
+            said = run.all_said()
+            assert "two publishers" not in said and "Traceback" not in said
+
+
+def test_who_comes_late_gets_map_and_landmarks(domain: Callable[[], Network], tmp_path: Path) -> None:
+    network = domain()
+    heard: dict[str, list[bytes]] = {"map": [], "landmarks": []}
+    store, log = typestore(ros1=False), open_log(CORRIDOR)
+    with program(*LIVE, *network.arguments) as run, program(*ROBOT, *network.arguments):
+        run.poses(2)
+        with closing(open_transport(network.options)) as late:
+            for kind, found in heard.items():
+                output = OUTPUTS[kind]
+                topic = Topic(output.topic, output.msgtype, latched=True, depth=output.depth)
+                late.subscribe(topic, lambda content, source, found=found: found.append(content))
+            wait_until(lambda: all(heard.values()))
+        run.end()
+    (tmp_path / "map.yaml").write_text(store.deserialize_cdr(heard["map"][0], OUTPUTS["map"].msgtype).data)
+    np.testing.assert_array_equal(read_map(tmp_path / "map.yaml").points, log.landmark_map.points)
+    (marker,) = store.deserialize_cdr(heard["landmarks"][0], OUTPUTS["landmarks"].msgtype).markers
+    assert len(marker.points) == 2 * len(log.landmark_map)
+    assert len(heard["map"]) == len(heard["landmarks"]) == 1
