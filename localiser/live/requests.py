@@ -32,7 +32,8 @@ def serve(transport: Transport, inbox: Inbox, prefix: str = "", names: Mapping[s
     for kind, service in SERVICES.items():
         if name := names.get(kind, f"{prefix}{service.name}"):
             take = _taker(inbox, kind, name)
-            transport.serve(Service(name, service.srvtype, service.type_hash), take)
+            served = Service(name, service.srvtype, service.type_hash, service.request, service.response)
+            transport.serve(served, take)
 
 
 def _taker(inbox: Inbox, kind: str, name: str) -> Callable[[bytes, Callable[[bytes], None]], None]:

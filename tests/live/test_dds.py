@@ -11,17 +11,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_processes import free_domain
+from live_processes import free_domain, program
+from short_log import CORRIDOR, Localiser
 
 from localiser.errors import InputError
 from localiser.live import NetworkOptions, open_transport
-from localiser.live.transports import Topic, Transport
-from localiser.live.transports.dds_transport import dds_name, dds_type
+from localiser.live.transports import Reply, Service, Topic, Transport
+from localiser.live.transports.dds_types import dds_name, dds_type
+from localiser.ros import SERVICES, request_bytes, response_bytes
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
 PATIENCE_S = 60.0
-NAMES, HEARS, LATE, MISMATCHED = (free_domain() for _ in range(4))
+NAMES, HEARS, LATE, MISMATCHED, ASKED, NODES, EXAMINED = (free_domain() for _ in range(7))
 
 
 def test_names_are_those_of_ros() -> None:
@@ -101,3 +103,37 @@ def test_a_quality_of_service_that_does_not_fit_is_told() -> None:
         wait_for(lambda: told)
     assert "/initialpose: a publisher has another quality of service" in told[0]
     assert "durability" in told[0] or "reliability" in told[0]
+
+
+def test_a_service_answers_who_asks() -> None:
+    """As Cyclone's middleware of ROS 2 asks: who it is and which request stand before the message."""
+    kind = SERVICES["save_state"]
+    service = Service(kind.name, kind.srvtype, kind.type_hash, kind.request, kind.response)
+    requests: list[bytes] = []
+
+    def answer(content: bytes, reply: Reply) -> None:
+        requests.append(content)
+        reply(response_bytes("save_state", success=True, message="saved"))
+
+    with joined(ASKED) as transport, counterpart(ASKED, "ask") as other:
+        transport.serve(service, answer)
+        assert other.stdout is not None and other.stdout.read() == "5 True saved\n"
+    assert requests[0].startswith(request_bytes("save_state")), "and what fills it up to four bytes"
+
+
+def test_a_node_has_a_name_and_its_topics() -> None:
+    with joined(NODES, namespace="robot1") as transport, counterpart(NODES, "nodes") as other:
+        transport.advertise(Topic("/localiser/pose", POSE))
+        transport.subscribe(Topic("/initialpose", POSE), lambda content, source: None)
+        assert other.stdout is not None
+        assert other.stdout.read() == "/robot1 localiser [['rt/localiser/pose'], ['rt/initialpose']]\n"
+
+
+@pytest.mark.slow
+def test_the_doctor_hears_a_robot(localiser: Localiser) -> None:
+    pytest.importorskip("cyclonedds")
+    with program("simulate", CORRIDOR, "--serve", "--dds", EXAMINED) as robot:
+        robot.wait_to_say("until Ctrl-C")
+        said = localiser("doctor", "--dds", EXAMINED, "--seconds", 4).out
+    for found in ("sensor_msgs/msg/CompressedImage", "nav_msgs/msg/Odometry", "transforms, ", "640×480 pixels"):
+        assert found in said, said

@@ -1,15 +1,17 @@
 """A counterpart over DDS: Cyclone DDS with types of its own, written field by field, and none of our code.
 
-python dds_counterpart.py DOMAIN hear|latched|mismatched
+python dds_counterpart.py DOMAIN hear|latched|mismatched|ask|nodes
 """
 
 import sys
+import time
 from dataclasses import dataclass
 
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float64, int32, uint32
+from cyclonedds.idl.types import array, float64, int32, int64, sequence, uint8, uint32, uint64
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -67,6 +69,40 @@ class Stamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovarianceStam
     pose: PoseWithCovariance
 
 
+@dataclass
+class TriggerRequest(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Request_"):
+    asker: uint64
+    number: int64
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
+class TriggerResponse(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Response_"):
+    asker: uint64
+    number: int64
+    success: bool
+    message: str
+
+
+@dataclass
+class Gid(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
+    data: array[uint8, 16]
+
+
+@dataclass
+class NodeInfo(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid]
+    writer_gid_seq: sequence[Gid]
+
+
+@dataclass
+class ParticipantInfo(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
+    gid: Gid
+    node_entities_info_seq: sequence[NodeInfo]
+
+
 def quality(*, latched: bool = False, reliable: bool = True) -> Qos:
     return Qos(
         Policy.Reliability.Reliable(duration(seconds=1)) if reliable else Policy.Reliability.BestEffort,
@@ -74,6 +110,40 @@ def quality(*, latched: bool = False, reliable: bool = True) -> Qos:
         Policy.History.KeepLast(10),
         Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
     )
+
+
+def ask(participant: DomainParticipant) -> None:
+    """Ask a service until it answers, as one must who may be there before it; print the answer."""
+    requests = DataWriter(participant, Topic(participant, "rq/localiser/save_stateRequest", TriggerRequest), quality())
+    answers = DataReader(participant, Topic(participant, "rr/localiser/save_stateReply", TriggerResponse), quality())
+    for number in range(int(PATIENCE_S)):
+        requests.write(TriggerRequest(2**63 + 5, number))
+        answer = answers.take_one(timeout=duration(seconds=1))
+        if answer is not None:
+            sys.stdout.write(f"{answer.asker - 2**63} {answer.success} {answer.message}\n")
+            return
+
+
+def nodes(participant: DomainParticipant) -> None:
+    """Print namespace and name of every node with its topics, once one has both a publisher and a subscriber."""
+    seen = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+    subscribers = BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)
+    topic = Topic(participant, "ros_discovery_info", ParticipantInfo)
+    reader = DataReader(participant, topic, quality(latched=True))
+    end = time.monotonic() + PATIENCE_S
+    names: dict[bytes, str] = {}
+    while time.monotonic() < end:
+        names |= {one.key.bytes: one.topic_name for one in (*seen.take(100), *subscribers.take(100))}
+        for info in reader.read(10):
+            for node in info.node_entities_info_seq:
+                ours = [
+                    [names.get(bytes(gid.data), "?") for gid in gids]
+                    for gids in (node.writer_gid_seq, node.reader_gid_seq)
+                ]
+                if all(ours) and not any("?" in topics for topics in ours):
+                    sys.stdout.write(f"{node.node_namespace} {node.node_name} {ours}\n")
+                    return
+        time.sleep(0.05)
 
 
 def main(domain: int, what: str) -> None:
@@ -87,6 +157,9 @@ def main(domain: int, what: str) -> None:
         heard = DataReader(participant, topic, quality()).take_one(timeout=duration(seconds=PATIENCE_S))
         at = heard.pose.pose
         sys.stdout.write(f"{heard.header}\n{at.position}\n{heard.pose.covariance[0]}\n")
+        return
+    if what in ("ask", "nodes"):
+        (ask if what == "ask" else nodes)(participant)
         return
     topic = Topic(participant, "rt/initialpose", Stamped)
     writer = DataWriter(participant, topic, quality(latched=what == "latched", reliable=what != "mismatched"))

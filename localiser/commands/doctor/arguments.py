@@ -10,8 +10,10 @@ import typer
 from localiser.commands.options import (
     ConfigFile,
     Connect,
+    Dds,
     Distro,
     Domain,
+    Interface,
     Listen,
     Names,
     Namespace,
@@ -59,12 +61,15 @@ def doctor(
     namespace: Namespace = "",
     names: Names = "rmw_zenoh",
     distro: Distro = None,
+    dds: Dds = None,
+    interface: Interface = "lo",
     config: ConfigFile = None,
     overrides: Overrides = None,
 ) -> None:
     """Tell what is installed, what a robot sends, and whether camera, clocks, mount and map fit together.
 
-    Listens to a robot when --connect, --listen or --zenoh-config is given. Exit code 1 when something is missing.
+    Listens to a robot when --connect, --listen, --zenoh-config or --dds is given. Exit code 1 when something is
+    missing.
     """
     from localiser.commands.doctor import checks as examination
     from localiser.commands.map.edit import parse_point
@@ -80,10 +85,10 @@ def doctor(
     if image is not None:
         finding, seen = examination.camera_check(image, seconds)
         findings.append(finding)
-    if connect or listen or zenoh_config:
+    if connect or listen or zenoh_config or dds is not None:
         from contextlib import closing
 
-        network = network_of(connect, listen, zenoh_config, domain, namespace, names, distro)
+        network = network_of(connect, listen, zenoh_config, domain, namespace, names, distro, dds, interface)
         heard = examination.Heard(input_topics(topics_by_role(topics), network.prefix))
         with closing(open_transport(network, "localiser_doctor")) as transport:
             heard.listen(transport, seconds)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from functools import cache
 from threading import Lock
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from localiser.errors import InputError
-from localiser.live.transports.transport import Take, Topic
+from localiser.live.transports.dds_graph import Node, Publications
+from localiser.live.transports.dds_types import ASKER_BYTES, checked_name, dds, dds_name, raw_part, raw_type
+from localiser.live.transports.transport import Reply, Service, Take, Topic
 from localiser.storage.bags import typestore
 
 LOOPBACK = "lo"
@@ -33,24 +34,38 @@ _POLICIES = {
 
 
 class DdsTransport:
-    """Takes part in a DDS domain. interface: the network interface; by default nothing leaves this machine."""
+    """Takes part in a DDS domain as a node. interface: of the network; by default nothing leaves this machine.
 
-    def __init__(self, domain: int, interface: str = LOOPBACK) -> None:
+    namespace: of the node, "" or such as `/robot1`. humble: whether the others are ROS 2 Humble, for the node's name.
+    """
+
+    def __init__(
+        self,
+        domain: int,
+        interface: str = LOOPBACK,
+        node: str = "localiser",
+        namespace: str = "",
+        *,
+        humble: bool = False,
+    ) -> None:
         """Join a domain. Raises InputError, as when there is no such interface."""
-        dds = _dds()
+        package = dds()
         self._report: Callable[[str], None] = lambda text: None
         self._lock = Lock()
         self._writers: dict[str, Any] = {}
         self._held: list[Any] = []
+        self._publications: list[Publications] = []
         try:
-            self._domain = dds.domain.Domain(domain, _configuration(interface))
-            self._participant = dds.domain.DomainParticipant(domain)
-        except dds.core.DDSException:
+            self._domain = package.domain.Domain(domain, _configuration(interface))
+            ours = package.core.Qos(package.core.Policy.Userdata(b"enclave=/;"))
+            self._participant = package.domain.DomainParticipant(domain, ours)
+        except package.core.DDSException:
             raise InputError(
                 f"expected a network interface and a domain that no other part of this program uses, found "
                 f"{interface!r} and {domain}",
                 field="--dds",
             ) from None
+        self._node = Node(self._participant, node, namespace or "/", humble)
 
     def report_to(self, report: Callable[[str], None]) -> None:
         """See `ReportsProblems`."""
@@ -58,12 +73,7 @@ class DdsTransport:
 
     def subscribe(self, topic: Topic, take: Take) -> None:
         """See `Transport`."""
-        listener = _listener(
-            lambda reader: _hand_over(reader, take), lambda policy: self._incompatible(topic, "publisher", policy)
-        )
-        reader = _dds().sub.DataReader(self._participant, self._made(topic), _qos(topic), listener=listener)
-        self._held.append(reader)
-        _hand_over(reader, take)  # what came before the listener heard of it
+        self._read(topic, dds_name(topic), raw_type(topic.msgtype), take)
 
     def advertise(self, topic: Topic) -> None:
         """See `Transport`."""
@@ -71,19 +81,38 @@ class DdsTransport:
 
     def publish(self, topic: Topic, content: bytes) -> None:
         """See `Transport`."""
-        dds, writer = _dds(), self._writer(topic)
-        try:
-            writer.write(writer.topic.data_type(content))
-        except dds.core.DDSException as error:
-            if error.code != dds.core.DDSException.DDS_RETCODE_TIMEOUT:  # else a reader is too slow for it
-                self._report(f"{topic.name}: a message was not sent: {error}")
+        self._send(topic.name, self._writer(topic), content)
 
     def is_heard(self, topic: Topic) -> bool:
         """See `Transport`."""
         return topic.latched or bool(self._writer(topic).get_matched_subscriptions())
 
+    def serve(self, service: Service, take: Callable[[bytes, Reply], None]) -> None:
+        """See `ServesRequests`. Requests come, and answers go, as Cyclone's middleware of ROS 2 has them."""
+        name, quality = checked_name(service.name, "--service"), Topic(service.name, service.srvtype)
+        answers = raw_part(service.srvtype, "Response", service.response)
+        writer = self._write(quality, f"rr/{name}Reply", answers)
+
+        def handle(content: bytes, _source: bytes) -> None:
+            kind, asker, request = content[:4], content[4 : 4 + ASKER_BYTES], content[4 + ASKER_BYTES :]
+            take(kind + request, lambda answer: self._send(service.name, writer, answer[:4] + asker + answer[4:]))
+
+        self._read(quality, f"rq/{name}Request", raw_part(service.srvtype, "Request", service.request), handle)
+
+    def listen_to_all(self, take: Callable[[str, str | None, bytes], None]) -> None:
+        """See `HearsAll`. Topics whose types are not known are left out."""
+
+        def found(name: str, msgtype: str) -> None:
+            if msgtype in typestore(ros1=False).fielddefs:
+                topic = Topic(name, msgtype, reliable=False)
+                self.subscribe(topic, lambda content, source: take(name, msgtype, content))
+
+        self._publications.append(Publications(self._participant, found))
+
     def close(self) -> None:
         """See `Transport`."""
+        for publications in self._publications:
+            publications.close()
         for entity in [*self._held, self._participant, self._domain]:
             entity._delete(entity._ref)  # children first; its own way is to wait for the garbage collection
         self._held.clear()
@@ -92,66 +121,38 @@ class DdsTransport:
     def _writer(self, topic: Topic) -> Any:
         with self._lock:
             if topic.name not in self._writers:
-                listener = _listener(None, lambda policy: self._incompatible(topic, "subscriber", policy))
-                made = _dds().pub.DataWriter(self._participant, self._made(topic), _qos(topic), listener=listener)
-                self._writers[topic.name] = made
-                self._held.append(made)
+                self._writers[topic.name] = self._write(topic, dds_name(topic), raw_type(topic.msgtype))
             return self._writers[topic.name]
 
-    def _made(self, topic: Topic) -> Any:
-        return _dds().topic.Topic(self._participant, dds_name(topic), raw_type(topic.msgtype))
+    def _write(self, topic: Topic, name: str, kind: Any) -> Any:
+        listener = _listener(None, lambda policy: self._incompatible(topic, "subscriber", policy))
+        made = dds().topic.Topic(self._participant, name, kind)
+        writer = dds().pub.DataWriter(self._participant, made, _qos(topic), listener=listener)
+        self._held.append(writer)
+        self._node.has(writer=writer)
+        return writer
+
+    def _read(self, topic: Topic, name: str, kind: Any, take: Take) -> None:
+        listener = _listener(
+            lambda reader: _hand_over(reader, take), lambda policy: self._incompatible(topic, "publisher", policy)
+        )
+        made = dds().topic.Topic(self._participant, name, kind)
+        reader = dds().sub.DataReader(self._participant, made, _qos(topic), listener=listener)
+        self._held.append(reader)
+        self._node.has(reader=reader)
+        _hand_over(reader, take)  # what came before the listener heard of it
+
+    def _send(self, name: str, writer: Any, content: bytes) -> None:
+        error_kind = dds().core.DDSException
+        try:
+            writer.write(writer.topic.data_type(content))
+        except error_kind as error:
+            if error.code != error_kind.DDS_RETCODE_TIMEOUT:  # else a reader is too slow for it
+                self._report(f"{name}: a message was not sent: {error}")
 
     def _incompatible(self, topic: Topic, other: str, policy: int) -> None:
         what = _POLICIES.get(policy, f"policy {policy}")
         self._report(f"{topic.name}: a {other} has another quality of service ({what}), so nothing passes between us")
-
-
-def dds_name(topic: Topic) -> str:
-    """Return the name of a topic as ROS 2 has it in DDS. Raises InputError."""
-    name = topic.name.strip("/")
-    if not name or not all(part.replace("_", "a").isalnum() and part.isascii() for part in name.split("/")):
-        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="--topic")
-    return f"rt/{name}"
-
-
-def dds_type(msgtype: str) -> str:
-    """Return the name of a type of messages as ROS 2 has it in DDS."""
-    package, _, name = msgtype.split("/")
-    return f"{package}::msg::dds_::{name}_"
-
-
-@cache
-def raw_type(msgtype: str) -> Any:
-    """Return a type of messages whose samples are their own bytes, and whose fields others can compare with theirs."""
-
-    def begin(self: Any, content: bytes = b"") -> None:
-        self.content = content
-
-    made = _declared(msgtype)
-    made.__init__ = begin
-    made.serialize = lambda self, *_, **__: bytes(self.content)
-    made.deserialize = classmethod(lambda cls, data, *_, **__: cls(bytes(data)))
-    made.deserialize_key = classmethod(lambda cls, *_, **__: cls())  # of news of a publisher that goes
-    return made
-
-
-def _declared(msgtype: str) -> Any:
-    """Return a type as Cyclone DDS declares it, with the fields that ROS has."""
-    fields = {name: _field(*kind) for name, kind in typestore(ros1=False).fielddefs[msgtype][1]}
-    name = dds_type(msgtype).replace("::", ".")
-    return _dds().idl.make_idl_struct(name.rsplit(".", 1)[1], name, fields, dataclassify=False)
-
-
-def _field(node: Any, of: Any) -> Any:
-    from rosbags.interfaces import Nodetype
-
-    types = _dds().idl.types
-    if node == Nodetype.NAME:
-        return _declared(of)
-    if node == Nodetype.BASE:
-        return {"string": str, "bool": bool}.get(of[0]) or getattr(types, of[0])
-    inner, length = _field(*of[0]), of[1]
-    return types.array[inner, length] if node == Nodetype.ARRAY else types.sequence[inner]
 
 
 def _hand_over(reader: Any, take: Take) -> None:
@@ -163,7 +164,7 @@ def _hand_over(reader: Any, take: Take) -> None:
 
 
 def _listener(came: Callable[[Any], None] | None, incompatible: Callable[[int], None]) -> Any:
-    base: Any = _dds().core.Listener
+    base: Any = dds().core.Listener
 
     class Listener(base):  # type: ignore[misc]
         def on_requested_incompatible_qos(self, reader: Any, status: Any) -> None:
@@ -180,10 +181,10 @@ def _listener(came: Callable[[Any], None] | None, incompatible: Callable[[int], 
 
 def _qos(topic: Topic) -> Any:
     """Return the quality of service: of a subscriber that hears whoever offers as much, and of a publisher."""
-    dds = _dds()
-    policy = dds.core.Policy
+    package = dds()
+    policy = package.core.Policy
     reliable = topic.reliable or topic.latched
-    return dds.core.Qos(
+    return package.core.Qos(
         policy.Reliability.Reliable(max_blocking_time=0) if reliable else policy.Reliability.BestEffort,
         policy.Durability.TransientLocal if topic.latched else policy.Durability.Volatile,
         policy.History.KeepLast(topic.depth),
@@ -200,16 +201,3 @@ def _configuration(interface: str) -> str:
         f"</General><Internal><SocketReceiveBufferSize min='default' max='{_RECEIVE_BYTES}B'/></Internal>"
         "<Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
     )
-
-
-def _dds() -> Any:
-    try:
-        import cyclonedds.core
-        import cyclonedds.domain
-        import cyclonedds.idl.types
-        import cyclonedds.pub
-        import cyclonedds.sub
-        import cyclonedds.topic
-    except ImportError:
-        raise InputError("expected the package cyclonedds; install it with: pip install '.[dds]' in a clone") from None
-    return cyclonedds

@@ -29,8 +29,8 @@ class NetworkOptions:
     connect: endpoints of routers; the first that can be reached is used. listen: where others may connect.
     config_file: a configuration of zenoh, as for TLS and passwords. domain: None for the environment's ROS_DOMAIN_ID,
     or 0. namespace: put before every topic that is not named by the user. names: rmw_zenoh's, or a bridge's. distro: of
-    ROS 2; None for the environment's ROS_DISTRO. Only Humble differs: its keys have no hashes. dds: a domain of DDS,
-    which then takes the place of zenoh. interface: of the network, for DDS.
+    ROS 2; None for the environment's ROS_DISTRO. Only Humble differs: no hashes in keys, longer identities over DDS.
+    dds: a domain of DDS, which then takes the place of zenoh. interface: of the network, for DDS.
     """
 
     connect: Sequence[str] = (ENDPOINT,)
@@ -60,10 +60,11 @@ def open_transport(options: NetworkOptions, node: str = "localiser", *, wait: bo
 
     Raises InputError.
     """
+    humble = (options.distro or os.environ.get("ROS_DISTRO", "")) == "humble"
     if options.dds is not None:
-        return DdsTransport(_checked_domain(str(options.dds), "--dds"), options.interface)
-    hashes = (options.distro or os.environ.get("ROS_DISTRO", "")) != "humble"
-    rmw = RmwNames(_domain(options.domain), options.prefix, node, hashes)
+        domain = _checked_domain(str(options.dds), "--dds")
+        return DdsTransport(domain, options.interface, node, options.prefix, humble=humble)
+    rmw = RmwNames(_domain(options.domain), options.prefix, node, not humble)
     link = ZenohLink(options.connect, options.listen, config_file=options.config_file, wait=wait)
     return ZenohTransport(link, rmw if options.names == "rmw_zenoh" else BridgeNames())
 
