@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from queue import Empty, Queue
-from threading import Lock, Thread
+from threading import Event, Lock, Thread
 from typing import Any
 
 MEMORY_MB = 1500.0
@@ -66,6 +66,7 @@ class Worker:
             stderr=self._said,
             cwd=self._folder,
             env=os.environ | variables,
+            start_new_session=True,  # Ctrl-C is for the parent
         )
         resource.prlimit(self._process.pid, resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
         resource.prlimit(self._process.pid, resource.RLIMIT_FSIZE, (_LARGEST_FILE, _LARGEST_FILE))
@@ -142,8 +143,12 @@ def run_all(
     limit_s: Callable[[str], float],
     done: Callable[[Case, dict[str, Any]], None],
     minutes: float = math.inf,
+    stop: Event | None = None,
 ) -> None:
-    """Run cases on some workers; `done` gets how each ended, on one thread at a time. minutes: none begins later."""
+    """Run cases on some workers; `done` gets how each ended, on one thread at a time.
+
+    minutes, stop: no case begins later than that, or once that is set.
+    """
     end = time.monotonic() + 60 * minutes
     queue: Queue[Case] = Queue()
     for case in cases:
@@ -153,7 +158,7 @@ def run_all(
     def work(place: int) -> None:
         worker = Worker(samples, folder / f"worker{place}")
         try:
-            while time.monotonic() < end:
+            while time.monotonic() < end and not (stop and stop.is_set()):
                 name, number = queue.get_nowait()
                 found = worker(name, number, limit_s(name), folder / "faults" / name / str(number))
                 with lock:

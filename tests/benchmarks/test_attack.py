@@ -6,7 +6,9 @@ import random
 import shutil
 import sys
 from pathlib import Path
+from threading import Event
 
+import attack
 import attack_formats
 import attack_pool
 import attack_targets
@@ -92,3 +94,26 @@ def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkey
         assert worker("map", 3, 60.0, tmp_path / "kept")["end"] in ("value", "refused")
     finally:
         worker.close()
+
+
+def test_what_was_run_before_counts_and_a_line_that_was_cut_off_does_not(tmp_path: Path) -> None:
+    written = tmp_path / "ends.jsonl"
+    line = '{"target": "map", "end": "value", "seconds": 0.1, "case": %d}\n'
+    written.write_text(line % 1 + line % 7 + (line % 2)[:-20])
+    ends = attack.earlier(written, ["map", "world"], range(5))
+    assert ends == {"map": [{"end": "value", "seconds": 0.1, "case": 1}], "world": []}
+    assert written.read_text() == line % 1 + line % 7
+
+
+def test_a_stop_leaves_the_cases_that_have_not_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stop, run = Event(), []
+    monkeypatch.setattr(attack_pool.Worker, "__call__", lambda *_: {"end": "value"})
+
+    def done(case: attack_pool.Case, end: dict[str, object]) -> None:
+        run.append(case)
+        if len(run) == 3:
+            stop.set()
+
+    cases = [("map", number) for number in range(100)]
+    attack_pool.run_all(cases, tmp_path, tmp_path, 1, lambda name: 1.0, done, stop=stop)
+    assert run == cases[:3]
