@@ -187,10 +187,10 @@ def write_others(folder: Path) -> None:
     truth = live_feed.MAKE.odometry(live_feed.BEGIN_NS, "map", np.zeros(3))
     messages = [
         *live_feed.camera(),
-        *live_feed.drive(3),
+        *live_feed.drive(2),
         live_feed.arrival("groundtruth", 0, live_feed.MAKE.encode(truth)),
         live_feed.arrival("initialpose", 0, live_feed.MAKE.encode(pose)),
-        *live_feed.drive(1, first=3),
+        *live_feed.drive(1, first=2),
     ]
     for place, message in enumerate(messages):
         name = f"{place:04d}_{message.role}_{message.at_ns}.cdr"

@@ -9,7 +9,9 @@ import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import attack_values as values
 from attack_formats import mutated
@@ -17,6 +19,9 @@ from attack_samples import FEW, ROOT, localiser_of
 
 from localiser.documents import read_bytes
 from localiser.errors import LocaliserError
+
+if TYPE_CHECKING:
+    from localiser.storage import Log
 
 Run = Callable[[Path, Path], object]
 Change = Callable[[Path, random.Random], None]
@@ -143,11 +148,18 @@ def _config(path: Path, out: Path) -> None:
     read_config(path)
 
 
+@cache
+def _corridor() -> Log:
+    from localiser.storage import open_log
+
+    return open_log(ROOT / "logs" / "corridor")
+
+
 def _state(path: Path, out: Path) -> None:
     """Restore a saved state and go on from it, as a restarted live run does."""
-    from localiser.storage import ImageEvent, open_log
+    from localiser.storage import ImageEvent
 
-    log = open_log(ROOT / "logs" / "corridor")
+    log = _corridor()
     localiser = localiser_of(log)
     localiser.restore(read_bytes(path, 2**30), path)
     frame = next(frame for frame in log.frames if frame.t_ns > 2 * 10**9)
@@ -166,10 +178,13 @@ def _live(path: Path, out: Path) -> None:
     """Feed a live run with messages; each file is one, its name says of what and when."""
     import numpy as np
 
+    from localiser.config import read_config
+
     sys.path[:0] = [str(ROOT / "tests" / "support")]
     import live_feed
 
-    feed = live_feed.Feed()
+    few = ["mcl.particles=50", "mcl.start_particles=50", "search.particles_most=500", "search.fresh=50"]
+    feed = live_feed.Feed(read_config(None, few))
     messages = []
     for file in sorted(path.iterdir()):
         role, t_ns = file.stem.split("_", 1)[1].rsplit("_", 1)

@@ -15,13 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.errors import InputError, LocaliserError
-from localiser.storage.bags.limits import (
-    bounded_decompression,
-    check_chunks,
-    check_database,
-    check_files,
-    message_unpacker,
-)
+from localiser.storage.bags.guarded import rosbag1_reader, rosbag2_reader
+from localiser.storage.bags.limits import check_files, check_topics, message_unpacker
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -84,19 +79,14 @@ class Bag:
         self._decode = self._store.deserialize_ros1 if is_ros1 else self._store.deserialize_cdr
         if not path.exists():
             raise InputError("no such bag", path=path)
-        from rosbags import rosbag1, rosbag2
-
-        bounded_decompression()
         check_files(path, METADATA_FILE)
         with bag_errors(path):
             _restore(path)
-            for database in _databases(path):
-                check_database(database)
-            self._reader: Any = rosbag1.Reader(path) if is_ros1 else rosbag2.Reader(path)
+            self._reader: Any = (rosbag1_reader() if is_ros1 else rosbag2_reader())(path)
             self._reader.open()
         try:
             with bag_errors(path):
-                check_chunks(self._reader)
+                check_topics(len(self._reader.connections))
                 self._unpack = message_unpacker(self._reader)
                 self._connections: list[Connection] = [_checked(found) for found in self._reader.connections]
         except BaseException:
@@ -141,10 +131,15 @@ class Bag:
 
 
 def _checked(connection: Connection) -> Connection:
-    """Return the connection if its topic has a name and a type; a damaged database may hold anything there."""
+    """Return the connection if its topic has a name, a type and a number of messages.
+
+    Damaged metadata or a damaged database may hold anything there.
+    """
     for text in (connection.topic, connection.msgtype):
         if not isinstance(text, str) or not text.isprintable():
             raise ValueError("a topic has no name or no type")
+    if not isinstance(connection.msgcount, int) or connection.msgcount < 0:
+        raise ValueError("a topic has no number of messages")
     return connection
 
 

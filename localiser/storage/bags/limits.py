@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from bz2 import BZ2Decompressor
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ MAX_METADATA_BYTES = 4 * 2**20
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
 _MOST_TABLES = 100
 _MOST_STEPS, _STEPS_AT_ONCE = 10_000, 1000  # of SQLite's machine, for a look at the tables
+MOST_TOPICS = 1000  # of a bag; what rosbags does with them grows with their square
 MAX_CHUNK_BYTES = 512 * 2**20  # recorders close a chunk after a few MB; one message may exceed that
 
 
@@ -46,34 +45,30 @@ def check_database(path: Path) -> None:
         kinds = {kind for kind, _, _ in found}
         if len(found) > _MOST_TABLES or kinds - {"table", "index"} or any(page == 0 for _, _, page in found):
             raise ValueError(f"expected at most {_MOST_TABLES} plain tables, found others")
+        if any(name == "topics" for _, name, _ in found):
+            check_topics(len(database.execute("SELECT 1 FROM topics LIMIT ?", (MOST_TOPICS + 1,)).fetchall()))
         for name in _TABLES:
             columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,)).fetchall()
             if any(hidden for (hidden,) in columns):
                 raise ValueError(f"expected columns that hold what was recorded, found generated ones in {name}")
 
 
-def check_chunks(reader: Any) -> None:
-    """Raise ValueError when a chunk of an open MCAP file states to be larger than is allowed."""
-    storage = getattr(reader, "storage", None)
-    for part in getattr(storage, "storages", [storage]):
-        for chunk in getattr(part, "chunks", []):
-            found = max(chunk.compressed_size, chunk.uncompressed_size)
-            if found > MAX_CHUNK_BYTES:
-                raise _too_large(str(found))
+def check_topics(count: int) -> None:
+    """Raise ValueError when a bag has more topics than are handled in a moment."""
+    if count > MOST_TOPICS:
+        raise ValueError(f"expected at most {MOST_TOPICS} topics, found more")
 
 
-@cache
-def bounded_decompression() -> None:
-    """Make `rosbags` stop where a compressed chunk grows beyond what is allowed; a few bytes can ask for gigabytes."""
-    from lz4.frame import LZ4FrameDecompressor
-    from rosbags.rosbag1 import reader as ros1
-    from rosbags.rosbag2 import storage_mcap as mcap
-
-    def lz4(data: bytes, _: int = 0) -> bytes:
-        return _decompressed(LZ4FrameDecompressor(), data)
-
-    mcap.DECOMPRESSORS |= {"lz4": lz4, "zstd": lambda data, _: unpacked_zstd(data)}
-    ros1.decompressors |= {"lz4": lz4, "bz2": lambda data: _decompressed(BZ2Decompressor(), data)}
+def check_chunks(chunks: Iterable[Any]) -> None:
+    """Raise ValueError when a chunk of an MCAP file states to be larger than is allowed, or is read twice."""
+    end = 0
+    for chunk in sorted(chunks, key=lambda chunk: chunk.chunk_start_offset):
+        found = max(chunk.compressed_size, chunk.uncompressed_size)
+        if found > MAX_CHUNK_BYTES:
+            raise too_large(str(found))
+        if chunk.chunk_start_offset < end:
+            raise ValueError("expected chunks one after another, found two in one place")
+        end = chunk.chunk_start_offset + chunk.compressed_size
 
 
 def message_unpacker(reader: Any) -> Callable[[bytes], bytes]:
@@ -90,17 +85,22 @@ def unpacked_zstd(data: bytes) -> bytes:
     from rosbags.rosbag2 import storage_mcap
 
     zstd: Any = vars(storage_mcap)["zstd"]  # of Python's library or its backport
-    return _decompressed(zstd.ZstdDecompressor(), data)
+    return decompressed(zstd.ZstdDecompressor(), data)
 
 
-def _decompressed(decompressor: Any, data: bytes) -> bytes:
+def decompressed(decompressor: Any, data: bytes) -> bytes:
+    """Return what a decompressor makes of `data`. Raises ValueError when that is more than a chunk may be, or cut off.
+
+    A few bytes can ask for gigabytes.
+    """
     content: bytes = decompressor.decompress(data, MAX_CHUNK_BYTES)
     if decompressor.eof:
         return content
     if len(content) >= MAX_CHUNK_BYTES:
-        raise _too_large("more")
+        raise too_large("more")
     raise ValueError("a compressed chunk is cut off")
 
 
-def _too_large(found: str) -> ValueError:
+def too_large(found: str) -> ValueError:
+    """Return the error of a chunk that is larger than is allowed."""
     return ValueError(f"expected at most {MAX_CHUNK_BYTES} bytes in a chunk, found {found}")

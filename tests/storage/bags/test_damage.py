@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -27,7 +28,7 @@ from small_bag import Recorder, bag, recording
 
 from localiser.errors import InputError
 from localiser.storage import ImageEvent, open_log
-from localiser.storage.bags import limits
+from localiser.storage.bags import guarded, limits
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS, Bag, typestore
 
 FUZZ = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
@@ -267,7 +268,11 @@ def assert_refused_in_little_memory(path: Path, problem: str) -> None:
 
 @pytest.mark.parametrize(
     ("mode", "squeeze"),
-    [(rosbag2.CompressionMode.MESSAGE, "sqlite3"), (rosbag2.CompressionMode.STORAGE, "mcap")],
+    [
+        (rosbag2.CompressionMode.MESSAGE, "sqlite3"),
+        (rosbag2.CompressionMode.STORAGE, "mcap"),
+        (rosbag2.CompressionMode.FILE, "sqlite3"),
+    ],
 )
 def test_compressed_bags_are_read(tmp_path: Path, mode: rosbag2.CompressionMode, squeeze: str) -> None:
     plugin = rosbag2.StoragePlugin.MCAP if squeeze == "mcap" else rosbag2.StoragePlugin.SQLITE3
@@ -278,6 +283,75 @@ def test_compressed_bags_are_read(tmp_path: Path, mode: rosbag2.CompressionMode,
         recorder.setting()
         record(recorder)
     assert outcome(tmp_path / "bag") == "read"
+
+
+@pytest.fixture
+def packed(tmp_path: Path) -> Path:
+    """Return a bag whose file is compressed as a whole."""
+    writer = rosbag2.Writer(tmp_path / "bag", version=9)
+    writer.set_compression(rosbag2.CompressionMode.FILE, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        recorder = Recorder(writer, ros1=False)
+        recorder.setting()
+        record(recorder)
+    return tmp_path / "bag"
+
+
+@pytest.mark.usefixtures("small_limit")
+def test_a_compressed_file_that_swells_is_stopped(packed: Path) -> None:
+    next(packed.glob("*.zstd")).write_bytes(zstd.compress(bytes(ZEROS)))
+    with pytest.raises(InputError, match="grows at most 50 times when unpacked, found more"):
+        open_log(packed)
+
+
+def test_chunks_in_one_place_are_refused(bags: Path) -> None:
+    """A list of ten thousand chunks in one place would unpack the same megabytes ten thousand times."""
+    with Bag(bags / "bag.mcap") as bag_of_chunks:
+        chunk = bag_of_chunks._reader.storage.chunks[0]
+    with pytest.raises(ValueError, match="found two in one place"):
+        limits.check_chunks([chunk, chunk])
+
+
+def test_a_chunk_of_too_many_messages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        recorder = Recorder(writer, ros1=False)
+        recorder.setting()
+        record(recorder)
+    monkeypatch.setattr(guarded, "_MOST_MESSAGES", 10)
+    with pytest.raises(InputError, match="expected at most 10 messages in a chunk, found more"):
+        open_log(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_bag_of_too_many_topics_is_refused(
+    bags: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "MOST_TOPICS", 3)
+    path = bags / FILES[kind]
+    with pytest.raises(InputError, match="expected at most 3 topics, found more"):
+        open_log(path.parent if kind == "metadata" else path)
+
+
+def test_a_topic_whose_description_is_too_long_is_told(bags: Path, tmp_path: Path) -> None:
+    """It is YAML of any size, which takes seconds a megabyte."""
+    shutil.copy(bags / "bag.db3", tmp_path / "bag.db3")
+    with closing(sqlite3.connect(tmp_path / "bag.db3")) as database:
+        database.execute("UPDATE topics SET offered_qos_profiles = ?", ("- history: 1\n" * 10_000,))
+        database.commit()
+    with pytest.raises(InputError, match="expected at most 10000 characters of how a topic was sent, found 130000"):
+        open_log(tmp_path / "bag.db3")
+
+
+@pytest.mark.parametrize("count", ["[1]", "-1", "many", "1.5"])
+def test_a_number_of_messages_that_is_none_is_told(bags: Path, tmp_path: Path, count: str) -> None:
+    text = (bags / "bag" / "metadata.yaml").read_text()
+    damaged = re.sub(r"(- message_count|  message_count): \d+", rf"\1: {count}", text)
+    assert damaged != text
+    path = written(tmp_path, bags, "metadata", damaged.encode())
+    with pytest.raises(InputError, match="a topic has no number of messages"):
+        open_log(path)
 
 
 def test_metadata_that_is_no_metadata_is_not_read(bags: Path, tmp_path: Path) -> None:
@@ -307,8 +381,33 @@ HARMFUL = {
 
 @pytest.mark.parametrize("harm", HARMFUL)
 def test_a_database_that_makes_gigabytes_of_nothing_is_refused(tmp_path: Path, harm: str) -> None:
+    harmful_database(tmp_path / "x.db3", harm)
+    with not_hanging(), pytest.raises(InputError, match=r"ROS bag that can be read: expected (at most|columns)"):
+        open_log(tmp_path / "x.db3")
+
+
+@pytest.mark.parametrize("name", ["bag.sqlite", "bag.db3.zstd"])
+def test_a_harmful_database_is_found_under_any_name(packed: Path, name: str) -> None:
+    harmful_database(packed / "x", "a generated column")
+    content = (packed / "x").read_bytes()
+    next(packed.glob("*.zstd")).unlink()
+    (packed / name).write_bytes(zstd.compress(content) if name.endswith("zstd") else content)
+    text = re.sub(r"bag\.db3\.zstd|bag\.db3", name, (packed / "metadata.yaml").read_text())
+    mode = "FILE" if name.endswith("zstd") else ""
+    (packed / "metadata.yaml").write_text(re.sub(r"(?m)^(\s*compression_mode:).*$", rf"\1 '{mode}'", text))
+    with not_hanging(), pytest.raises(InputError, match="found generated ones in messages"):
+        open_log(packed)
+
+
+@pytest.mark.parametrize("name", ["what?.db3", "a#b.db3", "x%41.db3", "ümlaut ß.db3"])
+def test_a_name_is_no_address(bags: Path, tmp_path: Path, name: str) -> None:
+    shutil.copy(bags / "bag.db3", tmp_path / name)
+    assert outcome(tmp_path / name) == "read"
+
+
+def harmful_database(path: Path, harm: str) -> None:
     more, data = HARMFUL[harm]
-    with closing(sqlite3.connect(tmp_path / "x.db3")) as database:
+    with closing(sqlite3.connect(path)) as database:
         database.executescript(
             "BEGIN;CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, "
             "offered_qos_profiles TEXT);"
@@ -318,8 +417,6 @@ def test_a_database_that_makes_gigabytes_of_nothing_is_refused(tmp_path: Path, h
         )
         database.executemany("INSERT INTO messages(topic_id, timestamp) VALUES(?, ?)", [(1, 1), (2, 2)])
         database.commit()
-    with not_hanging(), pytest.raises(InputError, match=r"ROS bag that can be read: expected (at most|columns)"):
-        open_log(tmp_path / "x.db3")
 
 
 # -- what is no file ---------------------------------------------------------------------------------------------------

@@ -1,0 +1,129 @@
+"""Make `rosbags` keep the limits of this program wherever it meets a database, a chunk or a compressed file."""
+
+from __future__ import annotations
+
+import os
+from bz2 import BZ2Decompressor
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, BinaryIO
+from urllib.parse import quote
+
+from localiser.storage.bags import limits
+
+_LONGEST_QOS = 10_000  # a publisher takes 600
+_MOST_RATIO = 50  # of a file that is compressed as a whole; recorded images come to less than 10
+_MOST_MESSAGES = 1_000_000  # in a compressed chunk: `rosbags` keeps all of one chunk in memory, 0.3 kB each
+
+
+@cache
+def rosbag2_reader() -> type[Any]:
+    """Return the reader of bags of ROS 2 whose databases, topics and chunks are checked before they are read."""
+    from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
+
+    _bound_unpacking()
+
+    class Database(storage_sqlite3.Sqlite3Reader):
+        """A database that is looked at first; a ? or % in its name is no part of an address."""
+
+        def __init__(self, path: Any) -> None:
+            super().__init__(Path(quote(os.fsencode(path.absolute()))))
+            self._file = path
+
+        def open(self) -> None:
+            limits.check_database(self._file)
+            super().open()
+
+    class Chunked(storage_mcap.McapReader):
+        """An MCAP file whose topics and chunks are counted."""
+
+        def open(self) -> None:
+            super().open()
+            limits.check_topics(len(self.connections))
+            limits.check_chunks(self.chunks)
+
+    class Folder(reader.DirectoryReader):
+        """A folder of such files."""
+
+        STORAGE_PLUGINS: Any = {"mcap": Chunked, "sqlite3": Database}  # noqa: RUF012 - as in its base
+
+    class Reader(reader.Reader):
+        """Any of them."""
+
+        STORAGE_PLUGINS: Any = {"dir": Folder, ".mcap": Chunked, ".db3": Database}  # noqa: RUF012 - as in its base
+
+    return Reader
+
+
+@cache
+def rosbag1_reader() -> type[Any]:
+    """Return the reader of bags of ROS 1, whose chunks are unpacked no further than is allowed."""
+    from rosbags.rosbag1 import Reader
+
+    _bound_unpacking()
+    return Reader
+
+
+@cache
+def _bound_unpacking() -> None:
+    """Make `rosbags` stop where something compressed, or the description of a topic, is larger than is allowed."""
+    from rosbags.rosbag1 import reader as ros1
+    from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
+
+    @cache
+    def parsed(qos: str) -> list[Any]:
+        if len(qos) > _LONGEST_QOS:
+            raise ValueError(f"expected at most {_LONGEST_QOS} characters of how a topic was sent, found {len(qos)}")
+        return metadata.parse_qos(qos)
+
+    def lz4(data: bytes, _: int = 0) -> bytes:
+        from lz4.frame import LZ4FrameDecompressor
+
+        return limits.decompressed(LZ4FrameDecompressor(), data)
+
+    zstd = vars(reader)["zstd"]  # of Python's library or its backport
+    vars(reader)["zstd"] = SimpleNamespace(decompress=zstd.decompress, open=_whole_file)
+    for module in (reader, storage_mcap, storage_sqlite3):
+        vars(module)["parse_qos"] = lambda qos: parsed(qos) if isinstance(qos, str) else metadata.parse_qos(qos)
+    storage_mcap.DECOMPRESSORS |= {
+        "lz4": lambda data, _: _counted(lz4(data)),
+        "zstd": lambda data, _: _counted(limits.unpacked_zstd(data)),
+    }
+    ros1.decompressors |= {"lz4": lz4, "bz2": lambda data: limits.decompressed(BZ2Decompressor(), data)}
+
+
+def _counted(chunk: bytes) -> bytes:
+    """Return a chunk of MCAP if it has no more records than memory allows. Raises ValueError."""
+    at, count = 0, 0
+    while at < len(chunk) and count <= _MOST_MESSAGES:
+        at += 9 + int.from_bytes(chunk[at + 1 : at + 9], "little")
+        count += 1
+    if count > _MOST_MESSAGES:
+        raise ValueError(f"expected at most {_MOST_MESSAGES} messages in a chunk, found more")
+    return chunk
+
+
+class _whole_file:  # noqa: N801 - it stands for the function zstd.open
+    """A compressed file that is read no further than `_MOST_RATIO` times its size, or the size of a chunk."""
+
+    def __init__(self, packed: BinaryIO, mode: str) -> None:
+        from rosbags.rosbag2 import storage_mcap
+
+        zstd: Any = vars(storage_mcap)["zstd"]  # of Python's library or its backport
+        self._file = zstd.open(packed, mode)
+        self._left = max(limits.MAX_CHUNK_BYTES, _MOST_RATIO * os.fstat(packed.fileno()).st_size)
+
+    def __enter__(self) -> _whole_file:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, size: int) -> bytes:
+        """Return the next bytes. Raises ValueError when the file swells."""
+        data: bytes = self._file.read(size)
+        self._left -= len(data)
+        if self._left < 0:
+            raise ValueError(f"expected a file that grows at most {_MOST_RATIO} times when unpacked, found more")
+        return data
