@@ -59,6 +59,8 @@ def _first_problem(document: Document, error: ValidationError, schema: Schema) -
         text = f"expected keys and values, found {shown(problem['input'])}"
     elif problem["type"] == "too_short":
         text = f"expected at least {problem['ctx']['min_length']}, found {len(problem['input'])}"
+    elif problem["type"] == "too_long" and isinstance(problem["input"], list):
+        text = f"expected at most {problem['ctx']['max_length']}, found {len(problem['input'])}"
     else:
         text = _expectation(problem["msg"])
         text += "" if ", found" in text else f", found {shown(problem['input'])}"

@@ -25,6 +25,7 @@ from localiser.documents import (
 from localiser.errors import InputError
 from localiser.storage.files import inside, keep_beside
 
+MOST_PIXELS = 25_000_000  # more than cameras of robots have; some 30 bytes of memory each while edges are found
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
 Pixels = Annotated[int, Field(ge=2, le=2**14)]
@@ -79,6 +80,9 @@ def read_camera(path: Path | str) -> Camera:
 def camera_from_document(document: Document) -> Camera:
     """Return the camera that a document describes. Raises InputError."""
     file = validate(document, CameraFile)
+    if file.image_width * file.image_height > MOST_PIXELS:
+        problem = f"expected images of at most {MOST_PIXELS} pixels, found {file.image_width}×{file.image_height}"
+        raise document.error(("image_width",), problem)
     intrinsics = _intrinsics(document, file.camera_matrix)
     rectification = file.rectification_matrix
     if rectification is not None and rectification.data != [1, 0, 0, 0, 1, 0, 0, 0, 1]:

@@ -25,6 +25,7 @@ from localiser.storage.tables import number_or_unknown as number
 from localiser.storage.tables import positive_or_unknown as positive
 
 _MEASURED = ("bearing_rad", "bearing_sigma_rad", "lean_rad", "lean_sigma_rad", "length_px")
+MOST_EDGES = 2000  # in an image; hundreds are found in one that is full of them
 COLUMNS = (
     Column("t_ns", integer),
     Column("bearing_rad", number),
@@ -57,6 +58,9 @@ def read_edges(path: Path, camera: Camera) -> tuple[list[Sighting], dict[str, Pl
     identified, named = _landmarks(table)
     for t_ns, rows in groupby(range(len(table)), key=lambda row: times[row]):
         index = np.array([row for row in rows if found[row]], dtype=np.int64)
+        if len(index) > MOST_EDGES:
+            problem = f"expected at most {MOST_EDGES} edges in an image, found {len(index)}"
+            raise table.error(int(index[MOST_EDGES]), "t_ns", problem)
         frames.append(Sighting(t_ns, _edges(table, measured, identified, index, camera)))
     return frames, named
 

@@ -18,6 +18,7 @@ from localiser.storage.packing import decode, encode, form_of
 
 FORMAT = "localiser-map/1"
 MOST_BYTES = 64 * 2**20
+MOST_LANDMARKS = 100_000  # as many as are measured in docs/performance.md
 LARGE_BYTES = 50_000  # from which on a map is kept as it was read
 KEPT_MAPS = 20
 
@@ -67,7 +68,7 @@ class MapFile(BaseModel):
     model_config = Open
 
     format: Literal["localiser-map/1"]
-    landmarks: Annotated[list[LandmarkFile], Field(min_length=1)]
+    landmarks: Annotated[list[LandmarkFile], Field(min_length=1, max_length=MOST_LANDMARKS)]
     name: str = ""
     frame: dict[str, Any] = Field(default_factory=lambda: dict(FRAME))
 

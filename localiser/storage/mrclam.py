@@ -25,6 +25,7 @@ from localiser.errors import InputError
 from localiser.filter import Sighting
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
+from localiser.storage.edge_tables import MOST_EDGES
 from localiser.storage.log import Log, ReadOptions
 from localiser.storage.tables import Column, integer, number, read_columns
 from localiser.storage.trajectories import nanoseconds
@@ -150,8 +151,13 @@ def _sightings(folder: Path, robot: int, landmark_map: LandmarkMap, sensor: Bear
     index = {subject: place for place, subject in enumerate(landmark_map.ids)}
     sigma, tilt = math.radians(sensor.bearing_sigma_deg), math.radians(sensor.tilt_deg)
     rows = zip(*(table.columns[name] for name in ("time", "barcode", "bearing")), strict=True)
+    row = 0
     for t_ns, frame in groupby(rows, key=lambda row: row[0]):
         _, barcodes, bearings = zip(*frame, strict=True)
+        if len(bearings) > MOST_EDGES:
+            problem = f"expected at most {MOST_EDGES} measurements at one time, found {len(bearings)}"
+            raise table.error(row + MOST_EDGES, "time", problem)
+        row += len(bearings)
         bearing = -np.array(bearings)  # positive to the left in the file
         unknown = np.full(len(bearing), np.nan)
         landmark = [index.get(subjects.get(barcode, 0), -1) for barcode in barcodes]

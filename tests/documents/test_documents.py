@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -67,6 +68,12 @@ def problem(text: str) -> str:
 def test_errors_name_file_line_column_and_field(text: str, expected: str) -> None:
     assert expected in problem(text)
     assert "\n" not in problem(text)
+
+
+def test_a_document_of_too_many_values_is_told_before_it_fills_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["localiser.documents.parse"], "_MOST_VALUES", 10)
+    assert problem("name: a\nwheels:\n" + "- {spokes: 1}\n" * 9).startswith("cart.yaml:6:")
+    assert "expected at most 10 values, found more" in problem("name: a\nwheels:\n" + "- {spokes: 1}\n" * 9)
 
 
 def test_several_problems_are_counted_and_the_first_is_named() -> None:

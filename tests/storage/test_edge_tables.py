@@ -11,7 +11,7 @@ from small_log import CAMERA, sightings
 
 from localiser import geometry
 from localiser.errors import InputError
-from localiser.storage.edge_tables import read_edges, write_edges
+from localiser.storage.edge_tables import MOST_EDGES, read_edges, write_edges
 
 HEADER = "t_ns,bearing_rad,bearing_sigma_rad,lean_rad,lean_sigma_rad,length_px,polarity\n"
 
@@ -96,3 +96,9 @@ def test_bearing_behind_the_robot_is_before_a_camera_that_looks_back(tmp_path: P
     back = replace(CAMERA, mount=replace(CAMERA.mount, yaw_rad=np.pi))
     edges = read_edges(write(tmp_path, "5,3.0,0.01,,,,\n"), back)[0][0].edges
     np.testing.assert_allclose(edges.bearing, 3.0 - np.pi)
+
+
+def test_an_image_of_too_many_edges_is_told(tmp_path: Path) -> None:
+    path = write(tmp_path, "5,0.1,0.01,,,,\n" + "6,0.1,0.01,,,,\n" * (MOST_EDGES + 1))
+    with pytest.raises(InputError, match=r"edges.csv:2003: t_ns: expected at most 2000 edges in an image, found 2001"):
+        read_edges(path, CAMERA)

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from map_texts import NEWER
 
-from localiser.documents import dump, parse
+from localiser.documents import Document, Place, dump, parse
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
 from localiser.storage import read_map, write_map
-from localiser.storage.maps import map_data, map_from_document
+from localiser.storage.maps import MOST_LANDMARKS, map_data, map_from_document
 
 coordinate = st.floats(-1e6, 1e6)
 key = st.text("abcdefgh_", min_size=2, max_size=6).map(lambda name: f"new_{name}")
@@ -111,3 +111,10 @@ def problem(change: str, to: str) -> str:
 )
 def test_errors_name_line_and_field(change: str, to: str, expected: str) -> None:
     assert expected in problem(change, to)
+
+
+def test_a_map_of_too_many_landmarks_is_refused() -> None:
+    marks = [{"id": 1, "x": 0.0, "z": 0.0}] * (MOST_LANDMARKS + 1)
+    document = Document({"format": "localiser-map/1", "landmarks": marks}, {(): Place("map.yaml")})
+    with pytest.raises(InputError, match=r"map.yaml: landmarks: expected at most 100000, found 100001"):
+        map_from_document(document)

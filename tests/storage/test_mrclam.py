@@ -96,6 +96,11 @@ def test_commands_become_exact_arcs() -> None:
         ("Robot2_Groundtruth.dat", "10\t1\t0\t0\n10\t1\t0\t0\n", "Groundtruth.dat:2: time: expected a time after"),
         ("Robot2_Measurement.dat", "10\t6.5\t1\t0\n", "Measurement.dat:1: barcode: expected an integer, found '6.5'"),
         ("Robot2_Measurement.dat", "10\t6\t1\t2\n", "bearing: expected a bearing within ±π/2, found 2.0"),
+        (
+            "Robot2_Measurement.dat",
+            "9 6 1 0\n" + "10 6 1 0\n" * 2001,
+            "Measurement.dat:2002: time: expected at most 2000",
+        ),
         ("Robot2_Measurement.dat", "1\t6\t1\t0\n", "expected measurements while there is odometry and truth"),
         ("Robot2_Measurement.dat", "# only\n", "expected at least one row, found none"),
         ("Landmark_Groundtruth.dat", "6 1 1 0 0\n6 2 2 0 0\n", "subject: landmark 6 given twice"),
