@@ -120,6 +120,13 @@ class Edges:
         empty = np.zeros(0)
         return cls.from_columns(empty, empty, empty, empty)
 
+    def longest(self, most: int) -> Edges:
+        """Return the `most` longest edges, in the order that they have; all where there are no more."""
+        if len(self) <= most:
+            return self
+        order = np.argsort(-np.nan_to_num(self.length_px), kind="stable")
+        return self.take(np.sort(order[:most]))
+
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Edges:
         """Return the edges at `index` (indices or mask (E,)), in that order."""
         names = ("rejected_px", "mount", "height_sigma_m")

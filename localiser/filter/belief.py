@@ -41,6 +41,7 @@ MISTAKEN = 1e-5  # between scenes: from tracked to off the map, because parts of
 BARE = 0.1  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
+MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
 FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
@@ -201,9 +202,9 @@ class Belief:
         scene in proportion to it.
         """
         is_first = not is_tracked and self.elsewhere == 0.0
-        effort = new if is_tracked else FIRST_EFFORT if is_first else 1.0
+        effort = min(new, MOST_EFFORT) if is_tracked else FIRST_EFFORT if is_first else 1.0
         proposed, log_evidence = search.proposed(like, clues, effort, rng, is_first=is_first)
-        overlooked = OVERLOOKED**new
+        overlooked = OVERLOOKED ** (effort if is_tracked else new)
         found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
         belief = replace(self, unexplored=overlooked * self.unexplored)
         if proposed is not None and found > 0:

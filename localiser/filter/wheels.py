@@ -37,6 +37,7 @@ POWER = 0.6  # of the likelihood: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
 UNUSUAL = 0.7
 MEMORY = 0.9  # part of what is usual that an image leaves
+MOST_EDGES = 48  # that vote on a turn: the work grows with the square of their number
 FEW = 64  # particles that tell how well the wheels predict an image
 TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
 STANDS_M, STANDS_RAD = 0.01, np.radians(0.5)  # what wheels that stand still may show
@@ -67,7 +68,7 @@ class Evidence:
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
-        frames = Frames.of(self.before, self.after, self.camera)
+        frames = Frames.of(self.before.longest(MOST_EDGES), self.after.longest(MOST_EDGES), self.camera)
         likely = frames.likely_motions(prior) if len(self.before) and len(self.after) else []
         if not likely:
             return seen_increment(motion_gaussian(prior)), 0.0

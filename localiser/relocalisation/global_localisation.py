@@ -32,6 +32,7 @@ from localiser.relocalisation.views import View, view_of
 PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 FEWEST_POSES = 10_000  # that an image may take on however large a map
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
+MOST_EDGES = 48  # that poses are proposed from; all of them weigh these
 POWER = 0.6  # of the likelihood: edges of an image err together, which the clutter model does not know
 BLUR_RAD = np.radians(0.3)  # how far from each other the particles of one place may be
 
@@ -120,7 +121,8 @@ class GlobalLocalisation:
         edges = sighting.edges
         clutter = np.ones(len(edges)) if sighting.clutter is None else sighting.clutter
         edges = replace(edges, clutter=clutter)
-        view = view_of(self.observation.camera.at(edges.mount), edges, self.observation.parameters.kind)
+        camera, kind = self.observation.camera.at(edges.mount), self.observation.parameters.kind
+        view = view_of(camera, edges.longest(MOST_EDGES), kind)
         return Clues(view, replace(sighting, edges=edges), self.observation, self.landmark_map)
 
     def proposed(
