@@ -14,6 +14,7 @@ STEP_M, STEP_RAD = 0.1, np.deg2rad(10.0)
 """How far a robot moves or turns between two poses of the path."""
 
 MOST_POSES = 1000
+_NS = 10**9
 
 
 @dataclass(slots=True, eq=False)
@@ -37,12 +38,13 @@ class DrivenPath:
 
     def message(self, make: Messages, stamp_ns: int, frame: str) -> Any:
         """Return a nav_msgs/Path."""
-        stamped, poses = "geometry_msgs/msg/PoseStamped", make.poses(np.array(self._poses))
-        return make.make(
-            PATH,
-            header=header(stamp_ns, frame),
-            poses=[
-                make.make(stamped, header=header(at_ns, frame), pose=pose)
-                for at_ns, pose in zip(self._stamps_ns, poses, strict=True)
-            ],
+        types = make.store.types
+        time, head, stamped = (
+            types[name]
+            for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "geometry_msgs/msg/PoseStamped")
         )
+        poses = [
+            stamped(header=head(stamp=time(*divmod(at_ns, _NS)), frame_id=frame), pose=pose)
+            for at_ns, pose in zip(self._stamps_ns, make.poses(np.array(self._poses)), strict=True)
+        ]
+        return make.make(PATH, header=header(stamp_ns, frame), poses=poses)
