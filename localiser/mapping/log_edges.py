@@ -27,7 +27,8 @@ from localiser.filter import Sighting
 from localiser.mapping.recorded import RecordedImage, RecordedLog
 
 # What was rejected is only looked at; a map is not built from it.
-_COLUMNS = tuple(field.name for field in fields(Edges) if field.name not in ("common", "rejected_px", "mount"))
+_WHOLE = ("common", "rejected_px", "mount", "height_sigma_m")  # of an image, not of each edge
+_COLUMNS = tuple(field.name for field in fields(Edges) if field.name not in _WHOLE)
 _SHARED = ("bearing_from_lean", "bearing_from_line")
 _PACKED = (*_COLUMNS, *_SHARED)
 _OUR_NAME = re.compile(r"edges-[0-9a-f]{32}\.npz")
