@@ -88,13 +88,17 @@ class Height:
         known = (1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED
         return Height(known * fit / (known @ fit))
 
-    def corrected(self, edges: Edges, camera: Camera) -> Edges:
-        """Return the edges as seen from the height that is learnt, with its sigma while that matters."""
+    def corrected(self, edges: Edges, camera: Camera, *, is_tracked: bool) -> Edges:
+        """Return the edges as seen from the height that is learnt, with its sigma while that matters.
+
+        is_tracked: whether a place is. Where none is, the sigma is left out: ends must tell places apart, and most
+        stated heights are right.
+        """
         stated = camera.at(edges.mount).mount
         if stated.sigma is not None and stated.sigma.height_m is not None:
             return replace(edges, height_sigma_m=stated.sigma.height_m)
         sigma_m = float(np.sqrt(self.probability @ (OFFSETS_M - self.mean_m) ** 2))
-        if sigma_m > UNEVEN_M:
+        if is_tracked and sigma_m > UNEVEN_M:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
         if abs(self.mean_m) < _USED * self.sigma_m:
             return edges

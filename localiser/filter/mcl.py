@@ -399,7 +399,8 @@ def _from_height(mcl: Mcl, state: FilterState, sighting: Sighting) -> Sighting:
     """Return an image as seen from the height that is learnt."""
     if mcl.level is None or not len(sighting.edges):
         return sighting
-    return replace(sighting, edges=state.height.corrected(sighting.edges, mcl.level.camera))
+    is_tracked = state.particles is not None
+    return replace(sighting, edges=state.height.corrected(sighting.edges, mcl.level.camera, is_tracked=is_tracked))
 
 
 def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> Height:

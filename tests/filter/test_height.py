@@ -88,11 +88,12 @@ def test_an_image_without_ends_tells_nothing() -> None:
 def test_edges_are_seen_from_the_height_that_was_found() -> None:
     edges = replace(Edges.from_bearings([0.1, 0.2], 0.01), foot_range_m=np.array([2.0, np.nan]))
     known = Height((np.abs(OFFSETS_M - 0.1) < 1e-9).astype(float))
-    moved = known.corrected(edges, CAMERA)
+    moved = known.corrected(edges, CAMERA, is_tracked=True)
     assert moved.mount is not None and moved.mount.height_m == pytest.approx(1.1) and moved.height_sigma_m == 0.0
     np.testing.assert_allclose(moved.foot_range_m, [2.2, np.nan])
-    unknown = Height().corrected(edges, CAMERA)
+    unknown = Height().corrected(edges, CAMERA, is_tracked=True)
     assert unknown.mount is None and unknown.height_sigma_m == pytest.approx(0.03, abs=0.001)
+    assert Height().corrected(edges, CAMERA, is_tracked=False).height_sigma_m == 0.0, "ends must tell places apart"
     measured = replace(edges, mount=replace(CAMERA.mount, sigma=MountSigma(height_m=0.02)))
-    assert known.corrected(measured, CAMERA).mount == measured.mount, "measured for this image alone"
-    assert known.corrected(measured, CAMERA).height_sigma_m == 0.02
+    assert known.corrected(measured, CAMERA, is_tracked=True).mount == measured.mount, "measured for this image alone"
+    assert known.corrected(measured, CAMERA, is_tracked=True).height_sigma_m == 0.02
