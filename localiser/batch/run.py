@@ -11,6 +11,7 @@ from localiser import __version__
 from localiser.batch.choices import Choice
 from localiser.batch.contents import Contents, Opening, contents_of, map_id, run_id
 from localiser.batch.one_run import Outcome, Task, replayed
+from localiser.batch.summary import summary_markdown
 from localiser.batch.workers import Workers, each
 from localiser.config import Config
 from localiser.errors import InputError, RunEndedEarlyError
@@ -28,7 +29,7 @@ from localiser.storage import (
 )
 
 Row = dict[str, Any]
-CSV, PARQUET, ROW = "runs.csv", "runs.parquet", "row.json"
+CSV, PARQUET, SUMMARY, ROW = "runs.csv", "runs.parquet", "table.md", "row.json"
 SIGINT_EXIT_CODE = 130
 FIRST_FIGURES = (
     "frames", "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
@@ -74,8 +75,10 @@ def run_batch(
     """Run every combination that is not done yet, and return a row for each, in the order of logs and choices.
 
     begun: called with the numbers of runs that are done and left; returns what is called after each run. The rows are
-    in `runs.csv` and `runs.parquet` of the folder too, those of an interrupted batch as far as it got. A run that fails
-    is a row with its reason, and is tried again by the next batch. Raises BatchStoppedError, OutputError.
+    in `runs.csv` and `runs.parquet` of the folder too, and what they came to in `table.md`; those of an interrupted
+    batch as far as it got. A run that fails is a row with its reason, and is tried again by the next batch.
+
+    Raises BatchStoppedError, OutputError.
     """
     with output_errors(batch.folder):
         batch.folder.mkdir(parents=True, exist_ok=True)
@@ -187,6 +190,7 @@ def _write_tables(folder: Path, rows: dict[int, Row]) -> None:
     if ordered:
         write_runs_csv(folder / CSV, ordered)
         write_runs_parquet(folder / PARQUET, ordered)
+        write_text(folder / SUMMARY, summary_markdown(ordered))
 
 
 def _absolute_opening(opening: Opening) -> Opening:

@@ -1,16 +1,13 @@
-"""Print what a batch came to: a row for each log and choice with median and worst over seeds, failures, comparisons."""
+"""What a batch came to: a row for each log and choice, with median and worst over seeds, and what failed."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from localiser.batch.against import Verdict
-from localiser.evaluate import ALL_LOGS, Comparison
 from localiser.storage import CHOICE
 
 if TYPE_CHECKING:
@@ -23,7 +20,7 @@ UNKNOWN = "–"
 class Column(NamedTuple):
     """A figure of the table: title, name in the row, how it is written, its factor, which of several is the worst.
 
-    worst: None where only the median is told.
+    worst: None where only the median is told. A title's lines keep the column narrow; "-" ends a divided word.
     """
 
     title: str
@@ -40,33 +37,73 @@ COLUMNS = (
     Column("sure,\nwrong\n(%)", "confidence.sure_and_wrong", ".1f", 100.0),
     Column("image\n(ms)", "frame_ms_median", ".0f", worst=None),
 )
+"""Of the table in the terminal: few enough for 80 characters."""
+WRITTEN = (Column("odometry alone (m)", "odometry_position_rmse_m", ".3f", worst=None), *COLUMNS[:-1])
+"""Of the table as Markdown: with what the wheels alone do, without times, which differ from run to run."""
 
 
-def summary_table(rows: Sequence[Row]) -> Table:
-    """Return the table of a batch: the median over seeds, and the worst in brackets.
+class Summary(NamedTuple):
+    """The cells of a batch's table. same: what was chosen alike for all runs. titles, rows: of its columns.
 
-    Choices that are the same for all runs stand in the title; figures that no run knows are left out.
+    The columns are the log, as many `choices` as were varied, the number of runs, and the figures.
+    """
+
+    same: str
+    titles: list[str]
+    choices: int
+    rows: list[list[str]]
+
+
+def summary_of(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> Summary:
+    """Return the median over seeds of each log and choice, and the worst in brackets.
+
+    Figures that no run knows are left out.
     """
     choices = [name for name in rows[0] if name == "config" or name.startswith(CHOICE)]
     varied = [name for name in choices if len({row[name] for row in rows}) > 1]
     same = [f"{_titled(name)} {rows[0][name]}" for name in choices if name not in varied and rows[0][name] is not None]
-    columns = [column for column in COLUMNS if any(row.get(column.name) is not None for row in rows)]
-    table = _table("\n".join(["Median over seeds (worst, where it differs)", *([", ".join(same)] if same else [])]))
-    table.add_column("log", overflow="fold", vertical="bottom")
-    for name in varied:
-        table.add_column(_titled(name).replace(".", ".\n"), overflow="fold", vertical="bottom")
-    table.add_column("runs", justify="right", vertical="bottom")
-    for column in columns:
-        table.add_column(column.title, justify="right", vertical="bottom", no_wrap=True)
+    known = [column for column in columns if any(row.get(column.name) is not None for row in rows)]
 
     def group(row: Row) -> tuple[Any, ...]:
         return (row["log"], row["log_path"], *(row[name] for name in varied))
 
+    cells = []
     for _, members in groupby(rows, key=group):
         runs = list(members)
         chosen = [UNKNOWN if runs[0][name] is None else str(runs[0][name]) for name in varied]
-        table.add_row(str(runs[0]["log"]), *chosen, _count(runs), *(_over_seeds(runs, column) for column in columns))
+        cells.append([str(runs[0]["log"]), *chosen, _count(runs), *(_over_seeds(runs, column) for column in known)])
+    titles = ["log", *(_titled(name) for name in varied), "runs", *(column.title for column in known)]
+    return Summary(", ".join(same), titles, len(varied), cells)
+
+
+def summary_table(rows: Sequence[Row]) -> Table:
+    """Return the table of a batch for a terminal; see `summary_of`."""
+    summary = summary_of(rows)
+    table = plain_table("\n".join(["Median over seeds (worst, where it differs)", *filter(None, [summary.same])]))
+    told = 1 + summary.choices
+    for title in summary.titles[:told]:
+        table.add_column(title.replace(".", ".\n"), overflow="fold", vertical="bottom")
+    table.add_column(summary.titles[told], justify="right", vertical="bottom")
+    for title in summary.titles[told + 1 :]:
+        table.add_column(title, justify="right", vertical="bottom", no_wrap=True)
+    for cells in summary.rows:
+        table.add_row(*cells)
     return table
+
+
+def summary_markdown(rows: Sequence[Row]) -> str:
+    """Return the table of a batch as Markdown; the same batch writes the same bytes."""
+    summary = summary_of(rows, WRITTEN)
+    titles = [title.replace("-\n", "").replace("\n", " ") for title in summary.titles]
+    told = 1 + summary.choices
+    rule = [*(["---"] * told), *(["--:"] * (len(titles) - told))]
+    lines = [_markdown_row(cells) for cells in (titles, rule, *summary.rows)]
+    same = [f"All runs: {summary.same}.", ""] if summary.same else []
+    return "\n".join([*same, *lines]) + "\n"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
@@ -74,42 +111,8 @@ def failures(rows: Sequence[Row]) -> list[str]:
     return [f"{row['log']}{_choices(row)}: {row['error']}" for row in rows if row["error"]]
 
 
-def comparison_table(verdict: Verdict) -> Table:
-    """Return the table of the comparisons: those of all logs, then those of single logs that differ significantly."""
-    table = _table("Compared with the other runs, in pairs of log and seed; all intervals hold together with 95 %")
-    for title in ("figure", "log"):
-        table.add_column(title, overflow="fold")
-    table.add_column("pairs", justify="right")
-    for title in ("change", "interval", ""):
-        table.add_column(title, justify="right" if title == "change" else "left")
-    for one in verdict.comparisons:
-        if one.log == ALL_LOGS or one.is_worse or one.is_better or not _has_total(one, verdict.comparisons):
-            told, style = ("worse", "bold red") if one.is_worse else ("better", "green") if one.is_better else ("", "")
-            change, interval = _change(one)
-            table.add_row(one.figure.title, one.log, str(one.pairs), change, interval, told, style=style)
-    return table
-
-
-def _has_total(one: Comparison, comparisons: Sequence[Comparison]) -> bool:
-    return any(other.figure == one.figure and other.log == ALL_LOGS for other in comparisons)
-
-
-def _change(one: Comparison) -> tuple[str, str]:
-    """Return the mean change of a figure and its interval, in per cent; of shares, in percentage points."""
-    if one.figure.as_ratio:
-        mean, low, high = (_percent(value) for value in (one.loss, one.low, one.high))
-        return f"{mean} %", f"{low} … {high} %"
-    sign = 100.0 if one.figure.more_is_worse else -100.0
-    least, middle, most = sorted(sign * value + 0.0 for value in (one.low, one.loss, one.high))  # no -0.0
-    return f"{middle:+.1f} points", f"{least:+.1f} … {most:+.1f} points"
-
-
-def _percent(logarithm: float) -> str:
-    """Return the logarithm of a ratio as a change in per cent; one of more than a millionfold as such."""
-    return f"{100 * math.expm1(logarithm):+.1f}" if logarithm < math.log(1e6) else "> 10⁸"
-
-
-def _table(title: str) -> Table:
+def plain_table(title: str) -> Table:
+    """Return an empty table with a title, as all tables of a batch look."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

@@ -63,6 +63,8 @@ def test_a_batch_has_the_figures_of_single_replays(localiser: Localiser, log: Pa
     for name in ("trajectory.csv", "trajectory.tum", "config.yaml"):
         assert (folder / name).read_bytes() == (single / name).read_bytes()
     assert found[3]["position_rmse_m"] != found[2]["position_rmse_m"]
+    table = (tmp_path / "out" / "table.md").read_text().splitlines()
+    assert table[2].startswith("| log | observation.kind | runs | odometry alone (m) |") and len(table) == 6
     parquet = read_runs(tmp_path / "out" / "runs.parquet")
     assert parquet == read_runs(tmp_path / "out" / "runs.csv")
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from localiser.batch import compare_with, comparison_table, failures, summary_table
+from localiser.batch.summary import summary_markdown
 
 
 def lines(table: Table, width: int = 80) -> list[str]:
@@ -46,6 +47,20 @@ def test_no_word_is_broken(width: int) -> None:
     rows = [row("corridor", 0, 1.234, **full), row("corridor", 1, 2.345, **{k: v / 2 for k, v in full.items()})]
     found = lines(summary_table(rows), width)
     assert found[-1] == "corridor 2 1.790 (2.345) 9.26 (12.35) 38 (25) 9.2 (12.3) 92"
+
+
+def test_the_table_as_markdown_has_the_odometry_and_no_times() -> None:
+    full = {"set.mcl.particles": "9", "odometry_position_rmse_m": 0.52, "frame_ms_median": 123.0}
+    rows = [row("a|b", seed, 0.1 + seed, **full, **{"set.observation.kind": "line"}) for seed in range(2)]
+    rows += [row("c", 0, 0.2, **full, **{"set.observation.kind": "slope"})]
+    assert summary_markdown(rows).splitlines() == [
+        "All runs: mcl.particles 9.",
+        "",
+        "| log | observation.kind | runs | odometry alone (m) | RMSE (m) |",
+        "| --- | --- | --: | --: | --: |",
+        "| a&#124;b | line | 2 | 0.520 | 0.600 (1.100) |",
+        "| c | slope | 1 | 0.520 | 0.200 |",
+    ]
 
 
 def test_comparisons_say_what_changed_by_how_much() -> None:
