@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -280,7 +281,7 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
 
     console = Console(stderr=True)
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
-    with asked_to_stop() as stop, opened(options, _say) as run:
+    with asked_to_stop() as stop, opened(options, partial(_say, console)) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
         with _status(console, lambda: status_line(run.monitor), shown=console.is_terminal and not shared) as refresh:
 
@@ -316,5 +317,8 @@ def _status(console: Console, text: Callable[[], str], *, shown: bool) -> Iterat
         yield refresh
 
 
-def _say(text: str, level: str) -> None:
-    typer.secho(text, err=True, fg="yellow" if level == "WARNING" else None)
+def _say(console: Console, text: str, level: str) -> None:
+    """Write a message, above the line that `_status` keeps: so both must write by the same console."""
+    from rich.text import Text
+
+    console.print(Text(text, style="yellow" if level == "WARNING" else ""), soft_wrap=True)

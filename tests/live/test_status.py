@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from io import StringIO
 from unittest.mock import patch
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
 
+from localiser.commands.live import _say, _status
 from localiser.live import end_table, status_line
 from localiser.live.monitor import Monitor
 
@@ -54,6 +56,16 @@ def test_what_is_waited_for_is_wrong_only_when_it_lasts(monitor: Monitor, said: 
         with at(seconds):
             monitor.wait("no camera", "images wait for the camera")
     assert [level for _, level in said] == ["INFO", "WARNING"]
+
+
+def test_a_message_takes_the_place_of_the_line_which_goes_on_below() -> None:
+    console = Console(file=StringIO(), force_terminal=True, width=80, color_system=None)
+    with _status(console, lambda: "waiting for the first image", shown=True) as refresh:
+        refresh()
+        _say(console, "image: waiting for the first message", "INFO")
+    lines = console.file.getvalue().split("\n")
+    assert lines[0].split("\x1b[2K")[-1].strip() == "image: waiting for the first message"
+    assert lines[1].startswith("waiting for the first image")
 
 
 def test_the_line_says_where_the_robot_is_and_the_table_what_the_run_came_to() -> None:
