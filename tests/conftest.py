@@ -6,9 +6,11 @@ import os
 import subprocess
 import sys
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.main
 from folders import ROOT
 from hypothesis import settings
 from short_log import Localiser
@@ -16,6 +18,9 @@ from short_log import Localiser
 from localiser.geometry import compiled
 
 compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
+
+# The program reads its commands once a process; tests call it many times in one, and reading them takes 0.05 s.
+typer.main.get_command = cache(typer.main.get_command)
 
 WORKER_END_S = 1
 """What workers are given to end after Ctrl-C; the default is 10 s."""

@@ -65,6 +65,7 @@ def test_replay_and_plot(log: Path, tmp_path: Path) -> None:
     assert picture is not None and picture.std() > 1
 
 
+@pytest.mark.slow  # quick: the other examples; this one takes 4 s
 def test_own_bearings() -> None:
     last, worst, wheels = figures(output("own_bearings"))
     assert last < 0.03 and worst < 0.28 and wheels > 0.15

@@ -80,6 +80,7 @@ def test_faults_are_told_by_their_kind(tmp_path: Path) -> None:
 
 
 @LINUX
+@pytest.mark.slow  # quick: the other tests of this file
 def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "samples").mkdir()
     (tmp_path / "samples" / "map.yaml").write_text("format: localiser-map/1\nlandmarks: [{id: 1, x: 1.0, z: 2.0}]\n")

@@ -38,7 +38,10 @@ def test_noise_is_measured_beside_the_edges(sigma):
     np.testing.assert_allclose(noise_of(image), sigma, rtol=0.15)
 
 
-@pytest.mark.parametrize("name", ["gain 0.15", "gain 0.3", "noise 20", "blur 2 px"])
+@pytest.mark.parametrize(
+    "name",
+    ["gain 0.15", "noise 20", *(pytest.param(each, marks=pytest.mark.slow) for each in ("gain 0.3", "blur 2 px"))],
+)
 def test_nine_of_ten_edges_that_a_matched_filter_finds_are_found_in_any_light(name):
     counted = found = 0
     for scene in rendered_anew(Difficulty(noise_sigma=1.0), LIGHTS[name], 3):

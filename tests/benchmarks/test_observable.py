@@ -34,6 +34,7 @@ def observable() -> Iterator[ModuleType]:
     sys.path.remove(path)
 
 
+@pytest.mark.slow  # quick: the other tests of this file
 def test_motion_is_that_of_the_plain_grid(observable: ModuleType) -> None:
     """Three moves, each far smaller than a cell of the heading, from the same Gaussian: mean and covariance."""
     x, z, heading = np.linspace(-2, 2, 81), np.linspace(-2, 2, 81), headings(120)

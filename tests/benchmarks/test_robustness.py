@@ -63,6 +63,7 @@ def test_frames_of_one_seed_count_together(benchmarks: dict[str, Any]) -> None:
 # -- scenarios --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # quick: the other tests of this file
 def test_empty_corridor_shows_at_most_two_landmarks_for_ten_metres(benchmarks: dict[str, Any]) -> None:
     one, again, other = (benchmarks["scenarios"].empty(seed) for seed in (3, 3, 4))
     mapped = [int((edges.landmark_id >= 0).sum()) for edges in one.frames]

@@ -40,7 +40,7 @@ def exact_views(camera: Camera, count=12, sigma_px=0.1, seed=0, turn_rad=0.6) ->
     return views
 
 
-@pytest.mark.parametrize("board", [CHARUCO, CHESSBOARD])
+@pytest.mark.parametrize("board", [CHARUCO, pytest.param(CHESSBOARD, marks=pytest.mark.slow)])
 def test_rendered_views_give_the_camera(board):
     found = calibrated(views_of(board), SIZE)
     truth = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])

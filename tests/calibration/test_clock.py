@@ -55,7 +55,9 @@ def corridor_edges(corridor):
     return seen_by(corridor)
 
 
-@pytest.mark.parametrize("shift_s", [-0.5, -0.15, 0.0, 0.3, 0.5])
+@pytest.mark.parametrize(
+    "shift_s", [-0.5, 0.3, *(pytest.param(each, marks=pytest.mark.slow) for each in (-0.15, 0.0, 0.5))]
+)
 def test_the_corridor_s_clocks_are_compared_to_10_ms(corridor, corridor_edges, shift_s):
     found = offset_of(corridor, corridor_edges, shift_s)
     assert found.turned_rad > np.pi
@@ -80,7 +82,7 @@ def test_clocks_of_other_drives_are_compared(data_dir, name, shift_s):
     assert abs(found.offset_s - shift_s) < 3 * found.sigma_s
 
 
-@pytest.mark.parametrize("turned_deg", [60.0, 180.0, 540.0])
+@pytest.mark.parametrize("turned_deg", [60.0, 180.0, pytest.param(540.0, marks=pytest.mark.slow)])
 def test_errors_agree_with_their_sigma(turned_deg):
     found = [offset_of_turns(*drive(turned_deg, seed)) for seed in range(8)]
     error, sigma = (np.array([getattr(one, name) for one in found]) for name in ("offset_s", "sigma_s"))

@@ -293,6 +293,7 @@ def test_the_plank_floored_corridor_gives_its_mount(off_deg):
 
 @pytest.mark.data
 @pytest.mark.parametrize("off_deg", [(3.0, -2.0)])
+@pytest.mark.slow  # quick: the corridor above
 def test_the_rendered_house_gives_its_mount(data_dir, off_deg):
     error, sigma = found_in_log(data_dir / "house", off_deg, images=60)
     assert abs(error[0]) < 0.05 and abs(error[1]) < 0.03

@@ -154,6 +154,7 @@ def test_an_offset_that_nothing_tells_is_not_written(localiser: Localiser, tmp_p
     assert result.exit_code == 2 and "expected a log with images" in result.err
 
 
+@pytest.mark.slow  # quick: tests/calibration/test_clock.py and `camera sync` below
 def test_replay_and_map_build_warn_of_clocks_that_differ(localiser: Localiser, shifted: Path, tmp_path: Path) -> None:
     result = localiser("replay", shifted, "--out", tmp_path / "out", "--no-rrd", "--start", "truth", *FEW_PARTICLES)
     assert result.exit_code == 0
@@ -197,6 +198,7 @@ def test_replay_warns_once_when_edges_contradict_the_stated_tilt(
     assert json.loads((run / "metrics.json").read_text())["warnings"] == figures["warnings"]
 
 
+@pytest.mark.slow  # quick: tests of replays expect no warnings
 def test_replay_says_nothing_of_a_tilt_that_is_right(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     assert localiser("camera", "tilt", log, "--write", "--images", 4, "--quiet").exit_code == 0
     result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", *FEW_PARTICLES)

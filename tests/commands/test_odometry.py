@@ -31,7 +31,8 @@ def test_fit_tells_what_it_would_change_and_writes_a_configuration(localiser: Lo
     assert again.exit_code == 2 and "expected a new file" in again.err and "alpha2" not in again.out
 
 
-@pytest.mark.parametrize(("images", "within"), [(120, 0.25), pytest.param(205, 0.1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("images", "within"), [(120, 0.25), (205, 0.1)])
+@pytest.mark.slow  # quick: tests/calibration/test_odometry.py fits the filter's path of simulated wheels
 def test_without_a_truth_the_filter_s_path_tells_nearly_the_same(
     localiser: Localiser, tmp_path: Path, images: int, within: float
 ) -> None:

@@ -164,6 +164,7 @@ def dark(edges: Edges) -> Edges:
 # -- rendered images --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # quick: the measured turns of exact edges in this file
 def test_rendered_turns_are_measured_as_the_docs_say(reproduced: Reproduction) -> None:
     for by in (1, 2):
         median = {}
@@ -219,6 +220,7 @@ def test_help_has_an_example(localiser: Localiser) -> None:
     assert "localiser paper" in result.out.split("Examples")[1]
 
 
+@pytest.mark.slow  # quick: the other tests of this file hold the tables
 def test_the_command_prints_and_writes_every_table(
     localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
 ) -> None:

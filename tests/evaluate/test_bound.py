@@ -156,6 +156,7 @@ def test_unknown_observation_is_refused() -> None:
         bearing_information(POSE, CAMERA, POINTS, edges_of(POSE, POINTS), "range")
 
 
+@pytest.mark.slow  # quick: the Kalman filter and equation 12 above
 def test_an_extended_kalman_filter_with_small_noise_attains_the_bound() -> None:
     """Bearings from an offset camera, the motion model's own noise: RMSE over bound is 1 within its interval.
 

@@ -49,7 +49,10 @@ def drive() -> tuple[Log, dict[int, Edges]]:
     return log, {frame.t_ns: find_edges(frame.load(), log.camera, parameters) for frame in frames}
 
 
-@pytest.mark.parametrize("fault", ["none", "stand still", "count double", "fall silent"])
+@pytest.mark.parametrize(
+    "fault",
+    ["stand still", *(pytest.param(each, marks=pytest.mark.slow) for each in ("none", "count double", "fall silent"))],
+)
 def test_wheels_that_err_for_three_seconds(drive: tuple[Log, dict[int, Edges]], fault: str) -> None:
     log, edges = drive
     localiser = Localiser(log.landmark_map, log.camera, read_config(None, (), log.settings))

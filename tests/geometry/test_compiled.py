@@ -239,6 +239,7 @@ BY_SHARE = """
 """
 
 
+@pytest.mark.slow  # quick: the other tests of this file change small loops
 def test_likelihood_follows_a_change_of_the_cosine_it_inlines(package: Path) -> None:
     before = python(BY_SHARE, package)
     assert python(BY_SHARE, package) == before
@@ -260,7 +261,7 @@ COSINE = """
 """
 
 
-@pytest.mark.parametrize("has_temporary", [True, False])
+@pytest.mark.parametrize("has_temporary", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_read_only_installation_runs_without_a_home(package: Path, tmp_path: Path, has_temporary: bool) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()

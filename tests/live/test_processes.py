@@ -126,6 +126,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint
     assert len(open_log(bag).frames) > 1
 
 
+@pytest.mark.slow  # quick: tests/live/test_run.py states one to the same loop
 def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser: Localiser) -> None:
     with program(*LIVE, "--connect", free_endpoint(), "--connect", endpoint) as live:  # one is not there
         live.poses(1)
@@ -135,6 +136,7 @@ def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser:
         assert live.end(signal.SIGINT) == 0
 
 
+@pytest.mark.slow  # quick: tests/live/test_sources.py and tests/commands/test_main.py run it in part
 def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path) -> None:
     options = ("--seconds", 2, "--map", CORRIDOR / "map.yaml", "--at", "0,0", "--picture", tmp_path / "seen.png")
     result = localiser("doctor", "--connect", endpoint, *options)

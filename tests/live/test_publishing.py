@@ -58,7 +58,7 @@ def test_the_transform_has_the_frame_of_the_odometry_unless_named() -> None:
     assert transport.messages("/tf")[-1].transforms[0].child_frame_id == "odom"
 
 
-@pytest.mark.parametrize("late_ns", [0, 60_000_000])
+@pytest.mark.parametrize("late_ns", [pytest.param(0, marks=pytest.mark.slow), 60_000_000])
 def test_for_every_pose_of_the_wheels_the_pose_in_the_map_is_there_within_the_tolerance(late_ns: int) -> None:
     """Nav2's part: odometry at 20 Hz, images at 5 Hz; asked at each odometry stamp for map→base as tf2 finds it.
 

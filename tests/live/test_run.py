@@ -136,7 +136,7 @@ def test_when_the_wheels_are_silent_edges_tell_the_way() -> None:
     assert feed.worst_error_m() < 0.3
 
 
-@pytest.mark.parametrize("after_ns", [0, 60_000_000])
+@pytest.mark.parametrize("after_ns", [0, pytest.param(60_000_000, marks=pytest.mark.slow)])
 def test_odometry_that_begins_anew_does_not_move_the_robot(localiser: Localiser, tmp_path: Path, after_ns: int) -> None:
     """Whether an image is taken between the last pose of old and the first of new, or not."""
     feed = Feed(record=tmp_path / "drive.db3")
@@ -311,7 +311,7 @@ def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Pa
     assert any("anew" in text for text in again.said)
 
 
-@pytest.mark.parametrize("anew", [False, True])
+@pytest.mark.parametrize("anew", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
     localiser: Localiser, tmp_path: Path, anew: bool
 ) -> None:

@@ -69,6 +69,7 @@ def test_a_landmark_at_the_best_spot_parts_the_twins() -> None:
     assert after.alike.mean() == pytest.approx(best.alike_share, abs=0.1)
 
 
+@pytest.mark.slow  # quick: the other tests of this file
 def test_near_a_path_only_what_the_path_reaches_is_looked_at() -> None:
     drive = world("corridor")
     path = drive.truth.poses[:20]

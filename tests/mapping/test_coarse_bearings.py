@@ -112,7 +112,8 @@ def test_a_place_that_is_looked_at_from_one_spot_only_is_no_landmark() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("robot", [1, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 3))])
+@pytest.mark.parametrize("robot", [1, 2, 3])
+@pytest.mark.slow  # quick: the simulated drives of this file
 def test_a_real_robot_finds_the_landmarks_by_bearings_alone(data_dir: Path, robot: int) -> None:
     log = open_log(data_dir / f"mrclam:{robot}")
     made = build_map(log, "truth", read_config(None, [], log.settings))

@@ -44,6 +44,7 @@ def messages_of(bag: Path) -> list[tuple[str, str, int, Any]]:
         ]
 
 
+@pytest.mark.slow  # quick: tests/commands/test_convert.py replays a bag as its folder
 def test_counts_frames_and_stamps_are_those_of_the_log(written: tuple[Path, Path]) -> None:
     folder, run = written
     log, messages = open_log(folder), messages_of(run.parents[2] / "out.mcap")

@@ -29,7 +29,7 @@ def jumped_log(folder: Path, column: str, jump: float) -> Path:
     return log
 
 
-@pytest.mark.parametrize("odometry", ["wheel", "vision"])
+@pytest.mark.parametrize("odometry", [pytest.param("wheel", marks=pytest.mark.slow), "vision"])
 def test_a_calendar_that_jumps_by_decades_takes_no_longer(localiser: Localiser, tmp_path: Path, odometry: str) -> None:
     log = jumped_log(tmp_path / "log", "t_ns", DECADES_NS)
     run = localiser.replay(log, tmp_path / "out", "--odometry", odometry)

@@ -134,6 +134,7 @@ def test_same_seed_same_bytes_another_seed_differs(localiser: Localiser, log: Pa
         assert (one / name).read_bytes() != (other / name).read_bytes()
 
 
+@pytest.mark.slow  # quick: the same seed gives the same bytes, above
 def test_saved_configuration_repeats_the_run(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     settings = ("--seed", 3, "--observation", "slope", "--set", "mcl.particles=300", "--set", "motion.alpha1=2e-3")
     first = localiser.replay(log, tmp_path / "a", *settings)

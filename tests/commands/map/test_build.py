@@ -47,6 +47,7 @@ def test_build_and_show(tmp_path: Path) -> None:
     assert "exists already" in refused("map", "show", out)
 
 
+@pytest.mark.slow  # quick: tests/mapping/test_from_known_poses.py, and the command with other poses below
 def test_poses_from_a_file_give_the_same_map_as_the_truth(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:80])
     write_tum(world("corridor").truth, tmp_path / "poses.tum")
@@ -108,6 +109,7 @@ def test_the_recording_shows_landmarks_that_grow_certain(tmp_path: Path) -> None
     assert "exists already" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
 
 
+@pytest.mark.slow  # quick: the recording above
 def test_the_recording_of_a_log_alone_shows_the_path_before_and_after_loops_were_closed(tmp_path: Path) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60], truth=False)
     recording, track = tmp_path / "map.rrd", tmp_path / "path.tum"
@@ -119,6 +121,7 @@ def test_the_recording_of_a_log_alone_shows_the_path_before_and_after_loops_were
     assert np.shape(before[0]) == np.shape(after[0])
 
 
+@pytest.mark.slow  # quick: the recordings below have the same content
 def test_a_build_can_be_watched_and_a_viewer_that_is_missing_is_no_obstacle(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -260,6 +263,7 @@ def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses:
 
 
 @pytest.mark.data
+@pytest.mark.slow  # quick: tests/replay/test_bag.py names topics
 def test_a_bag_whose_topics_are_named_is_mapped(data_dir: Path, tmp_path: Path) -> None:
     bag, out = data_dir / "house_bag", tmp_path / "map.yaml"
     assert "/none" in refused("map", "build", bag, "-o", out, "--topic", "odometry=/none")
@@ -268,7 +272,7 @@ def test_a_bag_whose_topics_are_named_is_mapped(data_dir: Path, tmp_path: Path) 
     assert len(read_map(out)) > 20
 
 
-@pytest.mark.parametrize(("tilt_deg", "warned"), [("20.0", False), ("22.0", True)])
+@pytest.mark.parametrize(("tilt_deg", "warned"), [pytest.param("20.0", False, marks=pytest.mark.slow), ("22.0", True)])
 def test_a_wrong_tilt_is_told_before_the_map_is_saved(tmp_path: Path, tilt_deg: str, warned: bool) -> None:
     log = cut_log(LOG, tmp_path / "log", 40)
     camera = log / "camera.yaml"
