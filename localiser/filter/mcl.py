@@ -31,6 +31,7 @@ from localiser.motion import EstimatesConstantErrors, LinearisedMotion, MotionMo
 from localiser.observation import (
     ComparesEnds,
     EarlierImage,
+    EdgeObservation,
     FollowsClutter,
     GuidesSteps,
     InlierRate,
@@ -46,6 +47,7 @@ from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer
 
 FEW = 512  # particles that tell how well all of them fit
+FIRST_THREADS = 4  # at most, that share the first image
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,7 +318,10 @@ def _weighed(
 ) -> Particles:
     """Return weighed particles: those proposed, else `cloud` moved by odometry alone and weighed in stages."""
     inliers, stage_below = state.inliers.after(image.novelty), mcl.parameters.stage_below
-    tempering = Tempering(mcl.observation, mcl.landmark_map, image.sighting, inliers, image.novelty, stage_below)
+    observation = mcl.observation
+    if isinstance(observation, EdgeObservation) and not state.weighed:  # many particles, many times: all wait for it
+        observation = observation.on_processors(FIRST_THREADS)
+    tempering = Tempering(observation, mcl.landmark_map, image.sighting, inliers, image.novelty, stage_below)
     found = None if proposed is None else tempering.at_once(proposed)
     if found is None:  # the first image, and one whose edges were taken for those of other landmarks
         found = tempering.in_stages(mcl.moved(cloud, image.moves, rng), not state.weighed, rng)

@@ -50,7 +50,7 @@ def entry(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
-    return cast(F, _with_numba(function, is_kept=False, forceinline=True, **_RULES))
+    return cast(F, _with_numba(function, is_kept=False, forceinline=True, no_cpython_wrapper=True, **_RULES))
 
 
 def compiled(function: F) -> F:
@@ -59,6 +59,11 @@ def compiled(function: F) -> F:
     A decorator, or called where the loop is first needed: the same function is compiled once.
     """
     return cast(F, _compiled(function, "numpy"))
+
+
+def part(function: F) -> F:
+    """Compile a part of loops that `compiled` compiles: Python cannot call it, so nothing is made or kept for that."""
+    return cast(F, _with_numba(function, is_kept=False, no_cpython_wrapper=True, error_model="numpy", nogil=True))
 
 
 def checked(function: F) -> F:
@@ -74,6 +79,7 @@ def _compiled(function: Callable[..., Any], error_model: str) -> Any:
 def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> Any:
     from numba import njit
 
+    rules["no_cfunc_wrapper"] = True  # no C code calls it
     loop = njit(**rules)(function)
     if is_kept and hasattr(loop, "targetoptions"):  # a plain function where NUMBA_DISABLE_JIT is set
         loop._cache = _Kept(loop)

@@ -17,6 +17,7 @@ inlier rate of `inlier_rate`, which learns their distribution and integrates the
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -64,6 +65,14 @@ class EdgeObservation:
     def angle(self) -> Angle:
         """The angle that is compared."""
         return Angle(self.camera, self.parameters.kind)
+
+    def on_processors(self, most: int) -> EdgeObservation:
+        """Return the same, which weighs by as many threads as there are processors; results do not depend on it.
+
+        most: threads, unless the parameters ask for more.
+        """
+        threads = max(self.parameters.threads, min(os.cpu_count() or 1, most))
+        return replace(self, parameters=replace(self.parameters, threads=threads))
 
     # -- likelihood -------------------------------------------------------------------------------------------------
 

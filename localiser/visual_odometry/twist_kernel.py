@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.geometry.compiled import compiled
+from localiser.geometry.compiled import compiled, part
 
 _ROUNDS, _STEPS, _SMALL_STEP = 10, 3, 1e-5
 _LEAST_WEIGHT = 1e-6  # keeps the equations of an edge that tells nothing solvable
@@ -104,7 +104,7 @@ def seen_from(bearing: float, inverse: float, x: float, z: float, turn: float) -
     return np.arctan2(right, -back) + turn, right, back, max(right * right + back * back, 1e-12)
 
 
-@compiled
+@part
 def _wrapped(angle: float) -> float:
     return float(angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)))
 
@@ -112,7 +112,32 @@ def _wrapped(angle: float) -> float:
 # -- how likely a pair is ---------------------------------------------------------------------------------------------
 
 
-@compiled
+@part
+def _by_common(common: Array, unknown: Array) -> float:
+    """Return what common errors add up to: those after the twist in `unknown` (3 + K,), each times `common` (K,)."""
+    total = 0.0
+    for k in range(len(common)):
+        total += common[k] * unknown[3 + k]
+    return total
+
+
+@part
+def interpolated(x: float, at: Array, value: Array) -> float:
+    """Return what `np.interp` does, which takes a second to compile."""
+    last = len(at) - 1
+    if x < at[0]:
+        return float(value[0])
+    if x >= at[last]:
+        return float(value[last])
+    j = 0
+    while x >= at[j + 1]:
+        j += 1
+    if x == at[j]:
+        return float(value[j])
+    return float((value[j + 1] - value[j]) / (at[j + 1] - at[j]) * (x - at[j]) + value[j])
+
+
+@part
 def pair_odds(  # noqa: PLR0912, PLR0915  (one pair after another, step by step)
     pairs: NDArray[np.int64],
     look: Array,
@@ -129,8 +154,8 @@ def pair_odds(  # noqa: PLR0912, PLR0915  (one pair after another, step by step)
 
     unknown, cov: (3 + K,), (3 + K, 3 + K) twist and common errors, as far as they are known.
     """
-    twist, wrong, wrong_cov = unknown[:3], unknown[3:], cov[3:, 3:]
-    spread = model.spread
+    twist = unknown[:3]
+    terms, spread = len(unknown) - 3, model.spread
     x, z, by_twist = camera_moved(twist, mount)
     sin, cos = np.sin(twist[2]), np.cos(twist[2])
     back_x, back_z = -(cos * x - sin * z), -(sin * x + cos * z)
@@ -149,8 +174,8 @@ def pair_odds(  # noqa: PLR0912, PLR0915  (one pair after another, step by step)
         # The feet in both frames, as one inverse range from the first camera, and how well they agree.
         foot, foot_var, agreement = one.measured[e, 1], one.sigma[e, 1] ** 2, 1.0
         common = one.common[e, 1]
-        later = two.measured[f, 1] - (two.common[f, 1] * wrong).sum()
-        foot -= (common * wrong).sum()
+        later = two.measured[f, 1] - _by_common(two.common[f, 1], unknown)
+        foot -= _by_common(common, unknown)
         if not np.isnan(later):
             _, _, _, square = seen_from(two.measured[f, 0], later, back_x, back_z, -twist[2])
             later /= np.sqrt(square)
@@ -166,11 +191,11 @@ def pair_odds(  # noqa: PLR0912, PLR0915  (one pair after another, step by step)
         share = 0.0
         if not np.isnan(foot):
             foot_var += (model.uneven * foot) ** 2
-            for k in range(len(wrong)):
-                for m in range(len(wrong)):
-                    foot_var += common[k] * wrong_cov[k, m] * common[m]
+            for k in range(terms):
+                for m in range(terms):
+                    foot_var += common[k] * cov[3 + k, 3 + m] * common[m]
             if on_floor:
-                share = np.interp(foot, model.floor_inverse, model.floor_share)
+                share = interpolated(foot, model.floor_inverse, model.floor_share)
         # Two readings of the lower end, each with a sharp bearing and with that of a neighbour.
         sharp = foot_sharp = total = 0.0
         for reading in range(2):
@@ -249,7 +274,7 @@ def invert(matrix: Array) -> None:
                 matrix[i, j] -= factor * matrix[k, j]
 
 
-@compiled
+@part
 def _equations(
     one: Frame,
     two: Frame,
@@ -272,13 +297,16 @@ def _equations(
     Bearing and inverse range in the first frame, the same in the second, and that the inverse range is a typical one.
     A weight is 0 where nothing is measured.
     """
-    e, f = link
+    e, f = link[0], link[1]
     seen, right, back, square = seen_from(b, rho, x, z, unknown[2])
     distance = np.sqrt(square)
     # By the ray d: of the bearing, and of the inverse range ρ / |d|.
     across = (-back / square, right / square)
     shrink = (-right * rho / (square * distance), -back * rho / (square * distance))
-    rows[:], by_edge[:] = 0.0, 0.0
+    for r in range(5):
+        by_edge[r, 0] = by_edge[r, 1] = 0.0
+        for k in range(rows.shape[1]):
+            rows[r, k] = 0.0
     by_edge[0, 0] = by_edge[1, 1] = by_edge[4, 1] = 1.0
     by_edge[2, 0] = across[0] * np.cos(b) + across[1] * np.sin(b)
     by_edge[2, 1] = -(across[0] * x + across[1] * z)
@@ -330,33 +358,39 @@ def solve(  # noqa: PLR0912, PLR0915  (the equations of one edge after another)
     count, terms = len(links), one.common.shape[2]
     size = 4 + terms
     unknown, expected = np.zeros(size), np.zeros(size)
-    unknown[:3], expected[:3] = start, belief.mean
+    before, total, gradient, step = np.zeros((size, size)), np.empty((size, size)), np.empty(size), np.empty(size)
+    for i in range(3):
+        unknown[i], expected[i] = start[i], belief.mean[i]
+        for j in range(3):
+            before[i, j] = belief.information[i, j]
+    for i in range(3, size):
+        before[i, i] = 1.0
     unknown[-1] = expected[-1] = model.typical
-    before = np.eye(size)
-    before[:3, :3] = belief.information
     before[-1, -1] = 1.0 / model.spread**2
     edge, own, pull = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2))
     cross = np.empty((count, 2, size))
     for m in range(count):
-        e, f = links[m]
+        e, f = links[m, 0], links[m, 1]
         foot = two.measured[f, 1] if np.isnan(one.measured[e, 1]) else one.measured[e, 1]
         edge[m, 0], edge[m, 1] = one.measured[e, 0], model.typical if np.isnan(foot) or floor[m] < 0.5 else foot
     rows, by_edge = np.empty((5, size)), np.empty((5, 2))
     w, residual = np.empty(5), np.empty(5)
-    total, gradient = before.copy(), np.empty(size)
     for _ in range(_STEPS):
-        total[:] = before
         for i in range(size):
             gradient[i] = 0.0
             for j in range(size):
+                total[i, j] = before[i, j]
                 gradient[i] += before[i, j] * (expected[j] - unknown[j])
         x, z, by_twist = camera_moved(unknown[:3], mount)
         for m in range(count):
-            b, rho = edge[m]
+            b, rho = edge[m, 0], edge[m, 1]
             _equations(one, two, links[m], b, rho, x, z, by_twist, unknown, floor[m], model, rows, by_edge, w, residual)
-            w *= weight[m]
-            own[m], pull[m], cross[m] = 0.0, 0.0, 0.0
+            for a in range(2):
+                pull[m, a] = own[m, a, 0] = own[m, a, 1] = 0.0
+                for i in range(size):
+                    cross[m, a, i] = 0.0
             for r in range(5):
+                w[r] *= weight[m]
                 if w[r] == 0.0:
                     continue
                 for a in range(2):
@@ -386,20 +420,26 @@ def solve(  # noqa: PLR0912, PLR0915  (the equations of one edge after another)
                     for j in range(size):
                         total[i, j] -= reduced * cross[m, a, j]
         invert(total)
-        step = np.zeros(size)
+        is_small = True
         for i in range(size):
+            step[i] = 0.0
             for j in range(size):
                 step[i] += total[i, j] * gradient[j]
-        unknown += step
+            unknown[i] += step[i]
+            is_small = is_small and abs(step[i]) < _SMALL_STEP
         for m in range(count):
             for a in range(2):
                 for i in range(size):
                     pull[m, a] -= cross[m, a, i] * step[i]
             for a in range(2):
                 edge[m, a] += own[m, a, 0] * pull[m, 0] + own[m, a, 1] * pull[m, 1]
-        if np.abs(step).max() < _SMALL_STEP:
+        if is_small:
             break
-    return unknown[:-1].copy(), total[:-1, :-1].copy()
+    cov = np.empty((size - 1, size - 1))
+    for i in range(size - 1):
+        for j in range(size - 1):
+            cov[i, j] = total[i, j]
+    return unknown[:-1], cov
 
 
 # -- pairing and solving in turns -------------------------------------------------------------------------------------
@@ -423,26 +463,33 @@ def refine(
     Twist (3,) and covariance (3, 3), indices of the pairs chosen (M,), and their weights, floor shares and
     log-likelihoods (M,).
     """
-    terms = one.common.shape[2]
-    unknown, cov = np.zeros(3 + terms), np.eye(3 + terms)
-    for k in range(3):
-        unknown[k], cov[k, k] = start[k], start_var[k]
-    chosen, log_likelihood = np.empty(0, dtype=np.int64), np.empty(0)
-    weight, floor = np.empty(0), np.empty(0)
+    size = 3 + one.common.shape[2]
+    unknown, cov = np.zeros(size), np.zeros((size, size))
+    for k in range(size):
+        unknown[k], cov[k, k] = (start[k], start_var[k]) if k < 3 else (0.0, 1.0)
+    before, links = np.empty(3), np.empty((0, 2), dtype=np.int64)
+    chosen, previous = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    weight, floor, log_likelihood = np.empty(0), np.empty(0), np.empty(0)
     for _ in range(_ROUNDS):
         found = pair_odds(pairs, look, usable, one, two, unknown, cov, mount, model, belief.on_floor)
         previous, chosen = chosen, one_to_one(pairs, found[:, 0], len(one.measured), len(two.measured))
-        if len(chosen) == 0:
+        count = len(chosen)
+        if count == 0:
             break
-        odds = found[chosen, 0]
-        log_likelihood = np.log1p(odds)
-        weight = np.maximum(found[chosen, 1] * odds / (1.0 + odds), _LEAST_WEIGHT)
-        floor = found[chosen, 2]
-        before = unknown[:3]
-        unknown, cov = solve(one, two, pairs[chosen], weight, floor, before, belief, mount, model)
-        settled = len(previous) == len(chosen)
-        for m in range(len(chosen)):
-            settled = settled and previous[m] == chosen[m]
+        settled = len(previous) == count
+        weight, floor, log_likelihood = np.empty(count), np.empty(count), np.empty(count)
+        links = np.empty((count, 2), dtype=np.int64)
+        for m in range(count):
+            p = chosen[m]
+            odds = found[p, 0]
+            log_likelihood[m] = np.log1p(odds)
+            weight[m] = max(found[p, 1] * odds / (1.0 + odds), _LEAST_WEIGHT)
+            floor[m] = found[p, 2]
+            links[m, 0], links[m, 1] = pairs[p, 0], pairs[p, 1]
+            settled = settled and previous[m] == p
+        for k in range(3):
+            before[k] = unknown[k]
+        unknown, cov = solve(one, two, links, weight, floor, before, belief, mount, model)
         for k in range(3):
             settled = settled and abs(unknown[k] - before[k]) < 0.1 * np.sqrt(cov[k, k])
         if settled:

@@ -18,7 +18,7 @@ from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Od
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters, linearised
-from localiser.observation import EdgeObservation, InlierRate, ObservationParameters
+from localiser.observation import EdgeObservation, InlierRate, ObservationParameters, likelihood
 from localiser.particles import POSE, Particles
 from localiser.simulate import EdgeNoise, simulated_edges
 
@@ -253,6 +253,28 @@ def test_same_generator_same_arrays_another_differs() -> None:
         np.testing.assert_array_equal(a.particles.log_weight, b.particles.log_weight)
         np.testing.assert_array_equal(a.estimate.cov, b.estimate.cov)
     assert (first[-1].particles.columns != other[-1].particles.columns).any()
+
+
+def test_the_first_image_alone_is_shared_among_processors_and_gives_the_same_bytes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    track = ahead(1.0, 100_000_000)
+    events = in_time([Start(0, START_POSE, PRIOR)], odometry(track), sighted(track, 0)[:3])
+    found, used = [], []
+    weigh = likelihood.by_rate
+
+    def watched(scene: likelihood.Scene, columns: Array, rates: Array, threads: int, **how: bool) -> Array:
+        used.append(threads)
+        return weigh(scene, columns, rates, threads, **how)
+
+    monkeypatch.setattr(likelihood, "by_rate", watched)
+    for processors in (1, 2):
+        monkeypatch.setattr("os.cpu_count", lambda processors=processors: processors)
+        found.append(run(filter_of(9000, NOISE), events))
+    assert sorted(set(used)) == [1, 2]
+    assert used[-1] == 1
+    for one, two in zip(*found, strict=True):
+        assert one.particles.columns.tobytes() == two.particles.columns.tobytes()
 
 
 def test_edges_lead_from_a_wrong_start_to_the_truth() -> None:

@@ -355,6 +355,13 @@ def test_each_edge_joins_one_pair_the_likeliest_first() -> None:
     np.testing.assert_array_equal(loops.one_to_one(pairs, odds, 3, 3), [1, 2])
 
 
+def test_between_points_is_interpolated_as_numpy_does() -> None:
+    at, value = np.array([0.1, 0.4, 0.5, 2.0]), np.array([0.9, 0.7, 0.2, 0.1])
+    x = np.concatenate([at, np.linspace(-0.5, 2.5, 301)])
+    found = [loops.interpolated.py_func(each, at, value) for each in x]  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(found, np.interp(x, at, value))
+
+
 def test_at_least_reaches_as_far_as_both() -> None:
     rng = np.random.default_rng(14)
     one, two = (a @ a.T + 0.1 * np.eye(3) for a in rng.standard_normal((2, 3, 3)))
