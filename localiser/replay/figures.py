@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,19 +29,76 @@ SILENT_NS = 1_000_000_000  # without odometry, though images come
 WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on that is told
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary:
+    """What is wanted of all T images of a run at once.
+
+    warnings, reasons, wheels_are_wrong, edges_known: (T,) as the filter had them, and whether an edge's landmark was
+    known. landmark_use: (L, 2) in how many images each landmark of the map was in view, and in how many matched.
+    """
+
+    track: Track
+    warnings: list[str]
+    reasons: list[str]
+    wheels_are_wrong: NDArray[np.bool_]
+    edges_known: NDArray[np.bool_]
+    landmark_use: Array
+
+    @classmethod
+    def of(cls, frames: Sequence[LocatedFrame], landmarks: int) -> Summary:
+        """Return the summary of images, which are gone through once. landmarks: L."""
+        count, use = len(frames), np.zeros((landmarks, 2))
+        t_ns, known, wrong = np.empty(count, np.int64), np.empty(count, bool), np.empty(count, bool)
+        poses, covs, odometry = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
+        numbers, residuals = np.empty((count, 3)), np.empty((count, 3))
+        warnings, reasons = [], []
+        for i, frame in enumerate(frames):
+            located, landmark = frame.located, frame.matches.landmark
+            use[:, 0] += frame.matches.visible
+            use[np.unique(landmark[landmark >= 0]), 1] += 1
+            t_ns[i], poses[i], covs[i] = located.t_ns, located.estimate.pose, located.estimate.pose_cov
+            odometry[i], residuals[i] = located.odometry, _residual_sums(frame.matches)
+            numbers[i] = len(located.edges), (landmark >= 0).sum(), located.p_correct
+            known[i], wrong[i] = (located.edges.landmark_id >= 0).any(), located.wheels_are_wrong
+            warnings.append(sys.intern(located.warning))
+            reasons.append(sys.intern(located.reason))
+        edges, matched, p_correct = numbers.T.copy()
+        track = Track(t_ns, poses, covs, odometry, edges, matched, p_correct, residuals)
+        return cls(track, warnings, reasons, wrong, known, use)
+
+    @property
+    def sighted(self) -> NDArray[np.bool_] | None:
+        """Whether (T,) a landmark was seen, where the log tells which; None where it does not."""
+        return self.edges_known if self.edges_known.any() else None
+
+
+class _EdgesOf(Sequence[Edges]):
+    """The edges of images, each read when it is asked for."""
+
+    def __init__(self, frames: Sequence[LocatedFrame]) -> None:
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            raise TypeError("expected the index of an image")
+        return self._frames[index].located.edges
+
+
 def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
     """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
-    located = [frame.located for frame in run.frames]
-    edges = [result.edges for result in located]
+    edges, summary = _EdgesOf(run.frames), run.summary
     figures = evaluate.metrics(
-        run.track,
+        summary.track,
         truth_of(run),
         log=run.log.name,
         about=about(run),
         bound=bound,
-        sighted=_sighted(edges),
-        reasons=[result.reason for result in located],
-        distance_scale=_learnt(located[-1].estimate, "distance_scale"),
+        sighted=summary.sighted,
+        reasons=summary.reasons,
+        distance_scale=_learnt(run.frames[-1].located.estimate, "distance_scale"),
     )
     figures |= {"biases": _constants(run)} | _mount(run, edges) | _height(run)
     clock, clock_warnings = _clock(run, edges)
@@ -47,69 +106,37 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
     figures |= _light(run)
     figures["warnings"] += clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run)
     figures["warnings"] += _silence_warnings(run) + _height_warnings(run)
-    in_view, matched = (landmark_use(run) > 0).T
+    in_view, matched = (summary.landmark_use > 0).T
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
-
-
-def landmark_use(run: Replay) -> Array:
-    """Return (L, 2) in how many images each landmark of the map was in view, and in how many it was matched."""
-    use = np.zeros((len(run.localiser.landmark_map), 2))
-    for frame in run.frames:
-        landmark = frame.matches.landmark
-        use[:, 0] += frame.matches.visible
-        use[np.unique(landmark[landmark >= 0]), 1] += 1
-    return use
-
-
-def track_of(frames: Sequence[LocatedFrame]) -> Track:
-    """Return what a run says at each of its images."""
-    located = [frame.located for frame in frames]
-    return Track.from_poses(
-        [result.t_ns for result in located],
-        np.array([result.estimate.pose for result in located]).reshape(-1, 3),
-        covs=np.array([result.estimate.pose_cov for result in located]).reshape(-1, 3, 3),
-        odometry=np.array([result.odometry for result in located]).reshape(-1, 3),
-        edges=[len(result.edges) for result in located],
-        matched=[int((frame.matches.landmark >= 0).sum()) for frame in frames],
-        p_correct=[result.p_correct for result in located],
-        residuals=np.array([_residual_sums(frame.matches) for frame in frames]).reshape(-1, 3),
-    )
 
 
 def truth_of(run: Replay) -> Trajectory | None:
     """Return the truth, None where there is none or the run ended before it begins."""
     truth = run.log.groundtruth
-    return truth if truth is not None and any(truth.covers(frame.located.t_ns) for frame in run.frames) else None
+    return truth if truth is not None and any(map(truth.covers, run.track.t_ns.tolist())) else None
 
 
 def bound_of(run: Replay) -> Array | None:
     """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
     log, config, landmark_map = run.log, run.localiser.config, run.localiser.landmark_map
-    located = [frame.located for frame in run.frames]
-    if log.groundtruth is None or run.start is None or _sighted([result.edges for result in located]) is None:
+    if log.groundtruth is None or run.start is None or run.summary.sighted is None:
         return None
     if landmark_map is not log.landmark_map:
         return None  # the log's associations are those of its own map
-    poses = log.groundtruth.sampled([result.t_ns for result in located]).poses
-    steps = zip(poses[:-1], located[1:], strict=True)
-    moves = [motion.linearised(pose, result.increment, config.motion) for pose, result in steps]
-    informations = [
-        evaluate.bearing_information(pose, log.camera, landmark_map.points, result.edges, config.observation.kind)
-        for pose, result in zip(poses, located, strict=True)
-    ]
+    poses = log.groundtruth.sampled(run.track.t_ns).poses
+    moves, informations = [], []
+    for index, frame in enumerate(run.frames):
+        edges, pose, kind = frame.located.edges, poses[index], config.observation.kind
+        informations.append(evaluate.bearing_information(pose, log.camera, landmark_map.points, edges, kind))
+        if index:
+            moves.append(motion.linearised(poses[index - 1], frame.located.increment, config.motion))
     return evaluate.posterior_bound(
         run.start.cov,
         np.array([jac for jac, _ in moves]).reshape(-1, 3, 3),
         np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
         np.array(informations),
     )
-
-
-def _sighted(all_edges: Sequence[Edges]) -> NDArray[np.bool_] | None:
-    """Return whether (T,) a landmark was seen, where the log tells which; None where it does not."""
-    sighted = np.array([(edges.landmark_id >= 0).any() for edges in all_edges])
-    return sighted if sighted.any() else None
 
 
 def _residual_sums(matches: Matches) -> Array:
@@ -132,19 +159,20 @@ def _constants(run: Replay) -> dict[str, Any]:
 
 def _map_warnings(run: Replay) -> list[str]:
     """Return what the filter said of the map, as texts for people."""
-    told = [index for index, frame in enumerate(run.frames) if frame.located.warning]
+    warnings = run.summary.warnings
+    told = [index for index, warning in enumerate(warnings) if warning]
     if not told:
         return []
     since_s = run.track.seconds[told[0]]
     return [
-        f"{run.frames[told[0]].located.warning.capitalize()}: the images show other edges than it has, in {len(told)} "
-        f"of {len(run.frames)} images, for the first time after {since_s:.1f} s. Is it of this building?"
+        f"{warnings[told[0]].capitalize()}: the images show other edges than it has, in {len(told)} "
+        f"of {len(warnings)} images, for the first time after {since_s:.1f} s. Is it of this building?"
     ]
 
 
 def _wheel_warnings(run: Replay) -> list[str]:
     """Return when the filter went on without the wheels, as a text for people."""
-    wrong = np.array([frame.located.wheels_are_wrong for frame in run.frames], dtype=bool)
+    wrong = run.summary.wheels_are_wrong
     if wrong.sum() < WRONG_IMAGES:
         return []
     first, last = run.track.seconds[np.flatnonzero(wrong)[[0, -1]]]
@@ -233,8 +261,7 @@ def _clock(run: Replay, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[st
     log, config = run.log, run.localiser.config
     if not log.has_images or config.increments.source == "vision":
         return {}, []
-    times = [frame.located.t_ns for frame in run.frames]
-    found = clock_offset(times, edges.__getitem__, log.odometry, log.camera, most=CLOCK_PAIRS)
+    found = clock_offset(run.track.t_ns, edges.__getitem__, log.odometry, log.camera, most=CLOCK_PAIRS)
     warning = found.warning(log.path, config.motion.bias.delay_sigma_s)
     figures = {"clock_offset_s": round(found.offset_s, 6), "clock_offset_sigma_s": round(found.sigma_s, 6)}
     return figures, [] if warning is None else [warning]

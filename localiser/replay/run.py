@@ -26,7 +26,8 @@ from localiser.observation import Observation
 from localiser.replay.about import described, identity_of
 from localiser.replay.ahead import in_order
 from localiser.replay.bag import ReplayBag
-from localiser.replay.figures import bound_of, landmark_use, run_metrics, track_of, truth_of
+from localiser.replay.figures import Summary, bound_of, run_metrics, truth_of
+from localiser.replay.kept import KeptFrames
 from localiser.replay.sinks import Outputs, Sink, all_of, close_all, sinks_of, without_bulk
 from localiser.replay.start import has_start, start_of
 from localiser.replay.stop import Stop, asked_to_stop
@@ -56,16 +57,17 @@ class Replay:
     """A log that is replayed, and what was located until now.
 
     localiser: as it was made for this run; it has the map, which was read from `map_file` where that is not None, and
-    the settings. start: None where nothing is said of it. frames: without images and particles. light: how every
-    fifth image is exposed. timing: what each of them took (ms), by stage.
+    the settings. start: None where nothing is said of it. frames: without images and particles, in a temporary file
+    where there are many. light: how every fifth image is exposed. timing: what each of them took (ms), by stage.
     """
 
     log: Log
     localiser: Localiser
     start: Start | None
     map_file: Path | None = None
-    frames: list[LocatedFrame] = field(default_factory=list)
+    frames: KeptFrames = field(default_factory=KeptFrames)
     light: list[Light] = field(default_factory=list)
+    _summaries: dict[int, Summary] = field(default_factory=dict)
     timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
 
     @cached_property
@@ -76,7 +78,15 @@ class Replay:
     @property
     def track(self) -> Track:
         """The run so far."""
-        return track_of(self.frames)
+        return self.summary.track
+
+    @property
+    def summary(self) -> Summary:
+        """What is wanted of all images so far at once."""
+        if len(self.frames) not in self._summaries:
+            self._summaries.clear()
+            self._summaries[len(self.frames)] = Summary.of(self.frames, len(self.localiser.landmark_map))
+        return self._summaries[len(self.frames)]
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -344,7 +354,7 @@ class FolderRun:
             "truth": truth_of(run),
             "landmark_map": run.localiser.landmark_map,
             "bound": bound,
-            "landmark_use": landmark_use(run),
+            "landmark_use": run.summary.landmark_use,
         }
         reports = [
             lambda: write_report(report, run.track, figures | timing, **known),

@@ -1,0 +1,92 @@
+"""Located images are kept in a file, and are read again as they were."""
+
+from __future__ import annotations
+
+import pickle
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from folders import ROOT
+
+from localiser.config import read_config
+from localiser.errors import OutputError
+from localiser.filter import LocatedFrame
+from localiser.replay import replay_log
+from localiser.replay.figures import Summary
+from localiser.replay.kept import KeptFrames
+from localiser.storage import open_log
+
+
+@pytest.fixture(scope="module")
+def frame() -> LocatedFrame:
+    """A located image."""
+    log = open_log(ROOT / "logs" / "corridor")
+    few = replace(log, frames=log.frames[:2])
+    return replay_log(few, read_config(None, ["mcl.particles=50", "mcl.start_particles=100"])).frames[0]
+
+
+def numbered(frame: LocatedFrame, number: int) -> LocatedFrame:
+    return replace(frame, located=replace(frame.located, t_ns=number))
+
+
+def test_images_are_read_as_they_were_in_any_order(frame: LocatedFrame) -> None:
+    kept = KeptFrames()
+    for number in range(5):
+        kept.append(numbered(frame, number))
+        assert kept[-1].located.t_ns == number
+    assert len(kept) == 5
+    assert [each.located.t_ns for each in kept] == [0, 1, 2, 3, 4]
+    assert [each.located.t_ns for each in kept[1:4:2]] == [1, 3]
+    assert kept[3].located.estimate.cov.tobytes() == frame.located.estimate.cov.tobytes()
+    kept.append(numbered(frame, 5))
+    assert [kept[index].located.t_ns for index in (5, 0, -2)] == [5, 0, 4]
+    with pytest.raises(IndexError):
+        kept[6]
+
+
+def test_memory_and_summary_hardly_grow_with_the_length_of_a_run(
+    frame: LocatedFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_memory = 500_000
+    monkeypatch.setattr("localiser.replay.kept.IN_MEMORY", in_memory)
+
+    def taken(work: Callable[[], object]) -> int:
+        tracemalloc.start()
+        result = work()
+        used: int = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        del result
+        return used
+
+    count = 3 * in_memory // len(pickle.dumps(frame))
+    kept = KeptFrames()
+
+    def keep() -> None:
+        for number in range(count):
+            kept.append(numbered(frame, number))
+
+    assert taken(keep) < 1.5 * in_memory
+    landmarks = len(frame.matches.visible)
+    Summary.of(kept[:1], landmarks)  # which imports something
+    assert taken(lambda: Summary.of(kept, landmarks)) < in_memory
+
+
+def test_a_full_disk_is_told(frame: LocatedFrame, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    kept = KeptFrames()
+    monkeypatch.setattr("localiser.replay.kept.pickle.dump", full)
+    with pytest.raises(OutputError, match="No space left"):
+        kept.append(frame)
+    assert len(kept) == 0
+
+
+def test_the_summary_of_nothing_is_empty() -> None:
+    summary = Summary.of([], 3)
+    assert len(summary.track) == 0
+    assert summary.sighted is None
+    np.testing.assert_array_equal(summary.landmark_use, np.zeros((3, 2)))
