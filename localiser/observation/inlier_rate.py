@@ -9,6 +9,7 @@ mixture with a Dirichlet prior.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -22,6 +23,7 @@ PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike 
 _PRIOR = np.full(_NODES, PRIOR_FRAMES / _NODES)
 
 MEMORY_FRAMES = 30.0  # independent frames after which another part of the building is in view, with clutter of its own
+_PART = 4096  # particles at a time: what is worked out of them stays in the second cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,10 @@ class InlierRate:
 
     def log_mean(self, by_rate: Array) -> Array:
         """Return log p(edges | pose) (N,), the rates integrated out of `by_rate` (K, N)."""
-        return _log_sum(by_rate + np.log(self.probability)[:, None])
+        log_probability, count = np.log(self.probability)[:, None], by_rate.shape[1]
+        bounds = np.linspace(0, count, max(count // _PART, 1) + 1).astype(np.int64).tolist()
+        parts = [_log_sum(by_rate[:, low:high] + log_probability) for low, high in pairwise(bounds)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def given(self, by_rate: Array, weight: Array, independent_frames: float) -> Self:
         """Return the distribution after a frame with log p(edges | pose, w_k) (K, N) and particles of weight (N,).

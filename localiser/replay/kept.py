@@ -11,7 +11,7 @@ from typing import overload
 from localiser.errors import OutputError
 from localiser.filter import LocatedFrame
 
-IN_MEMORY = 16_000_000  # bytes, beyond which the file is written to the disk: about 1500 images
+IN_MEMORY = 4_000_000  # bytes, beyond which the file is written to the disk: about 400 images
 
 
 class KeptFrames(Sequence[LocatedFrame]):

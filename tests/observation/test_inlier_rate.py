@@ -74,3 +74,12 @@ def test_particles_teach_by_their_weight() -> None:
 def test_a_known_share_weighs_as_that_share_would() -> None:
     inliers = InlierRate(np.eye(len(INLIER_RATES))[2] + 1e-300)
     np.testing.assert_allclose(inliers.log_mean(by_rate(3, 4)), by_rate(3, 4)[2])
+
+
+@pytest.mark.parametrize("count", [1, 2000, 8191, 8192, 12_345, 100_000])
+def test_particles_taken_in_parts_have_the_same_bytes(count: int) -> None:
+    rates = InlierRate.unknown()
+    by_rate = 30.0 * np.random.default_rng(count).standard_normal((len(INLIER_RATES), count))
+    joint = by_rate + np.log(rates.probability)[:, None]
+    top = joint.max(axis=0)
+    assert rates.log_mean(by_rate).tobytes() == (top + np.log(np.exp(joint - top).sum(axis=0))).tobytes()
