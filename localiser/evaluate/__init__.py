@@ -10,7 +10,7 @@ from localiser.evaluate.metrics import ABOUT, metrics, timing_metrics
 from localiser.evaluate.moments import WorstMoments
 from localiser.evaluate.page import report_page
 from localiser.evaluate.paired import ALL_LOGS, Comparison, compare_pairs
-from localiser.evaluate.report import write_report
+from localiser.evaluate.report import picture_style, write_report
 from localiser.evaluate.residuals import residual_sums
 from localiser.evaluate.table import COLUMNS, RunTables
 from localiser.evaluate.twins import without_twins

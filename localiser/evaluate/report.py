@@ -101,7 +101,7 @@ def write_report(path: Path, track: Track, figures: Mapping[str, Any], **known: 
 
     known: see `draw_report`. Raises InputError when truth and run share no time, OutputError.
     """
-    with _style():  # fonts are looked up on drawing
+    with picture_style():  # fonts are looked up on drawing
         figure = draw_report(track, figures, **known)
         # Without "Software", which names matplotlib's version.
         with drafted(path) as draft:
@@ -125,7 +125,7 @@ def draw_report(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with _style():
+    with picture_style():
         figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
         FigureCanvasAgg(figure)
         track, bound = _broken_at_gaps(track, bound)
@@ -148,7 +148,7 @@ def draw_report(
     return figure
 
 
-def _style() -> Any:
+def picture_style() -> Any:
     """Return the context of this style, from the defaults and not the user's: the picture is the same everywhere."""
     from matplotlib import style
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from localiser.evaluate import picture_style
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import ENOUGH, Aliasing, Coverage
 from localiser.storage import write_bytes
@@ -17,11 +18,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CHI2_95 = 5.991  # squared Mahalanobis distance that holds 95 % of a Gaussian in the plane
-_POLARITY = {1: ("#1f6fb4", "light on the right"), -1: ("#c2571a", "light on the left"), 0: ("#555555", "unknown")}
+# Colours of Okabe and Ito, as in the report.
+_POLARITY = {
+    1: ("#0072b2", "light on the right"),
+    -1: ("#d55e00", "light on the left"),
+    0: ("#1f2933", "lighter side unknown"),
+}
+_LANDMARK, _HELPS, _ARROW = "#1f2933", "#009e73", "#1f2933"
+_LABELS = {"xlabel": "x (m)", "ylabel": "z (m), heading 0 faces up"}
 
 
 def draw_map(landmark_map: LandmarkMap, path: Path) -> None:
     """Draw the map from above, map -z up, with the 95 % ellipse of each landmark. Raises OutputError."""
+    with picture_style():
+        _save(_map_figure(landmark_map, path.stem), path)
+
+
+def _map_figure(landmark_map: LandmarkMap, name: str) -> Figure:
     from matplotlib.figure import Figure
 
     points = landmark_map.points
@@ -32,21 +45,20 @@ def draw_map(landmark_map: LandmarkMap, path: Path) -> None:
     axes = figure.add_subplot()
     _draw_ellipses(axes, landmark_map)
     _draw_landmarks(axes, landmark_map)
-    axes.set(xlabel="x, m", ylabel="z, m (map −z is up)", title=landmark_map.name or path.stem)
+    axes.set(**_LABELS, title=landmark_map.name or name)
     axes.set_aspect("equal")
     margin = 0.04 * max(width, depth) + 0.1
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(high[1] + margin, low[1] - margin)
-    axes.grid(color="#e6e8eb", linewidth=0.6)
-    axes.set_axisbelow(True)
-    figure.legend(loc="lower center", ncols=4, frameon=False, fontsize=8)
+    axes.grid(color="#e3e8ed", linewidth=0.8)
+    figure.legend(loc="lower center", ncols=4)
     figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
-    _save(figure, path)
+    return figure
 
 
 def _save(figure: Figure, path: Path) -> None:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
+    figure.savefig(buffer, format="png", metadata={"Software": None})
     write_bytes(path, buffer.getvalue())
 
 
@@ -76,17 +88,22 @@ def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
         units="xy",
         offsets=landmark_map.points[known],
         offset_transform=axes.transData,
-        facecolors="#8fb8de55",
-        edgecolors="#3f6f9f",
+        facecolors="#56b4e955",
+        edgecolors="#0072b2",
         linewidths=0.6,
         zorder=2,
     )
     axes.add_collection(ellipses)
-    axes.plot([], [], color="#3f6f9f", linewidth=0.8, label="95 % of its place")
+    axes.plot([], [], color="#0072b2", linewidth=0.8, label="95 % of its place")
 
 
 def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path: Path) -> None:
     """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
+    with picture_style():
+        _save(_check_figure(landmark_map, found, look, path.stem), path)
+
+
+def _check_figure(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, name: str) -> Figure:
     from matplotlib.figure import Figure
 
     width, depth = np.ptp(found.x) + 1.0, np.ptp(found.z) + 1.0
@@ -103,14 +120,14 @@ def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path:
         (left, few, "coverage", f"headings with fewer than {ENOUGH} landmarks in view, %"),
         (right, alike, "ambiguity", "headings from which another place (arrows) looks the same, %"),
     ):
-        axes.scatter(*landmark_map.points.T, s=10, color="#1f3f66", linewidths=0, label="landmark")
-        axes.set(xlabel="x, m", ylabel="z, m (map −z is up)", title=f"{landmark_map.name or path.stem}: {title}")
+        axes.scatter(*landmark_map.points.T, s=10, color=_LANDMARK, linewidths=0, label="landmark")
+        axes.set(**_LABELS, title=f"{landmark_map.name or name}: {title}")
         axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
         figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04).set_label(label)
     handles, labels = right.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=2, frameon=False, fontsize=8)
+    figure.legend(handles, labels, loc="lower center", ncols=2)
     figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
-    _save(figure, path)
+    return figure
 
 
 def _draw_lookalikes(look: Aliasing, axes: Axes) -> Any:
@@ -128,7 +145,7 @@ def _draw_lookalikes(look: Aliasing, axes: Axes) -> Any:
             "",
             twin[:2],
             pose[:2],
-            arrowprops={"arrowstyle": "->", "color": "#333333", "linewidth": 0.9, "connectionstyle": "arc3,rad=0.15"},
+            arrowprops={"arrowstyle": "->", "color": _ARROW, "linewidth": 0.9, "connectionstyle": "arc3,rad=0.15"},
         )
     if look.spots:
         axes.scatter(
@@ -136,7 +153,7 @@ def _draw_lookalikes(look: Aliasing, axes: Axes) -> Any:
             look.spots_at[:, 1],
             s=90,
             marker="*",
-            color="#2a9d3f",
+            color=_HELPS,
             edgecolors="white",
             linewidths=0.8,
             zorder=5,
