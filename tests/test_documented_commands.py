@@ -92,3 +92,15 @@ def test_a_tutorial_runs_as_it_is_written(
 def named(word: str) -> list[str]:
     """Return a word as a shell hands it on: the files that it names with a star, else itself."""
     return sorted(map(str, Path().glob(word))) if "*" in word else [word]
+
+
+PROGRAM = re.compile(r"\bpython ((?:benchmarks|docs)/\w+\.py)([^\n`#]*)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_programs_beside_the_package_have_the_options_that_are_documented(page: Path) -> None:
+    """They take minutes to hours, so they are not run here; tests/benchmarks runs their parts."""
+    for program, arguments in PROGRAM.findall(page.read_text(encoding="utf-8")):
+        code = (ROOT / program).read_text(encoding="utf-8")
+        for option in re.findall(r"--[a-z-]+", arguments):
+            assert f'"{option}"' in code, f"{program} has no option {option}"
