@@ -25,6 +25,12 @@ _STRAIGHT_PX = 0.35
 short edge far and a long one hardly, so that many short edges do not outvote few long ones."""
 _PRIOR_EDGES = 2.0
 """As how many edges it counts that edges are as crooked as is stated, when an image's own say how crooked they are."""
+_NEAR_RAD = np.radians(1.0)
+"""How far from the truth least squares may begin."""
+_GRID, _GRID_SIGMAS = 17, 2.5
+"""Steps of the grid to either side, and how many sigmas of the prior it covers."""
+_EVERY_RAD = np.radians(2.5)
+"""Range of directions over which a segment that is no vertical edge counts as spread."""
 _FIRST_ITERATIONS, _SCATTER_ITERATIONS = 5, 30
 
 
@@ -58,6 +64,10 @@ class NadirMiss:
         """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
         remaining = ((self.per_mount @ mount.cov) * self.per_mount).sum(axis=1)
         return self.angle + self.per_mount @ mount.mean, remaining
+
+    def turned(self, mount_rad: Array) -> NadirMiss:
+        """Return the angles for a camera with this much more tilt and roll (2,)."""
+        return replace(self, angle=self.angle + self.per_mount @ mount_rad)
 
     def take(self, index: NDArray[np.bool_]) -> NadirMiss:
         """Return the angles of some segments."""
@@ -94,9 +104,17 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     """Return the error of the stated tilt and roll that makes segments (S) point at the nadir point best.
 
     Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll. Without segments: the
-    prior. learn_crooked: find by expectation maximisation how crooked edges are, as a factor of what is stated: walls
-    that agree to hundredths of a degree tell the tilt as well as that, although none is stated to be built so.
+    prior. Least squares end at the nearest optimum, so where the prior is wider than a degree they begin at the
+    likeliest point of a grid. learn_crooked: find by expectation maximisation how crooked edges are, as a factor of
+    what is stated: walls that agree to hundredths of a degree tell the tilt as well as that, although none is stated
+    to be built so.
     """
+    if prior_sigma_rad.max() > _NEAR_RAD and len(miss.angle):
+        start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, _NEAR_RAD)
+        near = fit_mount(miss.turned(start), narrow, learn_crooked=learn_crooked)
+        certain, prior = np.linalg.inv(near.cov), np.diag(prior_sigma_rad**-2.0)
+        cov = np.linalg.inv(certain - np.diag(narrow**-2.0) + prior)  # what segments tell, and the prior as it is
+        return replace(near, mean=start + cov @ (certain @ near.mean - prior @ start), cov=cov)
     variance, crooked_variance = miss.sigma**2, miss.crooked**2
     if not learn_crooked:
         variance, crooked_variance = variance + crooked_variance, np.zeros(len(variance))
@@ -107,6 +125,21 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
         miss.angle, miss.per_mount, variance, crooked_variance, prior_variance, tukey, _PRIOR_EDGES, iterations
     )
     return MountError(mean, cov, float(np.sqrt(factor)))
+
+
+def _likeliest(miss: NadirMiss, prior_sigma_rad: Array) -> Array:
+    """Return the tilt and roll (2,) of a grid of 2.5 prior sigmas that most segments and the prior speak for.
+
+    A segment is vertical or, as likely, one of clutter, whose directions are spread evenly.
+    """
+    steps = np.arange(-_GRID, _GRID + 1) / _GRID * _GRID_SIGMAS
+    grid = np.stack(np.meshgrid(*(steps * sigma for sigma in prior_sigma_rad), indexing="ij"), axis=-1).reshape(-1, 2)
+    step_rad = _GRID_SIGMAS / _GRID * prior_sigma_rad.max()
+    variance = miss.sigma**2 + miss.crooked**2 + step_rad**2 / 12
+    squared = (miss.angle[:, None] + miss.per_mount @ grid.T) ** 2 / variance[:, None]
+    density = np.exp(-0.5 * squared) / np.sqrt(2 * np.pi * variance)[:, None]
+    score = np.log1p(density * _EVERY_RAD).sum(axis=0) - 0.5 * ((grid / prior_sigma_rad) ** 2).sum(axis=1)
+    return np.asarray(grid[int(score.argmax())])
 
 
 def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:

@@ -146,3 +146,18 @@ def test_two_edges_are_taken_to_be_as_crooked_as_is_stated():
     edges = Edges.from_columns(unknown, unknown, unknown, np.full(2, 1e-4), ends_px=ends)
     error = mount_error_of_edges(edges, camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
     assert 0.6 < error.crooked < 1.0
+
+
+def test_a_vague_mount_is_found_from_wherever_it_is_stated():
+    """Twelve vertical edges, and as many that agree on nothing; least squares alone end where they begin."""
+    rng, truth = np.random.default_rng(4), camera_of(tilt_deg=20.0, roll_deg=1.0)
+    vertical = vertical_segments(truth, np.linspace(-25, 25, 12), sigma_px=0.5)
+    middle = rng.uniform([60, 60], [580, 420], (40, 2))
+    reach = 60 * np.stack([rng.normal(0, 0.12, 40), np.ones(40)], axis=-1)
+    clutter = np.stack([middle + reach, middle - reach], axis=1)
+    ends = np.concatenate([vertical.ends_px, clutter])
+    for tilt_off, roll_off in ((-5.0, 0.0), (5.0, 0.0), (0.0, 3.5), (-4.0, -3.0), (4.0, 3.0)):
+        stated = camera_of(tilt_deg=20.0 + tilt_off, roll_deg=1.0 + roll_off)
+        miss = nadir_miss(Segments.of_ends(ends, 0.5), stated, PLUMB_RAD)
+        found = fit_mount(miss, np.deg2rad([3.0, 2.0]))
+        np.testing.assert_allclose(np.rad2deg(found.mean), [-tilt_off, -roll_off], atol=0.35)
