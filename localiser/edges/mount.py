@@ -112,8 +112,9 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     if prior_sigma_rad.max() > _NEAR_RAD and len(miss.angle):
         start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, _NEAR_RAD)
         near = fit_mount(miss.turned(start), narrow, learn_crooked=learn_crooked)
+        # What the segments tell of it is `certain` without the narrow prior; the one that is stated takes its place.
         certain, prior = np.linalg.inv(near.cov), np.diag(prior_sigma_rad**-2.0)
-        cov = np.linalg.inv(certain - np.diag(narrow**-2.0) + prior)  # what segments tell, and the prior as it is
+        cov = np.asarray(np.linalg.inv(certain - np.diag(narrow**-2.0) + prior), dtype=np.float64)
         return replace(near, mean=start + cov @ (certain @ near.mean - prior @ start), cov=cov)
     variance, crooked_variance = miss.sigma**2, miss.crooked**2
     if not learn_crooked:
