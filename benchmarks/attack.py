@@ -65,7 +65,9 @@ def attack(
     names: list[str], numbers: range, folder: Path, workers: int, minutes: float, resume: bool
 ) -> dict[str, list[dict[str, Any]]]:
     """Run the cases of some targets, evenly mixed, and return how they ended, by target."""
-    samples = made_samples(folder)
+    samples = folder / "samples"
+    if not (resume and samples.exists()):
+        made_samples(folder)
     written = folder / "ends.jsonl"
     results = earlier(written, names, numbers) if resume else {name: [] for name in names}
     begin, stop = time.monotonic(), Event()
@@ -104,11 +106,12 @@ def earlier(written: Path, names: list[str], numbers: range) -> dict[str, list[d
 
 def made_samples(folder: Path) -> Path:
     """Return the folder of the good files, made anew."""
-    samples = folder / "samples"
-    shutil.rmtree(samples, ignore_errors=True)
-    attack_samples.make(samples)
-    attack_samples.write_others(samples)
-    return samples
+    samples, draft = folder / "samples", folder / "samples.part"
+    for old in (samples, draft):
+        shutil.rmtree(old, ignore_errors=True)
+    attack_samples.make(draft)
+    attack_samples.write_others(draft)
+    return draft.rename(samples)
 
 
 def one(name: str, number: int, keep: str | None) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from localiser.errors import OutputError
@@ -26,8 +27,10 @@ def drafted(path: Path, *, is_new: bool = False) -> Iterator[Path]:
     """Yield where to write a file or a folder; it takes its place at `path` at the end, or is removed after an error.
 
     The draft lies beside it under a name that no other has, so that neither another run nor a file of the user's is in
-    the way. is_new: nothing is overwritten, whoever was there first. Raises OutputError.
+    the way. is_new: nothing is overwritten, whoever was there first. A device or pipe, such as /dev/null, is left what
+    it is. Raises OutputError.
     """
+    _require_replaceable(path)
     draft = draft_beside(path)
     with output_errors(path):
         try:
@@ -40,6 +43,14 @@ def drafted(path: Path, *, is_new: bool = False) -> Iterator[Path]:
         except BaseException:
             remove(draft)
             raise
+
+
+def _require_replaceable(path: Path) -> None:
+    """Raise OutputError where something is that is neither a file nor a folder; root could replace it."""
+    with suppress(OSError, ValueError):  # nothing is there, or whoever writes there will be told
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise OutputError(f"{path}: expected a file, or a path where nothing is, found a device or pipe")
 
 
 def draft_beside(path: Path) -> Path:

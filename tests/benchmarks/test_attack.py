@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from threading import Event
@@ -118,3 +119,18 @@ def test_a_stop_leaves_the_cases_that_have_not_begun(tmp_path: Path, monkeypatch
     cases = [("map", number) for number in range(100)]
     attack_pool.run_all(cases, tmp_path, tmp_path, 1, lambda name: 1.0, done, stop=stop)
     assert run == cases[:3]
+
+
+@LINUX
+@pytest.mark.parametrize(("does", "asleep"), [("input()", True), ("while True: pass", False)])
+def test_who_waits_for_a_processor_does_not_sleep(does: str, asleep: bool) -> None:
+    """A worker that the machine leaves no processor for is not taken for one that hangs."""
+    command = [sys.executable, "-c", f"print(1, flush=True)\n{does}"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            while attack_pool.is_asleep(process.pid) != asleep:  # until it has come there
+                pass
+        finally:
+            process.kill()

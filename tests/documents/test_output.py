@@ -52,3 +52,16 @@ def test_an_error_is_one_paragraph_that_a_terminal_does_not_act_on() -> None:
     said = str(InputError("expected x,\n  found \x1b[2J", path="a\u202eb", line=3))
     assert said == "a\\u202eb:3: expected x, found \\x1b[2J"
     assert len(str(InputError("a" * 10**6))) < 3000
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
+def test_a_pipe_or_a_device_is_not_written_over(tmp_path: Path) -> None:
+    """Root could put a file in the place of /dev/null."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    (tmp_path / "null").symlink_to(os.devnull)
+    for name in ("pipe", "link", "null"):
+        with pytest.raises(OutputError, match=f"{name}: expected a file, or a path where nothing is, found a device"):
+            write_text(tmp_path / name, "text")
+    assert (tmp_path / "pipe").is_fifo() and Path(os.devnull).is_char_device()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "null", "pipe"]
