@@ -32,6 +32,9 @@ with atheris.instrument_imports(include=["localiser.documents", "localiser.stora
 FOLDER = Path(tempfile.mkdtemp())
 TYPES = (COMPRESSED, ODOMETRY, TRANSFORMS, CAMERA_INFO)
 STORE = typestore(ros1=False)
+for _type in (*TYPES, "std_msgs/msg/Header", "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/Pose"):
+    for _name in ("deserialize_cdr_le", "deserialize_cdr_be"):  # code that rosbags writes for each type
+        atheris.instrument_func(getattr(STORE.get_msgdef(_type), _name))
 
 
 def csv(data: bytes) -> None:

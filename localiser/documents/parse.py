@@ -12,7 +12,7 @@ from localiser.documents.files import read_text
 from localiser.errors import InputError
 
 _MAX_DEPTH = 40
-_MOST_VALUES = 3_000_000  # keys and values; each takes some 300 bytes of memory while a document is read
+_MOST_VALUES = 1_500_000  # each takes some 600 bytes of memory while a document is read
 _MAX_DIGITS = 100
 _NUMBERS = {FLOAT_TAG, "tag:yaml.org,2002:int"}
 _Loader = with_exponents(getattr(yaml, "CSafeLoader", yaml.SafeLoader))
