@@ -25,7 +25,7 @@ from localiser.documents import (
 from localiser.errors import InputError
 from localiser.storage.files import inside, keep_beside
 
-MOST_PIXELS = 25_000_000  # more than cameras of robots have; some 30 bytes of memory each while edges are found
+MOST_PIXELS = 12_500_000  # cameras of robots have fewer; some 100 bytes of memory each while edges are found
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
 Pixels = Annotated[int, Field(ge=2, le=2**14)]
