@@ -232,7 +232,7 @@ def _command(line: str) -> Run:
 
     def run(path: Path, out: Path) -> None:
         places = _PLACES | {"IN": str(path), "OUT": str(out)}
-        command([_with(word, places) for word in line.split()] + (FEW if line.startswith(_FILTERS) else []))
+        command([in_places(word, places) for word in line.split()] + (FEW if line.startswith(_FILTERS) else []))
 
     return run
 
@@ -242,7 +242,7 @@ def _of_robot(run: Run) -> Run:
     return lambda path, out: run(Path(f"{path}:1"), out)
 
 
-def _with(word: str, places: dict[str, str]) -> str:
+def in_places(word: str, places: dict[str, str]) -> str:
     for name, place in places.items():
         if word == name or word.startswith(f"{name}/"):
             return place + word[len(name) :]

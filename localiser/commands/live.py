@@ -281,9 +281,11 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
 
     console = Console(stderr=True)
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
-    with asked_to_stop() as stop, opened(options, partial(_say, console)) as run:
+    with asked_to_stop() as stop, opened(options, partial(say, console)) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
-        with _status(console, lambda: status_line(run.monitor), shown=console.is_terminal and not shared) as refresh:
+        with shown_status(
+            console, lambda: status_line(run.monitor), shown=console.is_terminal and not shared
+        ) as refresh:
 
             def ended() -> bool:
                 refresh()
@@ -294,7 +296,7 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
 
 
 @contextmanager
-def _status(console: Console, text: Callable[[], str], *, shown: bool) -> Iterator[Callable[[], None]]:
+def shown_status(console: Console, text: Callable[[], str], *, shown: bool) -> Iterator[Callable[[], None]]:
     """Keep one line at the end of the terminal; yields what to call often, which draws it a few times a second.
 
     Messages that are written meanwhile go above it.
@@ -317,8 +319,8 @@ def _status(console: Console, text: Callable[[], str], *, shown: bool) -> Iterat
         yield refresh
 
 
-def _say(console: Console, text: str, level: str) -> None:
-    """Write a message, above the line that `_status` keeps: so both must write by the same console."""
+def say(console: Console, text: str, level: str) -> None:
+    """Write a message, above the line that `shown_status` keeps: so both must write by the same console."""
     from rich.text import Text
 
     console.print(Text(text, style="yellow" if level == "WARNING" else ""), soft_wrap=True)

@@ -12,7 +12,7 @@ from localiser.documents.files import read_text
 from localiser.errors import InputError
 
 _MAX_DEPTH = 40
-_MOST_VALUES = 1_500_000  # each takes some 600 bytes of memory while a document is read
+MOST_VALUES = 1_500_000  # each takes some 600 bytes of memory while a document is read
 _MAX_DIGITS = 100
 _NUMBERS = {FLOAT_TAG, "tag:yaml.org,2002:int"}
 _Loader = with_exponents(getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -67,8 +67,8 @@ class _Parser:
             raise self._place(event).error(key, f"expected plain data, found the tag {event.tag}")
         if len(key) > _MAX_DEPTH:
             raise self._place(event).error((), f"nested more than {_MAX_DEPTH} deep")
-        if len(self._places) > _MOST_VALUES:
-            raise self._place(event).error((), f"expected at most {_MOST_VALUES} values, found more")
+        if len(self._places) > MOST_VALUES:
+            raise self._place(event).error((), f"expected at most {MOST_VALUES} values, found more")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(key)
         if isinstance(event, yaml.SequenceStartEvent):

@@ -45,7 +45,7 @@ class Shell:
         """Return how a command ended, and what it said; another exception than the program's own is a failure."""
         line = attack_targets.LINES[name][1]
         places = {"SAMPLES": str(self.samples), "IN": str(given), "OUT": str(out)}
-        words = [attack_targets._with(word, places) for word in line.split() if word != "--quiet"]
+        words = [attack_targets.in_places(word, places) for word in line.split() if word != "--quiet"]
         words += attack_samples.FEW if line.startswith(("replay", "batch")) else []
         said, before = self.folder / "said", (sys.stdout, sys.stderr)
         code: object = 0

@@ -12,7 +12,7 @@ import pytest
 from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
 
-from localiser.commands.live import _say, _status
+from localiser.commands.live import say, shown_status
 from localiser.live import end_table, status_line
 from localiser.live.monitor import Monitor
 
@@ -60,9 +60,9 @@ def test_what_is_waited_for_is_wrong_only_when_it_lasts(monitor: Monitor, said: 
 
 def test_a_message_takes_the_place_of_the_line_which_goes_on_below() -> None:
     console = Console(file=StringIO(), force_terminal=True, width=80, color_system=None)
-    with _status(console, lambda: "waiting for the first image", shown=True) as refresh:
+    with shown_status(console, lambda: "waiting for the first image", shown=True) as refresh:
         refresh()
-        _say(console, "image: waiting for the first message", "INFO")
+        say(console, "image: waiting for the first message", "INFO")
     lines = console.file.getvalue().split("\n")
     assert lines[0].split("\x1b[2K")[-1].strip() == "image: waiting for the first message"
     assert lines[1].startswith("waiting for the first image")

@@ -31,7 +31,7 @@ _LABELS = {"xlabel": "x (m)", "ylabel": "z (m), heading 0 faces up"}
 def draw_map(landmark_map: LandmarkMap, path: Path) -> None:
     """Draw the map from above, map -z up, with the 95 % ellipse of each landmark. Raises OutputError."""
     with picture_style():
-        _save(_map_figure(landmark_map, path.stem), path)
+        save_figure(_map_figure(landmark_map, path.stem), path)
 
 
 def _map_figure(landmark_map: LandmarkMap, name: str) -> Figure:
@@ -56,7 +56,8 @@ def _map_figure(landmark_map: LandmarkMap, name: str) -> Figure:
     return figure
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as a PNG file, whole or not at all; without what differs from run to run."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     write_bytes(path, buffer.getvalue())
@@ -100,7 +101,7 @@ def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
 def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path: Path) -> None:
     """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
     with picture_style():
-        _save(_check_figure(landmark_map, found, look, path.stem), path)
+        save_figure(_check_figure(landmark_map, found, look, path.stem), path)
 
 
 def _check_figure(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, name: str) -> Figure:

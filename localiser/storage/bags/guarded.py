@@ -14,7 +14,7 @@ from localiser.storage.bags import limits
 
 _LONGEST_QOS = 10_000  # a publisher takes 600
 _MOST_RATIO = 50  # of a file that is compressed as a whole; recorded images come to less than 10
-_MOST_MESSAGES = 1_000_000  # in a compressed chunk: `rosbags` keeps all of one chunk in memory, 0.3 kB each
+MOST_MESSAGES = 1_000_000  # in a compressed chunk: `rosbags` keeps all of one chunk in memory, 0.3 kB each
 
 
 @cache
@@ -96,11 +96,11 @@ def _bound_unpacking() -> None:
 def _counted(chunk: bytes) -> bytes:
     """Return a chunk of MCAP if it has no more records than memory allows. Raises ValueError."""
     at, count = 0, 0
-    while at < len(chunk) and count <= _MOST_MESSAGES:
+    while at < len(chunk) and count <= MOST_MESSAGES:
         at += 9 + int.from_bytes(chunk[at + 1 : at + 9], "little")
         count += 1
-    if count > _MOST_MESSAGES:
-        raise ValueError(f"expected at most {_MOST_MESSAGES} messages in a chunk, found more")
+    if count > MOST_MESSAGES:
+        raise ValueError(f"expected at most {MOST_MESSAGES} messages in a chunk, found more")
     return chunk
 
 

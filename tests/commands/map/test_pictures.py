@@ -15,7 +15,7 @@ from localiser.storage import read_map
 
 def test_a_map_is_drawn_in_the_style_of_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    monkeypatch.setattr(pictures, "_save", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
     with mpl.rc_context({"axes.facecolor": "black"}):
         pictures.draw_map(read_map(ROOT / "maps" / "corridor.yaml"), tmp_path / "map.png")
     (axes,) = drawn[0].axes
