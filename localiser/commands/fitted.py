@@ -13,9 +13,10 @@ if TYPE_CHECKING:
 def fitted(table: Table, console: Console) -> list[Table]:
     """Return the table in pieces that are as wide as the console at most, where its columns can be.
 
-    Each piece begins with the columns that tell the rows apart. Title and caption stand once.
+    Each piece begins with the columns that tell the rows apart. Title and caption stand once. A table without a
+    header is a list of texts, whose lines are wrapped instead.
     """
-    if _width(table, console) <= console.width:
+    if not table.show_header or _width(table, console) <= console.width:
         return [table]
     count = len(table.columns)
     keys = _keys(table)

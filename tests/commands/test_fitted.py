@@ -35,3 +35,18 @@ def test_wide_tables_go_on_below_and_lose_nothing(width: int) -> None:
     )
     assert text.count("Hough") == 2 * len(pieces), "each piece says which row is which"
     assert text.count("Turns") == text.count("A note") == 1
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_list_of_texts_stays_one_table_and_breaks_no_word(width: int) -> None:
+    table = Table(box=None, show_header=False)
+    text = "no message on /odom within 5 s; does the robot publish it, and is it connected to the same router?"
+    table.add_row("ok", "zenoh", "a router answers at tcp/127.0.0.1:7447")
+    table.add_row("missing", "odometry", text)
+    console = Console(width=width, color_system=None)
+    (piece,) = fitted(table, console)
+    with console.capture() as capture:
+        console.print(piece)
+    printed = capture.get()
+    assert max(map(len, printed.splitlines())) <= width
+    assert set(text.split()) <= set(printed.split())
