@@ -9,17 +9,12 @@ from pathlib import Path
 
 import pytest
 import typer
-from documented import PAGES, blocks, commands, mentions
+from documented import FRAMES, PAGES, TUTORIALS, blocks, commands, mentions, stands_for_another
 from folders import ROOT
 from short_log import CORRIDOR, Localiser, cut_log
 from typer.core import TyperGroup
 
 from localiser.commands import app, example
-
-TUTORIALS = [ROOT / "docs" / "guide.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
-FRAMES = 30
-MEANT = re.compile(r"[A-Z…|<>\[\]]|\.\.\.")
-"""What stands for something else: LOG, wheel|vision, …"""
 
 
 def parsed(words: list[str]) -> None:
@@ -49,11 +44,6 @@ def test_every_command_is_one_of_the_program(page: Path) -> None:
         if not stands_for_another(words) and words != ["--install-completion"]:  # which would be done
             with suppress(typer.BadParameter):
                 parsed(words)
-
-
-def stands_for_another(words: list[str]) -> bool:
-    """Whether a command is a pattern, such as `localiser replay LOG`."""
-    return any(MEANT.search(word) for word in words)
 
 
 def test_a_command_that_the_program_has_not_is_found() -> None:

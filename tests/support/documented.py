@@ -10,6 +10,12 @@ from pathlib import Path
 from folders import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TUTORIALS = [ROOT / "docs" / "guide.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
+"""Pages that run as a whole, from top to bottom."""
+FRAMES = 30
+"""Images of the example that commands of the documentation run on."""
+_MEANT = re.compile(r"[A-Z…|<>\[\]]|\.\.\.")
+"""What stands for something else: LOG, wheel|vision, …"""
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```|((?:^    [^\n]*\n)+)", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`(localiser [^`]+)`")
 
@@ -42,6 +48,11 @@ def commands(page: Path) -> list[list[str]]:
 def mentions(page: Path) -> list[list[str]]:
     """Return the words of every `localiser` command in a page's text; arguments may be left out there."""
     return [_words(text.replace("\n", " ")) for text in _INLINE.findall(page.read_text(encoding="utf-8"))]
+
+
+def stands_for_another(words: list[str]) -> bool:
+    """Whether a command is a pattern, such as `localiser replay LOG`."""
+    return any(_MEANT.search(word) for word in words)
 
 
 def _words(line: str) -> list[str]:
