@@ -6,33 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from short_log import CORRIDOR
+from short_log import corridor_with_edges
 
 from localiser import Localiser
 from localiser.camera import Camera, Mount, MountSigma
 from localiser.config import read_config
-from localiser.edges import Edges, find_edges
+from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
 from localiser.filter.height import OFFSETS_M, Height
 from localiser.observation import EndOffsets
 from localiser.replay.start import start_of
-from localiser.storage import ImageEvent, Log, open_log
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(20.0), 1.0))
 
 
-@pytest.fixture(scope="module")
-def drive() -> tuple[Log, dict[int, Edges]]:
-    """The shipped log and the edges of its images."""
-    log = open_log(CORRIDOR)
-    parameters = read_config(None, (), log.settings).edges
-    frames = (frame for frame in log.frames if isinstance(frame, ImageEvent))
-    return log, {frame.t_ns: find_edges(frame.load(), log.camera, parameters) for frame in frames}
-
-
 @pytest.mark.parametrize("off_m", [0.1, *(pytest.param(off, marks=pytest.mark.slow) for off in (-0.1, 0.0))])
-def test_a_height_that_is_stated_wrong_is_found(drive: tuple[Log, dict[int, Edges]], off_m: float) -> None:
-    log, edges = drive
+def test_a_height_that_is_stated_wrong_is_found(off_m: float) -> None:
+    log, edges = corridor_with_edges()
     stated_m = log.camera.mount.height_m - off_m
     camera = log.camera.with_mount(height_m=stated_m)
     localiser = Localiser(log.landmark_map, camera, read_config(None, (), log.settings), seed=1)

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from short_log import CORRIDOR
+from short_log import corridor_with_edges
 
 from localiser import Localiser
 from localiser.camera import Camera, Mount
 from localiser.config import read_config
-from localiser.edges import Edges, find_edges
+from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
 from localiser.filter.wheels import Evidence, Wheels
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate, Particles
 from localiser.replay.start import start_of
-from localiser.storage import ImageEvent, Log, open_log
+from localiser.storage import Log
 from localiser.visual_odometry import Gaussian, VisualOdometryParameters
 
 BEGIN_S, END_S = 12.0, 15.0
@@ -40,21 +40,12 @@ def events_with(log: Log, start: Start, fault: str) -> Iterator[Any]:
             yield event
 
 
-@pytest.fixture(scope="module")
-def drive() -> tuple[Log, dict[int, Edges]]:
-    """The shipped log and the edges of its images."""
-    log = open_log(CORRIDOR)
-    parameters = read_config(None, (), log.settings).edges
-    frames = (frame for frame in log.frames if isinstance(frame, ImageEvent))
-    return log, {frame.t_ns: find_edges(frame.load(), log.camera, parameters) for frame in frames}
-
-
 @pytest.mark.parametrize(
     "fault",
     ["stand still", *(pytest.param(each, marks=pytest.mark.slow) for each in ("none", "count double", "fall silent"))],
 )
-def test_wheels_that_err_for_three_seconds(drive: tuple[Log, dict[int, Edges]], fault: str) -> None:
-    log, edges = drive
+def test_wheels_that_err_for_three_seconds(fault: str) -> None:
+    log, edges = corridor_with_edges()
     localiser = Localiser(log.landmark_map, log.camera, read_config(None, (), log.settings))
     start = start_of(log, "truth", localiser.rng)
     assert start is not None and log.groundtruth is not None

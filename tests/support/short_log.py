@@ -7,16 +7,29 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
 
 from localiser.commands import main
+from localiser.config import read_config
+from localiser.edges import Edges, find_edges
+from localiser.storage import ImageEvent, Log, open_log
 
 CORRIDOR = Path(__file__).resolve().parents[2] / "logs" / "corridor"
 FRAMES = 12
 FEW_PARTICLES = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
+
+
+@cache
+def corridor_with_edges() -> tuple[Log, dict[int, Edges]]:
+    """Return the log that ships, and the edges of its images by their times; found once a process."""
+    log = open_log(CORRIDOR)
+    parameters = read_config(None, (), log.settings).edges
+    frames = (frame for frame in log.frames if isinstance(frame, ImageEvent))
+    return log, {frame.t_ns: find_edges(frame.load(), log.camera, parameters) for frame in frames}
 
 
 def cut_log(source: Path, folder: Path, frames: int) -> Path:
