@@ -49,8 +49,8 @@ class Located:
     since the last image. odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is
     within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
     first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. height: by how
-    much the camera's does. sighting: what particles were weighed by, edges corrected by both. warning: what a user
-    should look at, else "".
+    much the camera's height above the floor does. sighting: what particles were weighed by, edges corrected by both.
+    warning: what a user should look at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     """
 

@@ -95,8 +95,8 @@ class Height:
         stated heights are right.
         """
         stated = camera.at(edges.mount).mount
-        if stated.sigma is not None and stated.sigma.height_m is not None:
-            return replace(edges, height_sigma_m=stated.sigma.height_m)
+        if (measured_sigma_m := height_sigma_of_image(stated)) is not None:
+            return replace(edges, height_sigma_m=measured_sigma_m)
         sigma_m = float(np.sqrt(self.probability @ (OFFSETS_M - self.mean_m) ** 2))
         if is_tracked and sigma_m > UNEVEN_M:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
@@ -107,6 +107,6 @@ class Height:
         return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
 
 
-def height_measured(mount: Mount) -> bool:
-    """Return whether the height was measured for one image, with a sigma."""
-    return mount.sigma is not None and mount.sigma.height_m is not None
+def height_sigma_of_image(mount: Mount) -> float | None:
+    """Return the sigma of a height that was measured for one image, None of one that was not."""
+    return None if mount.sigma is None else mount.sigma.height_m

@@ -19,7 +19,7 @@ from localiser import particles
 from localiser.filter.attitude import Attitude, Level, measured_for_image
 from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
-from localiser.filter.height import LEAST_NOVELTY, Height, height_measured
+from localiser.filter.height import LEAST_NOVELTY, Height, height_sigma_of_image
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -415,7 +415,7 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
         return state.height
     stated = mcl.level.camera.at(located.edges.mount)
     height = state.height.seen(image.novelty)
-    if height.novelty < LEAST_NOVELTY or height_measured(stated.mount):
+    if height.novelty < LEAST_NOVELTY or height_sigma_of_image(stated.mount) is not None:
         return height
     as_stated = replace(image.sighting, edges=replace(edges, mount=located.edges.mount))
     return height.after(observation.end_offsets(located.estimate.pose_as_seen, as_stated, mcl.landmark_map), stated)
