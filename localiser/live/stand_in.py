@@ -119,10 +119,10 @@ class StandIn:
             self._publish(INFO, make.encode(make.camera_info(stamp_ns, log.camera)))
         else:
             wheels, truth = self._passage.wheels, log.groundtruth
-            self._publish(WHEELS, make.encode(make.odometry(stamp_ns, ODOM, wheels.poses[index])))
-            if truth is not None:
+            if truth is not None:  # before the wheels' pose, at which an image is weighed and compared with the truth
                 true_pose = truth.at(int(wheels.t_ns[index]))
                 self._publish(TRUTH, make.encode(make.odometry(stamp_ns, MAP, true_pose)))
+            self._publish(WHEELS, make.encode(make.odometry(stamp_ns, ODOM, wheels.poses[index])))
 
     def _publish(self, topic: Topic, content: bytes) -> None:
         self._transport.publish(self._named[topic], content)

@@ -1,6 +1,7 @@
 """What goes wrong between a robot and the program, with real processes: a run goes on, at its rate, and is not lost.
 
-Rates are by the stamps of the images, and a machine that is busy for a while is waited for.
+Rates are by the stamps of the images, and a machine that is busy for a while is waited for: at half the images and
+without wheels a robot is followed less well, so that only images count before which none was left out.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from folders import ROOT
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR
 
+from localiser.geometry import Trajectory
+
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them"),
@@ -25,6 +28,9 @@ pytestmark = [
 
 ROBOT = ROOT / "tests" / "support" / "live_faulty_robot.py"
 IMAGES = 24
+SETTLED = 12
+"""So many images, at the robot's rate, go before those that are judged: what a busy machine left out is made up for."""
+
 STOPPED_S = 10.0
 WORST_M = 0.15
 NOTICED = {
@@ -77,12 +83,10 @@ def test_messages_that_go_wrong(robot: Program, live: Program, fault: str, happe
     robot.tell(fault)
     happened.append(fault)
     live.poses(1)
-    lines = live.poses_at(LEAST_HZ, IMAGES)
+    lines = live.poses_at(LEAST_HZ, SETTLED + IMAGES)
     robot.tell("")
-    while not any("error_m" in line for line in lines):  # images that waited are located before the truth has come
-        lines += live.poses(1)
     assert (np.diff([line["t_ns"] for line in lines]) > 0).all(), "none twice, and in their order"
-    assert_right(lines)
+    assert_right(lines, robot)
     assert max(line["stamp_ns"] for line in lines) < time.time_ns() + 10**9
 
 
@@ -95,11 +99,18 @@ def test_a_source_that_stops_for_ten_seconds_and_comes_back(robot: Program, live
     live.rest()
     robot.process.send_signal(signal.SIGCONT)
     live.poses(3)  # what it sends late is left out by it
-    lines = live.poses_at(LEAST_HZ, IMAGES)
-    assert_right(lines)
+    lines = live.poses_at(LEAST_HZ, SETTLED + IMAGES)
+    assert_right(lines, robot)
 
 
-def assert_right(lines: list[dict[str, Any]]) -> None:
-    """The robot sends the truth too, which may come a moment after the pose."""
-    assert np.median([line["p_correct"] for line in lines]) > 0.9
-    assert np.median([line["error_m"] for line in lines if "error_m" in line]) < WORST_M
+def assert_right(lines: list[dict[str, Any]], robot: Program) -> None:
+    """The robot writes its true poses."""
+    judged = lines[SETTLED:]
+    truth = robot.rest()
+    while truth[-1]["t_ns"] < judged[-1]["stamp_ns"]:
+        truth += robot.poses(1)
+    true_poses = Trajectory(np.array([row["t_ns"] for row in truth]), np.array([row["pose"] for row in truth]))
+    true_x, true_z, _ = true_poses.sampled([line["stamp_ns"] for line in judged]).poses.T
+    errors_m = np.hypot([line["x"] for line in judged] - true_x, [line["z"] for line in judged] - true_z)
+    assert np.median([line["p_correct"] for line in judged]) > 0.9
+    assert np.median(errors_m) < WORST_M

@@ -1,10 +1,13 @@
 """A robot that something is wrong with: the stand-in, whose messages go wrong as lines on standard input say.
 
+Its true poses are written on standard output, as lines of JSON.
+
 python live_faulty_robot.py LOG ENDPOINT
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter
 from contextlib import closing
@@ -13,9 +16,10 @@ from random import Random
 from threading import Event, Thread
 
 from localiser.live import NetworkOptions, Passage, StandIn, open_transport
-from localiser.live.stand_in import IMAGE, WHEELS
+from localiser.live.stand_in import IMAGE, TRUTH, WHEELS
 from localiser.live.transports import Topic, Transport
 from localiser.storage import open_log
+from localiser.storage.bags import ODOMETRY, floor_pose, stamp_of, typestore
 
 ODOMETRY_HZ = 50
 EVERY = {IMAGE: 7, WHEELS: 3}
@@ -37,6 +41,10 @@ class FaultyTransport:
         self.advertise, self.is_heard = transport.advertise, transport.is_heard
 
     def publish(self, topic: Topic, content: bytes) -> None:
+        if topic == TRUTH:
+            message = typestore(ros1=False).deserialize_cdr(content, ODOMETRY)
+            sys.stdout.write(f"{json.dumps({'t_ns': stamp_of(message), 'pose': floor_pose(message)})}\n")
+            sys.stdout.flush()
         for message in self._made_of(topic, content) if topic in EVERY else [content]:
             self._transport.publish(topic, message)
 
