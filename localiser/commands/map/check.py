@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.map.build import poses_named
-from localiser.commands.map.options import Force, MapFile, Picture, require_writable
+from localiser.commands.map.options import Force, MapFile, Picture, PlanFile, WasAt, require_writable
 from localiser.commands.options import ConfigFile, Overrides, Quiet, opened, progress, show
 
 if TYPE_CHECKING:
@@ -28,12 +28,11 @@ def check(
     log: Annotated[
         Path | None, typer.Option(metavar="LOG", help="See how its edges fit; its camera looks round.")
     ] = None,
-    poses: Annotated[
-        str, typer.Option(metavar="truth|FILE|odometry", help="Where the robot was, as for `map build`.")
-    ] = "truth",
+    poses: WasAt = "truth",
     camera_file: Annotated[
         Path | None, typer.Option("--camera", metavar="FILE", help="The camera that looks round, without a log.")
     ] = None,
+    plan: PlanFile = None,
     out: Picture = None,
     rrd: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun: what looks like what, what helps.")
@@ -44,13 +43,13 @@ def check(
     quiet: Quiet = False,
 ) -> None:
     """Tell what looks wrong with a MAP, how it fits a log, where too little is in view, or looks like elsewhere."""
-    from localiser.commands.map.pictures import draw_check
+    from localiser.commands.map.pictures import Surroundings, draw_check
     from localiser.geometry import Trajectory
     from localiser.mapping import cache_folder, coverage, find_aliasing, fit_to_log, known_poses
-    from localiser.storage import read_camera, read_map
+    from localiser.storage import read_camera, read_map, read_plan
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
-    landmark_map = read_map(map_file)
+    landmark_map, walls = read_map(map_file), read_plan(plan) if plan else None
     camera, path, fit = read_camera(camera_file) if camera_file else None, None, None
     recorded, effective = opened(log, config, [*(overrides or [])]) if log else (None, None)
     if recorded is not None:
@@ -70,7 +69,7 @@ def check(
         typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
         return
     found, look = coverage(landmark_map, camera), find_aliasing(landmark_map, camera, path)
-    draw_check(landmark_map, found, look, picture)
+    draw_check(landmark_map, found, look, picture, Surroundings(path, walls))
     if rrd is not None:
         from localiser.view import record_aliasing
 

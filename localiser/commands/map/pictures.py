@@ -1,16 +1,21 @@
-"""Maps as pictures: landmarks with their certainty, how many are in view from where, and what looks alike."""
+"""Maps as pictures: landmarks with their certainty, how many are in view from where, and what looks alike.
+
+Walls and the path that was driven are drawn where they are known.
+"""
 
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from localiser.evaluate import picture_style
+from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import ENOUGH, Aliasing, Coverage
+from localiser.mapping import ENOUGH, Aliasing, Coverage, FloorPlan, map_from_cells
 from localiser.storage import write_bytes
 
 if TYPE_CHECKING:
@@ -25,24 +30,75 @@ _POLARITY = {
     0: ("#1f2933", "lighter side unknown"),
 }
 _LANDMARK, _HELPS, _ARROW = "#1f2933", "#009e73", "#1f2933"
+_PATH, _WALL = "#6b7785", "#c4ccd4"
 _LABELS = {"xlabel": "x (m)", "ylabel": "z (m), heading 0 faces up"}
 
 
-def draw_map(landmark_map: LandmarkMap, path: Path) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What is drawn beside landmarks: driven, the robot's poses (T, 3) in their order, and a floor plan's walls."""
+
+    driven: Array | None = None
+    plan: FloorPlan | None = None
+
+    def draw(self, axes: Axes) -> None:
+        """Draw both as seen from above, behind everything else."""
+        if self.plan is not None:
+            _draw_walls(axes, self.plan)
+        if self.driven is not None:
+            axes.plot(*self.driven[:, :2].T, color=_PATH, linewidth=1.2, zorder=1, label="path driven")
+
+    @property
+    def points(self) -> Array:
+        """Points (K, 2) between which all of it lies."""
+        driven = np.empty((0, 2)) if self.driven is None else self.driven[:, :2]
+        walls = np.empty((0, 2)) if self.plan is None else _corners(self.plan)
+        return np.concatenate([driven, walls])
+
+
+def _corners(plan: FloorPlan) -> Array:
+    """Return the corners (4, 2) of the cells in which a plan has walls; none (0, 2) without walls."""
+    if not plan.occupied.any():
+        return np.empty((0, 2))
+    rows, columns = (np.flatnonzero(plan.occupied.any(axis=axis)) for axis in (1, 0))
+    across, along = (columns[0], columns[-1] + 1), (rows[0], rows[-1] + 1)
+    return map_from_cells(plan, np.array([[column, row] for column in across for row in along], dtype=float))
+
+
+def _draw_walls(axes: Axes, plan: FloorPlan) -> None:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.transforms import Affine2D
+
+    origin, right, up = map_from_cells(plan, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    onto_map = Affine2D(np.vstack([np.column_stack([right - origin, up - origin, origin]), [0.0, 0.0, 1.0]]))
+    rows, columns = plan.shape
+    axes.imshow(
+        np.ma.masked_equal(plan.occupied, False),
+        cmap=ListedColormap([_WALL]),
+        extent=(0, columns, 0, rows),
+        origin="lower",
+        interpolation="nearest",
+        transform=onto_map + axes.transData,
+        zorder=0.5,
+    )
+
+
+def draw_map(landmark_map: LandmarkMap, path: Path, surroundings: Surroundings | None = None) -> None:
     """Draw the map from above, map -z up, with the 95 % ellipse of each landmark. Raises OutputError."""
     with picture_style():
-        save_figure(_map_figure(landmark_map, path.stem), path)
+        save_figure(_map_figure(landmark_map, surroundings or Surroundings(), path.stem), path)
 
 
-def _map_figure(landmark_map: LandmarkMap, name: str) -> Figure:
+def _map_figure(landmark_map: LandmarkMap, surroundings: Surroundings, name: str) -> Figure:
     from matplotlib.figure import Figure
 
-    points = landmark_map.points
+    points = np.concatenate([landmark_map.points, surroundings.points])
     low, high = points.min(axis=0), points.max(axis=0)
     width, depth = np.maximum(high - low, 2.0)
     scale = 9.0 / max(width, depth)
     figure = Figure(figsize=(max(4.5, width * scale + 1.2), max(3.5, depth * scale + 1.6)), dpi=120)
     axes = figure.add_subplot()
+    surroundings.draw(axes)
     _draw_ellipses(axes, landmark_map)
     _draw_landmarks(axes, landmark_map)
     axes.set(**_LABELS, title=landmark_map.name or name)
@@ -98,13 +154,17 @@ def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
     axes.plot([], [], color="#0072b2", linewidth=0.8, label="95 % of its place")
 
 
-def draw_check(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path: Path) -> None:
+def draw_check(
+    landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path: Path, surroundings: Surroundings | None = None
+) -> None:
     """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
     with picture_style():
-        save_figure(_check_figure(landmark_map, found, look, path.stem), path)
+        save_figure(_check_figure(landmark_map, found, look, surroundings or Surroundings(), path.stem), path)
 
 
-def _check_figure(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, name: str) -> Figure:
+def _check_figure(
+    landmark_map: LandmarkMap, found: Coverage, look: Aliasing, surroundings: Surroundings, name: str
+) -> Figure:
     from matplotlib.figure import Figure
 
     width, depth = np.ptp(found.x) + 1.0, np.ptp(found.z) + 1.0
@@ -121,12 +181,13 @@ def _check_figure(landmark_map: LandmarkMap, found: Coverage, look: Aliasing, na
         (left, few, "coverage", f"headings with fewer than {ENOUGH} landmarks in view, %"),
         (right, alike, "ambiguity", "headings from which another place (arrows) looks the same, %"),
     ):
+        surroundings.draw(axes)
         axes.scatter(*landmark_map.points.T, s=10, color=_LANDMARK, linewidths=0, label="landmark")
         axes.set(**_LABELS, title=f"{landmark_map.name or name}: {title}")
         axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
         figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04).set_label(label)
     handles, labels = right.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=2)
+    figure.legend(handles, labels, loc="lower center", ncols=3)
     figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
     return figure
 

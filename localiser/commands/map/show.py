@@ -7,31 +7,40 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import Force, MapFile, Picture, require_writable
+from localiser.commands.map.build import poses_named
+from localiser.commands.map.options import Force, MapFile, Picture, PlanFile, WasAt, require_writable
 from localiser.commands.options import Quiet
 from localiser.commands.options import show as print_table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from localiser.geometry import Array
     from localiser.landmarks import LandmarkMap
 
 
 def show(
     map_file: MapFile,
+    log: Annotated[Path | None, typer.Option(metavar="LOG", help="Draw the path of this drive.")] = None,
+    poses: WasAt = "truth",
+    plan: PlanFile = None,
     out: Picture = None,
     rrd: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw a MAP from above, with the certainty of every landmark, and print what is known of them."""
-    from localiser.commands.map.pictures import draw_map
-    from localiser.storage import read_map
+    """Draw a MAP from above, with the certainty of every landmark, and print what is known of them.
+
+    The path of a drive and the walls of a floor plan are drawn too where they are given.
+    """
+    from localiser.commands.map.pictures import Surroundings, draw_map
+    from localiser.storage import read_map, read_plan
 
     landmark_map = read_map(map_file)
+    surroundings = Surroundings(_driven(log, poses), read_plan(plan) if plan else None)
     picture = out or map_file.with_suffix(".png")
     require_writable(picture, rrd, overwrite=force)
-    draw_map(landmark_map, picture)
+    draw_map(landmark_map, picture, surroundings)
     if rrd is not None:
         from localiser.view import record_map
 
@@ -39,6 +48,18 @@ def show(
     if not quiet:
         print_table(summary_table(landmark_map))
         typer.echo(f"Picture in {picture}")
+
+
+def _driven(log: Path | None, poses: str) -> Array | None:
+    """Return the poses (T, 3) of a drive, None where none is named. Raises InputError."""
+    from localiser.geometry import Trajectory
+    from localiser.mapping import known_poses
+    from localiser.storage import open_log
+
+    named, _ = poses_named(poses)
+    if isinstance(named, Trajectory):
+        return named.poses
+    return known_poses(open_log(log), named).poses if log else None
 
 
 def summary_table(landmark_map: LandmarkMap) -> Table:

@@ -37,7 +37,9 @@ def test_build_and_show(tmp_path: Path) -> None:
     assert landmark_map.quality is not None
     assert np.isfinite(landmark_map.cov).all()
     assert f"{len(landmark_map)} landmarks" in built.output
-    shown = run("map", "show", out, "--rrd", tmp_path / "map.rrd")
+    plain = run("map", "show", out, "-o", tmp_path / "plain.png")
+    shown = run("map", "show", out, "--log", log, "--rrd", tmp_path / "map.rrd")
+    assert plain.exit_code == 0 and (tmp_path / "plain.png").read_bytes() != (tmp_path / "map.png").read_bytes()
     assert shown.exit_code == 0
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     rows = recorded(tmp_path / "map.rrd")
