@@ -12,10 +12,7 @@ from localiser.live.transports import Topic, Transport
 from localiser.ros import Frames, Message, Outgoing, Output
 
 RECORDED = frozenset(("pose", "tf", "landmarks", "diagnostics"))
-"""What is made for a recording also when nobody listens; the rest can be made again by a replay of it."""
-
-NEVER_RECORDED = frozenset(("image", "map"))
-"""What need not be recorded: it is large, or a recording begins with it."""
+"""What is made for a recording also when nobody listens, as is what is latched; a replay makes the rest again."""
 
 Record = Callable[[str, str, bytes], None]
 """Takes topic, type and content of a message that went out."""
@@ -99,5 +96,5 @@ class Publisher:
         for message in messages:
             topic = self._topics[message.kind]
             self.transport.publish(topic, message.content)
-            if self.record is not None and message.kind not in NEVER_RECORDED:
+            if self.record is not None:
                 self.record(topic.name, topic.msgtype, message.content)

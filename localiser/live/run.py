@@ -50,6 +50,9 @@ _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
 _OF_ONE = ("image", "odometry", "camera_info", "groundtruth")  # whose topics have one publisher
 _MOST_SENDERS = 1000
+_REPEATED_NS = (
+    2_000_000_000  # the same stated pose again so soon: a repetition, as networks and careful senders have it
+)
 Publish = Callable[[Published], None]
 
 
@@ -82,7 +85,7 @@ class LiveRun:
     timeline: Timeline = field(init=False)
     _counts: Counter[str] = field(default_factory=Counter)
     _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
-    _stated: bytes = b""
+    _stated: tuple[bytes, int] = (b"", 0)
     _senders: dict[str, tuple[bytes, set[bytes]]] = field(default_factory=dict)
     _newest_odometry: tuple[int, Array] | None = None
     _intervals_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
@@ -164,7 +167,10 @@ class LiveRun:
             self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Forget where the robot was, because its time began anew: it is where it started, or anywhere."""
+        """Forget where the robot was, because its time began anew: it is where it started, or anywhere.
+
+        A pose that was stated while driving was meant for a later time; a bag that is played again states it again.
+        """
         if self.publisher is not None:
             self.publisher.clock_jumped()
             self.publisher.forget()
@@ -229,10 +235,12 @@ class LiveRun:
             self._record(arrival)
 
     def _take_initialpose(self, arrival: Arrival, message: Any) -> None:
-        if arrival.content == self._stated:
-            return  # the same message again, as networks and careful senders have it
+        before, before_ns = self._stated
+        if arrival.content == before and arrival.at_ns - before_ns < _REPEATED_NS:
+            self._stated = before, arrival.at_ns
+            return
         mean, cov = start_of_message(message)
-        self._stated = arrival.content
+        self._stated = arrival.content, arrival.at_ns
         self._record(arrival)
         if self.localiser is None:
             self.start = Start(0, mean, cov)
@@ -334,7 +342,7 @@ class LiveRun:
         A recording belongs to one map and ends here. A state that is saved from here on belongs to the new map.
         """
         if self.localiser is None or self.finder.camera is None:
-            self.given_map = landmark_map
+            self.given_map, self.start, self.resumed = landmark_map, None, None
             return
         before = self.localiser
         self.localiser = Localiser(landmark_map, self.finder.camera, before.config)
@@ -343,6 +351,7 @@ class LiveRun:
             self.recording.close()
             self.recording = None
             self.monitor.warn("recording ended", "the recording ended, because it belongs to the map before")
+        self.timeline.restart(self.clock.newest_ns + 1)  # what was seen before belongs to the map before
         for pose in before.state.odometry:
             self.localiser.odometry(pose.t_ns, pose.pose)
         if self.publisher is not None:

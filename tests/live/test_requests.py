@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_feed import BEGIN_NS, LOG, Feed, camera, drive
+from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image
 from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 
@@ -75,6 +75,17 @@ def test_another_map_is_loaded_while_running(tmp_path: Path) -> None:
     feed.close()
 
 
+def test_an_image_from_before_another_map_was_loaded_is_not_weighed_on_it(tmp_path: Path) -> None:
+    write_map(replace(LOG.landmark_map, name="upstairs"), tmp_path / "upstairs.yaml")
+    feed, _ = fed(tmp_path)
+    feed([*camera(), *drive(3), image(LOG.frames[3].t_ns, 3)])
+    assert feed.run.timeline.waiting is not None, "for the wheels"
+    assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
+    feed([message for message in drive(3, first=3) if message.at_ns > LOG.frames[3].t_ns])
+    assert feed.times == [frame.t_ns for frame in (*LOG.frames[:3], *LOG.frames[4:6])]
+    assert feed.run.timeline.skipped == {"before the start": 1}
+
+
 @pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", ""])
 def test_a_map_that_is_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str) -> None:
     (tmp_path / "other").mkdir()
@@ -102,6 +113,7 @@ def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Pa
     assert asked(feed, "load_map", map_url="map.yaml").result == MAP_LOADED
     feed([*camera(), *drive(2)])
     assert feed.run.localiser is not None and feed.run.localiser.landmark_map.name == "upstairs"
+    assert not any(text.startswith("started") for text in feed.said), "the start was on the map before"
 
 
 def test_the_state_is_saved_when_asked_for(tmp_path: Path) -> None:

@@ -209,6 +209,18 @@ def test_a_pose_that_is_stated_while_driving_holds_from_then_on() -> None:
     assert feed.worst_error_m() < 0.3
 
 
+def test_a_pose_that_is_stated_again_later_counts_again() -> None:
+    """As `ros2 topic pub --once` sends it: without a time, the same bytes."""
+    stated = MAKE.encode(MAKE.pose_in_map(0, LOG.groundtruth.at(LOG.frames[2].t_ns), np.diag([0.01, 0.01, 0.003])))
+    feed = Feed()([*camera(), *drive(3)])
+    seconds = range(0, 4_000_000_000, 1_000_000_000)
+    feed([arrival("initialpose", feed.now_ns + after_ns, stated) for after_ns in seconds])
+    assert sum(text.startswith("started") for text in feed.said) == 2, "sent every second, it is stated once"
+    feed.run.look_everywhere()
+    feed([arrival("initialpose", feed.now_ns + 2_000_000_000, stated)])
+    assert sum(text.startswith("started") for text in feed.said) == 3
+
+
 def test_a_start_that_is_no_pose_is_refused() -> None:
     feed = Feed()([*camera(), *drive(2)])
     stated = MAKE.pose_in_map(BEGIN_NS, np.zeros(3), np.zeros((3, 3)))

@@ -21,14 +21,27 @@ def test_every_topic_of_a_layout_exists() -> None:
         assert len(named) >= 6 and named <= TOPICS.keys() | OTHERS, named
 
 
-def test_a_display_asks_for_the_quality_of_service_that_is_offered() -> None:
+SHOWS = {
+    "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
+    "rviz_default_plugins/PoseArray": "geometry_msgs/msg/PoseArray",
+    "rviz_default_plugins/Path": "nav_msgs/msg/Path",
+    "rviz_default_plugins/PoseWithCovariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "rviz_default_plugins/Image": "sensor_msgs/msg/CompressedImage",  # by the last part of the topic's name
+}
+"""What each display of RViz takes."""
+
+
+def test_a_display_asks_for_the_type_and_the_quality_of_service_that_are_offered() -> None:
+    """What is offered is reliable, which serves those who ask for less too."""
     layout = yaml.safe_load((FOLDER / "localiser.rviz").read_text())
     manager = layout["Visualization Manager"]
-    shown = [display["Topic"] for display in manager["Displays"] if "Topic" in display]
+    shown = [display for display in manager["Displays"] if "Topic" in display]
     assert manager["Global Options"]["Fixed Frame"] == "map" and len(shown) == 6
-    for topic in shown:
-        latched = topic["Durability Policy"] == "Transient Local"
-        assert TOPICS[topic["Value"]].latched == latched
+    for display in shown:
+        topic, offered = display["Topic"], TOPICS[display["Topic"]["Value"]]
+        assert SHOWS[display["Class"]] == offered.msgtype
+        assert topic["Durability Policy"] == ("Transient Local" if offered.latched else "Volatile")
+        assert topic["Reliability Policy"] in ("Reliable", "Best Effort") and topic["Depth"] >= 1
 
 
 def test_every_panel_of_foxglove_has_its_place() -> None:
