@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from unittest import mock
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from folders import ROOT
 from typer.main import get_command
 
 from localiser.commands.main import app
+from localiser.ros import outputs_named
 
 FOLDER = ROOT / "examples" / "ros2"
 
@@ -40,6 +42,37 @@ def test_every_call_has_commands_and_options_that_there_are(call: str) -> None:
 
 def test_there_are_calls() -> None:
     assert len(commands()) >= 7
+
+
+def test_what_the_launch_file_sets_in_the_environment_is_read() -> None:
+    """Empty where an argument is left out, as ROS writes true and false where it is not."""
+    launch = yaml.safe_load((FOLDER / "localiser.launch.yaml").read_text(encoding="utf-8"))["launch"]
+    (executable,) = (part["executable"] for part in launch if "executable" in part)
+    defaults = {part["arg"]["name"]: part["arg"].get("default", "") for part in launch if "arg" in part}
+    given = {one["name"]: defaults[re.findall(r"var (\w+)", one["value"])[0]] for one in executable["env"]}
+    assert given.pop("ROS_DOMAIN_ID") == "$(env ROS_DOMAIN_ID 0)"
+    live = get_command(app).commands["live"]
+
+    def read(**environment: str) -> dict[str, object]:
+        with mock.patch.dict("os.environ", given | environment), live.make_context("live", []) as context:
+            return {name: context.params[name] for name in ("dds", "use_sim_time")}
+
+    assert read() == {"dds": None, "use_sim_time": False}
+    assert read(LOCALISER_DDS="7", LOCALISER_USE_SIM_TIME="true") == {"dds": 7, "use_sim_time": True}
+
+
+def test_two_robots_publish_on_topics_of_their_own() -> None:
+    (call,) = (call for call in commands() if "amcl_pose" in call and "--namespace" in call)
+    words = shlex.split(call)
+    names = dict(words[k + 1].split("=") for k, word in enumerate(words) if word == "--publish")
+    first, second = ({one.topic for one in outputs_named(names, robot).values()} for robot in ("/robot1", "/robot2"))
+    assert not first & second
+
+
+def test_the_router_has_the_version_that_is_locked() -> None:
+    """Both ends of a link speak one version of zenoh's protocol; newer features need a router that has them."""
+    (locked,) = re.findall(r"^eclipse-zenoh==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+    assert f"image: eclipse/zenoh:{locked}\n" in (FOLDER / "compose.yaml").read_text(encoding="utf-8")
 
 
 def test_every_argument_of_the_launch_file_is_used() -> None:

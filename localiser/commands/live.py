@@ -99,7 +99,7 @@ def live(
             "--publish",
             metavar="KIND=NAME",
             help="Another topic for pose, tf, particles, map, landmarks, matches, path, image, annotations or "
-            "diagnostics, such as pose=/amcl_pose; `KIND=` for none. Repeatable.",
+            "diagnostics, such as pose=amcl_pose; `KIND=` for none. Repeatable.",
         ),
     ] = None,
     services: Annotated[
@@ -120,7 +120,11 @@ def live(
     ] = None,
     use_sim_time: Annotated[
         bool,
-        typer.Option("--use-sim-time", help="Take the time from /clock: of a simulator or a bag."),
+        typer.Option(
+            "--use-sim-time",
+            envvar="LOCALISER_USE_SIM_TIME",
+            help="Take the time from /clock: of a simulator or a bag.",
+        ),
     ] = False,
     transform_tolerance: Annotated[
         float,

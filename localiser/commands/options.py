@@ -58,7 +58,7 @@ Domain = Annotated[
     typer.Option("--domain", metavar="N", help="Domain of ROS 2; by default ROS_DOMAIN_ID, or 0."),
 ]
 Namespace = Annotated[
-    str, typer.Option("--namespace", metavar="NAME", help="Put before topics that are not named, such as robot1.")
+    str, typer.Option("--namespace", metavar="NAME", help="Of topics named without a leading slash, such as robot1.")
 ]
 Names = Annotated[
     Literal["rmw_zenoh", "bridge"],
@@ -70,7 +70,12 @@ Distro = Annotated[
 ]
 Dds = Annotated[
     int | None,
-    typer.Option("--dds", metavar="DOMAIN", help="Take part in a domain of DDS, in place of zenoh; needs cyclonedds."),
+    typer.Option(
+        "--dds",
+        metavar="DOMAIN",
+        envvar="LOCALISER_DDS",
+        help="Take part in a domain of DDS, in place of zenoh; needs cyclonedds.",
+    ),
 ]
 Interface = Annotated[
     str, typer.Option("--interface", metavar="NAME", help="Network interface for DDS; by default this machine alone.")

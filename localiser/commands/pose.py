@@ -41,8 +41,9 @@ def pose_set(
 ) -> None:
     """Publish where the robot is, as a PoseWithCovarianceStamped; put a value that begins with a minus after `--`."""
     from localiser.live import send_pose
+    from localiser.ros import topic_in
 
     network = network_of(connect, None, zenoh_config, domain, namespace, names, distro, dds, interface)
-    name = topic or f"{network.prefix}/initialpose"
+    name = topic_in(network.prefix, topic or "initialpose")
     send_pose(pose, sigma, network, name)
     typer.echo(f"sent to {name}", err=True)

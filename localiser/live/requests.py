@@ -11,17 +11,17 @@ from localiser.documents import nearest
 from localiser.errors import InputError, LocaliserError
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.transports import ServesRequests, Service, Transport
-from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, request_of, response_bytes
+from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, request_of, response_bytes, topic_in
 from localiser.storage import read_map
 
 if TYPE_CHECKING:
     from localiser.live.run import LiveRun
 
 
-def serve(transport: Transport, inbox: Inbox, prefix: str = "", names: Mapping[str, str] | None = None) -> None:
+def serve(transport: Transport, inbox: Inbox, namespace: str = "", names: Mapping[str, str] | None = None) -> None:
     """Let the requests of all services come into the inbox. names: in place of those in SERVICES, "" for none.
 
-    prefix: a namespace, put before names that are not given. Raises InputError for an unknown kind.
+    namespace: of all names but those that are given with a leading slash. Raises InputError for an unknown kind.
     """
     names = names or {}
     for kind in names:
@@ -30,7 +30,7 @@ def serve(transport: Transport, inbox: Inbox, prefix: str = "", names: Mapping[s
     if not isinstance(transport, ServesRequests):
         return
     for kind, service in SERVICES.items():
-        if name := names.get(kind, f"{prefix}{service.name}"):
+        if name := topic_in(namespace, names.get(kind, service.name.removeprefix("/"))):
             take = _taker(inbox, kind, name)
             served = Service(name, service.srvtype, service.type_hash, service.request, service.response)
             transport.serve(served, take)

@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from localiser.documents import nearest
 from localiser.errors import InputError
 from localiser.live.inbound import TOPICS
-from localiser.ros import Output
+from localiser.ros import Output, topic_in
 
 
-def input_topics(asked: Mapping[str, str], prefix: str = "") -> dict[str, str]:
-    """Return the topic of every role. asked: in place of those in TOPICS. prefix: put before those not asked for.
+def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str]:
+    """Return the topic of every role. asked: in place of those in TOPICS.
+
+    namespace: of all topics but those that are asked for with a leading slash.
 
     Raises InputError for an unknown role, and where a topic would have two roles: each of its messages would be taken,
     and recorded, twice.
@@ -19,7 +21,7 @@ def input_topics(asked: Mapping[str, str], prefix: str = "") -> dict[str, str]:
     for role in asked:
         if role not in TOPICS:
             raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
-    topics = {role: f"{prefix}{topic}" for role, topic in TOPICS.items()} | dict(asked)
+    topics = {role: topic_in(namespace, asked.get(role, topic.removeprefix("/"))) for role, topic in TOPICS.items()}
     _check_apart([(role, "--topic", name) for role, name in topics.items()])
     return topics
 

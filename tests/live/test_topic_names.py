@@ -10,10 +10,16 @@ from localiser.live import TOPICS, check_outputs, input_topics
 from localiser.ros import outputs_named
 
 
-def test_a_prefix_is_put_before_what_is_not_named() -> None:
-    topics = input_topics({"odometry": "/wheels"}, "/robot1")
+def test_a_namespace_holds_what_is_named_without_a_leading_slash() -> None:
+    """As in ROS; without a namespace, that is the topic with the slash."""
+    topics = input_topics({"odometry": "/wheels", "groundtruth": "truth"}, "/robot1")
     assert (topics["odometry"], topics["image"]) == ("/wheels", "/robot1/camera/image_raw/compressed")
+    assert (
+        topics["groundtruth"] == "/robot1/truth" and input_topics({"groundtruth": "truth"})["groundtruth"] == "/truth"
+    )
     assert list(topics) == list(TOPICS)
+    assert outputs_named({"pose": "amcl_pose"}, "/robot1")["pose"].topic == "/robot1/amcl_pose"
+    assert outputs_named({"pose": "/amcl_pose"}, "/robot1")["pose"].topic == "/amcl_pose"
 
 
 @pytest.mark.parametrize("name", ["/odom", "odom", "/odom/"])
