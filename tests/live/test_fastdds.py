@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+import fast_dds
 import numpy as np
 import pytest
 from live_processes import free_domain
@@ -17,34 +17,20 @@ from localiser.live import NetworkOptions, open_transport
 from localiser.live.transports import Topic
 from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, stated_size, typestore
 
-SOURCES = Path(__file__).resolve().parents[1] / "support" / "fastdds"
 IMAGES, RATE_HZ = 60, 20.0
 PATIENCE_S = 120.0
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.debian,
-    pytest.mark.skipif(
-        not (shutil.which("fastddsgen") and shutil.which("g++")),
-        reason="needs Debian's fastddsgen, libfastrtps-dev and g++",
-    ),
+    pytest.mark.skipif(not fast_dds.can_be_built(), reason=fast_dds.NEEDS),
 ]
 
 
 @pytest.fixture(scope="module")
 def peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a program that speaks by Fast DDS, built from an IDL file and one source."""
     pytest.importorskip("cyclonedds")
-    folder = tmp_path_factory.mktemp("fastdds")
-    for name in ("ros.idl", "peer.cpp"):
-        shutil.copy(SOURCES / name, folder)
-    sources = ["peer.cpp", "ros.cxx", "rosPubSubTypes.cxx"]
-    for command in (
-        ["fastddsgen", "-replace", "ros.idl"],
-        ["g++", "-std=c++17", "-O1", *sources, "-lfastrtps", "-lfastcdr", "-o", "peer"],
-    ):
-        subprocess.run(command, cwd=folder, check=True, capture_output=True)
-    return folder / "peer"
+    return fast_dds.built_in(tmp_path_factory.mktemp("fastdds"))
 
 
 def wait_for(happened: Callable[[], object]) -> None:

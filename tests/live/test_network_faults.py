@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import closing
 
 import numpy as np
 import pytest
-from live_networks import KINDS, Network, domains, router
+from folders import ROOT
+from live_networks import KINDS, Network, domains
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR
 
-from localiser.live import open_transport
+from localiser.live import NetworkOptions, open_transport
 from localiser.live.stand_in import WHEELS
-from localiser.storage.bags import ODOM, Messages
+from localiser.live.transports import Topic
+from localiser.storage.bags import ODOM, POSE, Messages
 
 pytestmark = pytest.mark.slow  # in part, without processes: test_transports.py, test_flood.py, test_senders.py
 
+ROUTER = ROOT / "tests" / "support" / "zenoh_router.py"
 FLOOD = 40_000
 COUNT = 5
 FAR_NS = 2 * 10**18  # a stamp in 2033
@@ -40,20 +44,29 @@ def ended(run: Program) -> str:
 
 
 def test_a_router_that_is_killed_and_comes_back() -> None:
-    """Images are located again at the rate at which they come."""
+    """Images are located again at the rate at which they come, and the poses go out again to who listened before."""
     pytest.importorskip("zenoh")
     endpoint = free_endpoint()
+    heard: list[bytes] = []
     with program(*LIVE, "--connect", endpoint) as run:
         run.wait_to_say("ready")
-        session = router(endpoint)
-        with program(*ROBOT, "--connect", endpoint):
-            run.poses(COUNT)
-            session.close()
-            session = router(endpoint)
-            run.rest()
-            run.poses_at(LEAST_HZ, COUNT)
+        with program(endpoint, script=ROUTER) as killed:
+            killed.poses(1)
+            with (
+                program(*ROBOT, "--connect", endpoint),
+                closing(open_transport(NetworkOptions([endpoint], domain=0))) as other,
+            ):
+                other.subscribe(Topic("/localiser/pose", POSE), lambda content, source: heard.append(content))
+                run.poses(COUNT)
+                killed.end(signal.SIGKILL)
+                run.wait_to_say("image: nothing")
+                with program(endpoint, script=ROUTER):
+                    run.rest()
+                    heard.clear()
+                    run.poses_at(LEAST_HZ, COUNT)
+                    while not heard:
+                        run.poses(1)
         ended(run)
-    session.close()
 
 
 def test_a_robot_that_is_killed_and_starts_again_and_one_more(network: Network) -> None:

@@ -1,0 +1,16 @@
+"""A router of zenoh as a process, so that it can be killed.
+
+python zenoh_router.py ENDPOINT
+"""
+
+from __future__ import annotations
+
+import sys
+
+from live_networks import router
+
+if __name__ == "__main__":
+    with router(sys.argv[1]):
+        sys.stdout.write("{}\n")
+        sys.stdout.flush()
+        sys.stdin.read()
