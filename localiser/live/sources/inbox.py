@@ -11,8 +11,8 @@ from itertools import count
 from threading import Condition
 
 MOST_IMAGES = 32
-MOST_OTHERS = 8192
-"""Seconds of images, and a minute of odometry: what a pause of the program may take."""
+MOST_OTHERS = 1024
+"""Seconds of images, and of odometry: what a pause of the program may take, and no more than is read within 0.3 s."""
 
 MOST_BYTES = 128 * 2**20
 """Of all that waits, whatever its sizes."""
