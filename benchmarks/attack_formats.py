@@ -219,7 +219,7 @@ def _change_database(database: sqlite3.Connection, rng: random.Random) -> None:
         database.execute(
             rng.choice(
                 (
-                    f'ALTER TABLE "{table}" ADD COLUMN more BLOB AS (zeroblob(800000000))',
+                    f'ALTER TABLE "{table}" ADD COLUMN more BLOB AS (zeroblob(200000000))',
                     f'ALTER TABLE "{table}" RENAME COLUMN "{column}" TO other',
                     f'ALTER TABLE "{table}" RENAME TO other',
                     f'DROP TABLE "{table}"',

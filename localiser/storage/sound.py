@@ -11,6 +11,7 @@ import numpy as np
 
 from localiser.edges import Edges
 from localiser.filter import Odometry
+from localiser.geometry import Increment
 from localiser.particles import Particles
 
 _LARGEST = 1e12  # metres, radians, pixels, weights, and squares of what a file may state
@@ -64,6 +65,11 @@ def _require_fitting(value: Any) -> None:
             fits &= common.cov.shape == (terms, terms) and common.bearing_from_lean.shape == (count, terms)
             if not fits or common.bearing_from_line.shape != (count, terms) or value.profile.ndim != 2:
                 raise ValueError(f"expected columns of {count} edges, found others")
+        case Increment():
+            if value.mean.shape != (3,) or value.cov.shape != (3, 3) or value.by_delay.shape != (3,):
+                raise ValueError("expected a motion of three numbers and its covariance, found another")
+            if not all(number >= 0 for number in (value.path_m, value.turned_rad, *np.diag(value.cov))):
+                raise ValueError("expected a path, a turn and variances of 0 or more, found others")
         case Odometry():
             if value.pose.shape != (3,) or not np.isfinite(value.pose).all():
                 raise ValueError("expected a pose of three finite numbers, found another")

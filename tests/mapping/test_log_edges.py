@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -43,4 +44,29 @@ def test_a_cache_of_other_types_is_passed_over(tmp_path: Path, count: object) ->
         columns = dict(content)
     np.savez(file, **columns | {"count": np.array(count)})
     again = edges_of_log(log, parameters, cache=cache)
+    assert [edges.bearing.tolist() for edges in again] == [edges.bearing.tolist() for edges in found]
+
+
+@pytest.mark.parametrize("at", ["method", "encrypted", "header"])
+def test_a_cache_that_the_readers_of_numpy_and_zip_cannot_read_is_passed_over(tmp_path: Path, at: str) -> None:
+    """Found by benchmarks/attack.py: they raise NotImplementedError, RuntimeError and TokenError for these."""
+    log, parameters = open_log(write_small_log(tmp_path / "log", ".png")), read_config(None).edges
+    found = edges_of_log(log, parameters, cache=tmp_path / "c")
+    (file,) = (tmp_path / "c").iterdir()
+    if at == "header":
+        with zipfile.ZipFile(file) as written:
+            members = {name: written.read(name) for name in written.namelist()}
+        with zipfile.ZipFile(file, "w") as damaged:
+            for name, content in members.items():
+                damaged.writestr(name, content.replace(b"}", b"(", 1))
+    else:
+        content = bytearray(file.read_bytes())
+        directory = content.index(b"PK\x01\x02")
+        if at == "method":
+            content[directory + 10] = content[8] = 99
+        else:
+            content[directory + 8] |= 1
+            content[6] |= 1
+        file.write_bytes(content)
+    again = edges_of_log(log, parameters, cache=tmp_path / "c")
     assert [edges.bearing.tolist() for edges in again] == [edges.bearing.tolist() for edges in found]

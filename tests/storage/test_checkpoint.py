@@ -18,6 +18,8 @@ from small_log import CAMERA, MAP, START, sightings
 
 from localiser.errors import InputError
 from localiser.filter import FilterState, Mcl, MclParameters, Odometry, Start, step
+from localiser.filter.scene import Scene, SeenImage
+from localiser.geometry import Increment
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.storage.checkpoint import FORMAT, Checkpoint, checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.packing import decode, encode
@@ -235,7 +237,37 @@ def _uneven(state: FilterState) -> None:
     state.seen = replace(state.seen, edges=replace(edges, lean=edges.lean[1:]))
 
 
-@pytest.mark.parametrize("change", [_cut, _far, _weightless, _short, _uneven])
+def _last_image(state: FilterState, **changes: Any) -> None:
+    """Keep the last image as a scene, with a motion since then of which something was changed."""
+    assert state.seen is not None
+    since = replace(Increment.from_mean([0.1, -0.2, 0.03], np.eye(3)), **changes)
+    state.scene = Scene((SeenImage(state.seen, since),))
+
+
+def test_a_motion_of_a_run_is_taken(tmp_path: Path) -> None:
+    state = filter_state()
+    _last_image(state)
+    save(tmp_path / "state", state, np.random.default_rng(1))
+    assert equal(load(tmp_path / "state").state, state)
+
+
+def _backward(state: FilterState) -> None:
+    _last_image(state, path_m=-1.0)
+
+
+def _unturned(state: FilterState) -> None:
+    _last_image(state, turned_rad=np.nan)
+
+
+def _negative(state: FilterState) -> None:
+    _last_image(state, cov=np.diag([1.0, -1e-9, 1.0]))
+
+
+def _flat(state: FilterState) -> None:
+    _last_image(state, mean=np.zeros(2))
+
+
+@pytest.mark.parametrize("change", [_cut, _far, _weightless, _short, _uneven, _backward, _unturned, _negative, _flat])
 def test_a_state_that_no_run_can_have_saved_is_refused(tmp_path: Path, change: Callable[[FilterState], None]) -> None:
     """Its checksum is right: it was not damaged, but made."""
     state = filter_state()
