@@ -52,7 +52,7 @@ def topic_for(role: str, name: str) -> Topic:
         return Topic(name, type_of(role, name), latched=True, depth=100)
     if role == "initialpose":
         return Topic(name, type_of(role, name))
-    return Topic(name, type_of(role, name), reliable=False, depth=5)
+    return Topic(name, type_of(role, name), reliable=False, depth=5 if role == "image" else 100)
 
 
 def message_of(arrival: Arrival) -> Any:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -23,7 +24,8 @@ from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typesto
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
 PATIENCE_S = 60.0
-NAMES, HEARS, LATE, MISMATCHED, ASKED, NODES, EXAMINED = (free_domain() for _ in range(7))
+FLOOD = 2000  # as many as dds_counterpart.py writes
+NAMES, HEARS, LATE, MISMATCHED, ASKED, NODES, EXAMINED, FLOODED = (free_domain() for _ in range(8))
 
 
 def test_names_are_those_of_ros() -> None:
@@ -103,6 +105,24 @@ def test_a_quality_of_service_that_does_not_fit_is_told() -> None:
         wait_for(lambda: told)
     assert "/initialpose: a publisher has another quality of service" in told[0]
     assert "durability" in told[0] or "reliability" in told[0]
+
+
+def test_who_is_slow_gets_the_newest_messages_of_a_flood() -> None:
+    """The network's thread does not wait for whom messages are handed to: all are received, and the oldest dropped."""
+    heard: list[int] = []
+    received = Event()
+
+    def take(content: bytes, source: bytes) -> None:
+        received.wait(PATIENCE_S)
+        heard.append(stamp_of(typestore(ros1=False).deserialize_cdr(content, POSE)) // 10**9)
+
+    topic = Topic("/initialpose", POSE, depth=10)
+    with joined(FLOODED) as transport, counterpart(FLOODED, "flood") as other:
+        transport.subscribe(topic, take)
+        assert other.stdout is not None and other.stdout.readline() == "received\n"
+        received.set()
+        wait_for(lambda: heard and heard[-1] == FLOOD - 1)
+    assert heard == sorted(heard) and len(heard) < FLOOD // 10
 
 
 def test_a_service_answers_who_asks() -> None:

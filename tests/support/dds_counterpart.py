@@ -1,6 +1,6 @@
 """A counterpart over DDS: Cyclone DDS with types of its own, written field by field, and none of our code.
 
-python dds_counterpart.py DOMAIN hear|latched|mismatched|ask|nodes
+python dds_counterpart.py DOMAIN hear|latched|mismatched|flood|ask|nodes
 """
 
 import sys
@@ -18,6 +18,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 PATIENCE_S = 60.0
+FLOOD = 2000
 LOOPBACK = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/></Interfaces></General>"
     "</Domain></CycloneDDS>"
@@ -112,6 +113,22 @@ def quality(*, latched: bool = False, reliable: bool = True) -> Qos:
     )
 
 
+def flood(participant: DomainParticipant, pose: Stamped) -> None:
+    """Write many poses to whoever listens; say when they all have been received. Their seconds count them."""
+    policy = Policy.History.KeepAll, Policy.Reliability.Reliable(duration(seconds=PATIENCE_S))
+    everything = Qos(*policy, base=quality())
+    writer = DataWriter(participant, Topic(participant, "rt/initialpose", Stamped), everything)
+    while not writer.get_matched_subscriptions():
+        time.sleep(0.02)
+    for number in range(FLOOD):
+        pose.header.stamp.sec = number
+        writer.write(pose)
+    writer.wait_for_acks(duration(seconds=PATIENCE_S))
+    sys.stdout.write("received\n")
+    sys.stdout.flush()
+    sys.stdin.read()
+
+
 def ask(participant: DomainParticipant) -> None:
     """Ask a service until it answers, as one must who may be there before it; print the answer."""
     requests = DataWriter(participant, Topic(participant, "rq/localiser/save_stateRequest", TriggerRequest), quality())
@@ -157,6 +174,9 @@ def main(domain: int, what: str) -> None:
         heard = DataReader(participant, topic, quality()).take_one(timeout=duration(seconds=PATIENCE_S))
         at = heard.pose.pose
         sys.stdout.write(f"{heard.header}\n{at.position}\n{heard.pose.covariance[0]}\n")
+        return
+    if what == "flood":
+        flood(participant, pose)
         return
     if what in ("ask", "nodes"):
         (ask if what == "ask" else nodes)(participant)

@@ -7,7 +7,6 @@ write or read.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from threading import Lock
 from typing import Any
@@ -15,13 +14,13 @@ from xml.sax.saxutils import quoteattr
 
 from localiser.errors import InputError
 from localiser.live.transports.dds_graph import Node, Publications
+from localiser.live.transports.dds_readers import Readers
 from localiser.live.transports.dds_types import ASKER_BYTES, checked_name, dds, dds_name, raw_part, raw_type
 from localiser.live.transports.transport import Reply, Service, Take, Topic
 from localiser.storage.bags import typestore
 
 LOOPBACK = "lo"
 _RECEIVE_BYTES = 4 * 2**20
-_MOST_AT_ONCE = 64
 _POLICIES = {
     2: "durability",
     4: "deadline",
@@ -66,10 +65,14 @@ class DdsTransport:
                 field="--dds",
             ) from None
         self._node = Node(self._participant, node, namespace or "/", humble)
+        self._readers = Readers(self._participant, self._tell)
 
     def report_to(self, report: Callable[[str], None]) -> None:
         """See `ReportsProblems`."""
         self._report = report
+
+    def _tell(self, problem: str) -> None:
+        self._report(problem)  # to whom it is told may still change
 
     def subscribe(self, topic: Topic, take: Take) -> None:
         """See `Transport`."""
@@ -113,6 +116,7 @@ class DdsTransport:
         """See `Transport`."""
         for publications in self._publications:
             publications.close()
+        self._readers.close()
         for entity in [*self._held, self._participant, self._domain]:
             entity._delete(entity._ref)  # children first; its own way is to wait for the garbage collection
         self._held.clear()
@@ -125,7 +129,7 @@ class DdsTransport:
             return self._writers[topic.name]
 
     def _write(self, topic: Topic, name: str, kind: Any) -> Any:
-        listener = _listener(None, lambda policy: self._incompatible(topic, "subscriber", policy))
+        listener = _listener(lambda policy: self._incompatible(topic, "subscriber", policy))
         made = dds().topic.Topic(self._participant, name, kind)
         writer = dds().pub.DataWriter(self._participant, made, _qos(topic), listener=listener)
         self._held.append(writer)
@@ -133,14 +137,12 @@ class DdsTransport:
         return writer
 
     def _read(self, topic: Topic, name: str, kind: Any, take: Take) -> None:
-        listener = _listener(
-            lambda reader: _hand_over(reader, take), lambda policy: self._incompatible(topic, "publisher", policy)
-        )
+        listener = _listener(lambda policy: self._incompatible(topic, "publisher", policy))
         made = dds().topic.Topic(self._participant, name, kind)
         reader = dds().sub.DataReader(self._participant, made, _qos(topic), listener=listener)
         self._held.append(reader)
         self._node.has(reader=reader)
-        _hand_over(reader, take)  # what came before the listener heard of it
+        self._readers.add(reader, take)
 
     def _send(self, name: str, writer: Any, content: bytes) -> None:
         error_kind = dds().core.DDSException
@@ -155,15 +157,7 @@ class DdsTransport:
         self._report(f"{topic.name}: a {other} has another quality of service ({what}), so nothing passes between us")
 
 
-def _hand_over(reader: Any, take: Take) -> None:
-    """Take everything that a reader has."""
-    while samples := reader.take(_MOST_AT_ONCE):
-        for sample in samples:
-            if content := getattr(sample, "content", b""):
-                take(content, struct.pack("<Q", sample.sample_info.publication_handle))
-
-
-def _listener(came: Callable[[Any], None] | None, incompatible: Callable[[int], None]) -> Any:
+def _listener(incompatible: Callable[[int], None]) -> Any:
     base: Any = dds().core.Listener
 
     class Listener(base):  # type: ignore[misc]
@@ -173,10 +167,7 @@ def _listener(came: Callable[[Any], None] | None, incompatible: Callable[[int], 
         def on_offered_incompatible_qos(self, writer: Any, status: Any) -> None:
             incompatible(int(status.last_policy_id))
 
-    listener = Listener()
-    if came is not None:
-        listener.set_on_data_available(lambda reader: None if reader is None else came(reader))  # None: not yet made
-    return listener
+    return Listener()
 
 
 def _qos(topic: Topic) -> Any:
