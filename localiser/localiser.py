@@ -303,6 +303,8 @@ class Localiser:
         if not isinstance(content, bytes):
             raise InputError(f"expected the bytes of a saved state, found {type(content).__name__}", path=path)
         saved = checkpoint_of(content, Path(path), self.identity)
+        if (saved.state.belief.visibility.landmark >= len(self.landmark_map)).any():
+            raise InputError(f"expected {len(self.landmark_map)} landmarks, found others", path=path)
         self.state, self.rng = saved.state, saved.rng
         self._measured.clear()
 

@@ -28,7 +28,7 @@ from localiser import particles
 from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_weight
 from localiser.filter.scene import Jump
 from localiser.geometry import Array
-from localiser.observation import DetectionRate, Sighting
+from localiser.observation import DetectionRate, Matches, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import Candidates, Clues, GlobalLocalisation
 
@@ -66,7 +66,8 @@ class Belief:
 
     candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
     towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
-    proposed, or since there was last no need to. support: log-likelihood of the tracked place along the last metre.
+    proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
+    detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
     """
 
     tracked: float
@@ -79,6 +80,8 @@ class Belief:
     unproposed: float = 1.0
     unmapped: float = 0.0
     support: float = 0.0
+    visibility: Visibility = field(default_factory=Visibility)
+    shown: DetectionRate = field(default_factory=DetectionRate.unknown)
 
     @classmethod
     def stated(cls) -> Belief:
@@ -134,12 +137,12 @@ class Belief:
     def _judged(self, clues: Clues, few: Particles | None, jump: Jump, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
         novelty = jump.novelty
-        belief, detections = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections
-        log_tracked, blind, support = 0.0, 0.0, 0.0
+        belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
+        log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
         if few is not None:
             by_rate = clues.by_rate(few)
-            tracked, log_tracked = Candidates.of(few, detections).weighed(by_rate, novelty, needs_landmarks=False)
-            detections = tracked.mean_rate
+            detections, log_tracked = _rated(few, by_rate, detections, novelty)
+            shown, log_shown = _rated(few, clues.by_rate(few, self.visibility), shown, novelty)
             blind = clues.blind_weight(few, by_rate)
             support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
         candidates, log_elsewhere = self.candidates, 0.0
@@ -147,11 +150,12 @@ class Belief:
             moved = replace(candidates, particles=move(candidates.particles))
             by_rate = clues.by_rate(moved.particles)
             candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
+        log_elsewhere -= max(log_shown - max(log_tracked, 0.0), 0.0)
         if support > SUPPORTED:
             log_elsewhere = min(log_elsewhere, max(log_tracked, 0.0) + PATIENCE * jump.path_m)
         log_bare = 0.0 if clues.is_blind else -BARE * novelty
-        support = min(support + log_tracked, MOST_SUPPORT)
-        belief = replace(belief, candidates=candidates, detections=detections, support=support)
+        support = min(support + log_shown, MOST_SUPPORT)
+        belief = replace(belief, candidates=candidates, detections=detections, shown=shown, support=support)
         return belief._weighed(log_tracked + blind * log_bare, log_elsewhere, log_bare)
 
     def _moved_on(self, novelty: float, carried: float) -> Belief:
@@ -230,6 +234,13 @@ class Belief:
             return replace(self, tracked=tracked, elsewhere=0.0, unexplored=unexplored, candidates=None)
         return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))
 
+    def seen(self, matches: Matches, novelty: float) -> Belief:
+        """Return the belief that knows which landmarks an image shows from the tracked place.
+
+        matches: of its edges. novelty: of the scene, 0 … 1.
+        """
+        return replace(self, visibility=self.visibility.after(matches, novelty))
+
     def _normalised(self) -> Belief:
         total = self.here + self.elsewhere + self.unexplored + self.off_map
         return replace(
@@ -270,7 +281,8 @@ class Belief:
     def released(self, cloud: Particles) -> Belief:
         """Return the belief in which the particles that were tracked are candidates."""
         belief = self._with(Candidates.of(cloud, self.detections), self.here)
-        return replace(belief, tracked=0.0, unmapped=0.0, detections=DetectionRate.unknown())
+        unknown = DetectionRate.unknown()
+        return replace(belief, tracked=0.0, unmapped=0.0, detections=unknown, visibility=Visibility(), shown=unknown)
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
@@ -310,3 +322,12 @@ class Belief:
         if self.candidates is None:
             return self
         return replace(self, candidates=self.candidates.resampled(most, rng))
+
+
+def _rated(few: Particles, by_rate: Array, rate: DetectionRate, novelty: float) -> tuple[DetectionRate, float]:
+    """Return the detection rate after an image, and the logarithm of the mean likelihood of these particles.
+
+    by_rate: (K, N) log p(edges | particle, p_k). rate: before the image.
+    """
+    weighed, log_mean = Candidates.of(few, rate).weighed(by_rate, novelty, needs_landmarks=False)
+    return weighed.mean_rate, log_mean

@@ -35,14 +35,16 @@ from localiser.observation import (
     FollowsClutter,
     GuidesSteps,
     InlierRate,
+    Matches,
     Observation,
     ObservationParameters,
     PredictsScenes,
     Sighting,
     likelihood_by_rate,
+    matches_of,
     novelty_of,
 )
-from localiser.particles import Particles, only, systematic_resample
+from localiser.particles import Estimate, Particles, only, systematic_resample
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer
 
@@ -355,8 +357,16 @@ def _compared(
         weighed, belief = found
     elif weighed is not None and belief.here < RELEASED:
         belief, weighed = belief.released(weighed), None
+    if weighed is not None:
+        belief = belief.seen(_matches(mcl, particles.estimate(weighed), image.sighting), image.jump.novelty)
     state.belief = belief
     return weighed
+
+
+def _matches(mcl: Mcl, estimate: Estimate, sighting: Sighting) -> Matches:
+    """Return which landmark each edge shows from the estimate, whether or not an earlier image showed it too."""
+    edges = replace(sighting.edges, clutter=np.ones(len(sighting.edges)))
+    return matches_of(mcl.observation, estimate.pose_as_seen, replace(sighting, edges=edges), mcl.landmark_map)
 
 
 def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Particles:

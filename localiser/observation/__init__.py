@@ -26,3 +26,4 @@ from localiser.observation.protocols import (
     likelihood_by_rate,
     matches_of,
 )
+from localiser.observation.visibility import Visibility

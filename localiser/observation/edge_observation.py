@@ -91,7 +91,12 @@ class EdgeObservation:
         return self._by_rate(particles, sighting, landmark_map, blur_rad, INLIER_RATES, of_edges=True)
 
     def by_detection_rate(
-        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+        self,
+        particles: Particles,
+        sighting: Sighting,
+        landmark_map: LandmarkMap,
+        blur_rad: float = 0.0,
+        visibility: Array | None = None,
     ) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to all edges being clutter.
 
@@ -101,8 +106,9 @@ class EdgeObservation:
             p(edges | pose, p) ∝ Π_e [E / span + p Σ_l c_el N(q_e; q_l(pose), σ_el²)] / (E + p n)^E
 
         So a pose that sees no landmark explains the edges as well as clutter does. blur_rad: as for `by_rate`.
+        visibility: (L,) probability v_l that a landmark in view is not hidden; then v_l c_el N(…) and n = Σ_l v_l.
         """
-        return self._by_rate(particles, sighting, landmark_map, blur_rad, DETECTION_RATES, of_edges=False)
+        return self._by_rate(particles, sighting, landmark_map, blur_rad, DETECTION_RATES, visibility, of_edges=False)
 
     def _by_rate(
         self,
@@ -111,13 +117,14 @@ class EdgeObservation:
         landmark_map: LandmarkMap,
         blur_rad: float,
         rates: Array,
+        visibility: Array | None = None,
         *,
         of_edges: bool,
     ) -> Array:
         if len(sighting.edges) == 0:
             return np.zeros((len(rates), len(particles)))
         angle = self.at(sighting.edges).angle
-        scene = likelihood.scene_of(angle, self.parameters, sighting.edges, landmark_map, blur_rad)
+        scene = likelihood.scene_of(angle, self.parameters, sighting.edges, landmark_map, blur_rad, visibility)
         yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
         columns = np.vstack([particles.columns[:3], yaw])
         return likelihood.by_rate(scene, columns, rates, self.parameters.threads, of_edges=of_edges)

@@ -42,9 +42,10 @@ class Scene:
     """What all particles share in a frame: landmarks, edges and the camera, as the loop takes them.
 
     landmarks: (L, 6) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
-    m², mean polarity of its edges. edges: (E, 13) compared angle (rad, ascending, inf where unknown), its variance
-    (rad²), upright image heights of the lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room
-    that clutter has, the peak beside it and 1 / sigma, polarity, 1 / how dense clutter is there.
+    m², mean polarity of its edges. visibility: (L,) probability that nothing hides it. edges: (E, 13) compared angle
+    (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the lower and upper end (∓1e9
+    where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and 1 / sigma, polarity,
+    1 / how dense clutter is there.
     offset: right, back (m) and yaw (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
@@ -54,6 +55,7 @@ class Scene:
     """
 
     landmarks: Array
+    visibility: Array
     reach: Reach
     edges: Array
     offset: tuple[float, float, float]
@@ -67,9 +69,18 @@ class Scene:
 
 
 def scene_of(
-    angle: Angle, parameters: ObservationParameters, edges: Edges, landmark_map: LandmarkMap, blur_rad: float
+    angle: Angle,
+    parameters: ObservationParameters,
+    edges: Edges,
+    landmark_map: LandmarkMap,
+    blur_rad: float,
+    visibility: Array | None = None,
 ) -> Scene:
-    """Return what all particles share, for the edges of one image. blur_rad: sigma that is added to every edge's."""
+    """Return what all particles share, for the edges of one image.
+
+    blur_rad: sigma that is added to every edge's. visibility: (L,) probability that a landmark in view is not hidden;
+    None: none is.
+    """
     camera, sight = angle.camera, parameters.sight
     mount, focal = camera.mount, camera.focal_px
     measured, variance = angle.measured(edges)
@@ -83,6 +94,7 @@ def scene_of(
     sin_cos = float(np.sin(mount.tilt_rad)), float(np.cos(mount.tilt_rad))
     return Scene(
         landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m),
+        visibility=np.ones(len(landmark_map)) if visibility is None else visibility,
         reach=reach_of(landmark_map, sight.range_max_m),
         edges=np.column_stack([*of_edges, 1.0 / edges.clutter])[np.argsort(measured, kind="stable")],
         offset=(mount.right_m, mount.back_m, mount.yaw_rad),
@@ -161,6 +173,7 @@ def _weighed(scene: Scene, columns: Array, rates: Array, edge_bins: EdgeBins, of
         start,
         item,
         scene.landmarks,
+        scene.visibility,
         (*odds.tolist(), *[0.0] * (kernel.LANES - len(rates))),
         len(rates),
         of_edges,

@@ -140,7 +140,7 @@ def _look(
 
     The same as `landmarks.sight`, with every division by the image's border multiplied out.
     """
-    x, z, bottom, top, position_var = landmark
+    x, z, bottom, top, position_var, visibility = landmark
     nearest, farthest, widest = limits
     s, c, a_left, a_right, e_low, e_high, length_min = view
     sigmas, largest_var = gate
@@ -190,7 +190,7 @@ def _look(
         first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
         first, last = (first if first < last_bin else last_bin), (last if last < last_bin else last_bin)
         block[_FIRST, m], block[_END, m] = first, last
-        block[_SEEN, m] += 1.0 if visible else 0.0
+        block[_SEEN, m] += visibility if visible else 0.0
         block[_ANGLE, m], block[_VARIANCE, m] = angle, variance
         block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
         block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
@@ -248,6 +248,7 @@ def _fill(
     ends: Any,
     hidden: Any,
     leaning: float,
+    visibility: float,
     pairs: Array,
     slot: Counts,
     start: int,
@@ -265,7 +266,7 @@ def _fill(
         pairs[_SHORT_LOW, i] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
         pairs[_SHORT_HIGH, i] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
         pairs[_OF_PEAK_LOW, i], pairs[_OF_PEAK_HIGH, i] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
-        pairs[_ALIKE, i] = edges[e, _RARE] * (1.0 + edges[e, _POLARITY] * leaning)
+        pairs[_ALIKE, i] = visibility * edges[e, _RARE] * (1.0 + edges[e, _POLARITY] * leaning)
 
 
 @inlined
@@ -344,6 +345,7 @@ def log_products(
     start: Indices,
     item: NDArray[np.int32],
     landmarks: Array,
+    visibility: Array,
     odds: tuple[float, ...],
     rates: int,
     is_inlier_rate: bool,
@@ -365,6 +367,8 @@ def log_products(
         log Π_e (1 + o_k d_e / n) / (1 + o_k)    for inlier rates, o_k = w_k / (1 - w_k)
         log Π_e (1 + o_k d_e) / (1 + o_k n)      for detection rates, o_k = p_k / E
 
+    where a landmark counts for the probability with which it is visible, in d_e and in n. visibility: (L,) this.
+
     odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.
     """
     block, pairs = np.ones((15, BLOCK)), np.ones((11, ROOM))
@@ -381,18 +385,19 @@ def log_products(
             block[_SEEN] = 0.0
             count = number = int(np.int64(0))  # no constant to the compiler, which compiles for each apart
             for k in item[start[c] : start[c + 1]]:
-                landmark = (landmarks[k, 0], landmarks[k, 1], landmarks[k, 2], landmarks[k, 3], landmarks[k, 4])
-                hidden, leaning = (landmark[2] <= -UNKNOWN_M, landmark[3] >= UNKNOWN_M), landmarks[k, 5]
+                at, heights = (landmarks[k, 0], landmarks[k, 1]), (landmarks[k, 2], landmarks[k, 3])
+                landmark = (at[0], at[1], heights[0], heights[1], landmarks[k, 4], visibility[k])
+                hidden, leaning = (heights[0] <= -UNKNOWN_M, heights[1] >= UNKNOWN_M), landmarks[k, 5]
                 _look(block, lanes, landmark, limits, view, gate, bins, is_slope)
                 some = _edges_near(block, size, first, near, near_begin, near_end)
                 filled = number
                 while some > 0:  # one edge of each particle, and again with those that have another near
                     if number > ROOM - BLOCK:
-                        _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
+                        _fill(edges, block, ends, hidden, leaning, visibility[k], pairs, slot, filled, number)
                         count = _add_up(pairs, number, slot, density, touched, count)
                         filled = number = int(np.int64(0))
                     number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
-                _fill(edges, block, ends, hidden, leaning, pairs, slot, filled, number)
+                _fill(edges, block, ends, hidden, leaning, visibility[k], pairs, slot, filled, number)
             count = _add_up(pairs, number, slot, density, touched, count)
 
             for m in range(BLOCK):

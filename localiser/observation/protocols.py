@@ -201,9 +201,17 @@ class LocalisesGlobally(RatesInliers, Protocol):
         ...
 
     def by_detection_rate(
-        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
+        self,
+        particles: Particles,
+        sighting: Sighting,
+        landmark_map: LandmarkMap,
+        blur_rad: float = 0.0,
+        visibility: Array | None = None,
     ) -> Array:
-        """Return log p(sighting | particle, p_k) (K, N) for each of `DETECTION_RATES`, relative to clutter alone."""
+        """Return log p(sighting | particle, p_k) (K, N) for each of `DETECTION_RATES`, relative to clutter alone.
+
+        visibility: (L,) probability that a landmark in view is not hidden; None: none is.
+        """
         ...
 
     @property

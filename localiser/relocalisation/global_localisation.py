@@ -20,7 +20,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import DetectionRate, LocalisesGlobally, Sighting
+from localiser.observation import DetectionRate, LocalisesGlobally, Sighting, Visibility
 from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum, multinomial_resample
 from localiser.relocalisation import evidence
 from localiser.relocalisation.candidates import Candidates
@@ -68,9 +68,15 @@ class Clues:
         """Whether the image shows too little for poses to be proposed from it."""
         return len(self.view) < FEWEST
 
-    def by_rate(self, particles: Particles) -> Array:
-        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
-        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
+    def by_rate(self, particles: Particles, visibility: Visibility | None = None) -> Array:
+        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone.
+
+        visibility: of landmarks from these particles, where images have told of it.
+        """
+        visible = None if visibility is None else visibility.of_all(len(self.landmark_map))
+        return POWER * self.observation.by_detection_rate(
+            particles, self.sighting, self.landmark_map, BLUR_RAD, visible
+        )
 
     def blind_weight(self, particles: Particles, by_rate: Array) -> float:
         """Return the weight, 0 … 1, of the particles from which the map has nothing in view though many edges are seen.

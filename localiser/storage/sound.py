@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from localiser.edges import Edges
 from localiser.filter import Odometry
 from localiser.geometry import Increment
+from localiser.observation import Visibility
 from localiser.particles import Particles
 
 _LARGEST = 1e12  # metres, radians, pixels, weights, and squares of what a file may state
@@ -23,8 +24,8 @@ def require_sound(value: Any) -> None:
 
     nan and infinity may be: they stand for what is not known, and for a weight of nothing.
     """
-    if is_dataclass(value) and not isinstance(value, type):
-        _require_fitting(value)
+    if type(value) in _FITTING:
+        _FITTING[type(value)](value)
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":
         if (np.abs(value[np.isfinite(value)]) > _LARGEST).any():
             raise ValueError(f"expected numbers within ±{_LARGEST:g}, found another")
@@ -45,31 +46,52 @@ def _parts(value: Any) -> Iterator[Any]:
         yield from value.values()
 
 
-def _require_fitting(value: Any) -> None:
-    match value:
-        case Particles():
-            columns, errors = (len(value.names), len(value.log_weight)), len(value.names) - 3
-            fits = value.columns.shape == columns and value.constant_error_cov.shape == (errors, errors)
-            if not fits or not columns[1] or not np.isfinite(value.columns).all():
-                raise ValueError(
-                    f"expected particles of {columns} finite numbers, found {value.columns.shape} or others"
-                )
-            if not np.isfinite(value.log_weight.max()):
-                raise ValueError("expected particles of some weight, found none")
-        case Edges():
-            count, terms = len(value.bearing), len(value.common.names)
-            parts = [getattr(value, field.name) for field in fields(value) if field.name != "rejected_px"]
-            common = value.common
-            fits = all(len(part) == count for part in parts if isinstance(part, np.ndarray))
-            fits &= value.ends_px.shape == (count, 2, 2)
-            fits &= common.cov.shape == (terms, terms) and common.bearing_from_lean.shape == (count, terms)
-            if not fits or common.bearing_from_line.shape != (count, terms) or value.profile.ndim != 2:
-                raise ValueError(f"expected columns of {count} edges, found others")
-        case Increment():
-            if value.mean.shape != (3,) or value.cov.shape != (3, 3) or value.by_delay.shape != (3,):
-                raise ValueError("expected a motion of three numbers and its covariance, found another")
-            if not all(number >= 0 for number in (value.path_m, value.turned_rad, *np.diag(value.cov))):
-                raise ValueError("expected a path, a turn and variances of 0 or more, found others")
-        case Odometry():
-            if value.pose.shape != (3,) or not np.isfinite(value.pose).all():
-                raise ValueError("expected a pose of three finite numbers, found another")
+def _particles(value: Particles) -> None:
+    columns, errors = (len(value.names), len(value.log_weight)), len(value.names) - 3
+    fits = value.columns.shape == columns and value.constant_error_cov.shape == (errors, errors)
+    if not fits or not columns[1] or not np.isfinite(value.columns).all():
+        raise ValueError(f"expected particles of {columns} finite numbers, found {value.columns.shape} or others")
+    if not np.isfinite(value.log_weight.max()):
+        raise ValueError("expected particles of some weight, found none")
+
+
+def _edges(value: Edges) -> None:
+    count, common = len(value.bearing), value.common
+    parts = [getattr(value, field.name) for field in fields(value) if field.name != "rejected_px"]
+    fits = all(len(part) == count for part in parts if isinstance(part, np.ndarray))
+    fits &= value.ends_px.shape == (count, 2, 2) and value.profile.ndim == 2
+    terms = len(common.names)
+    fits &= common.cov.shape == (terms, terms)
+    fits &= common.bearing_from_lean.shape == common.bearing_from_line.shape == (count, terms)
+    if not fits:
+        raise ValueError(f"expected columns of {count} edges, found others")
+
+
+def _increment(value: Increment) -> None:
+    if value.mean.shape != (3,) or value.cov.shape != (3, 3) or value.by_delay.shape != (3,):
+        raise ValueError("expected a motion of three numbers and its covariance, found another")
+    if not all(number >= 0 for number in (value.path_m, value.turned_rad, *np.diag(value.cov))):
+        raise ValueError("expected a path, a turn and variances of 0 or more, found others")
+
+
+def _visibility(value: Visibility) -> None:
+    landmark, probability = value.landmark, value.probability
+    if landmark.ndim != 1 or landmark.dtype.kind != "i" or landmark.shape != probability.shape:
+        raise ValueError("expected a probability for each landmark, found others")
+    if not (np.diff(landmark, prepend=-1) > 0).all() or not ((probability > 0) & (probability < 1)).all():
+        raise ValueError("expected ascending landmarks and probabilities between 0 and 1, found others")
+
+
+def _odometry(value: Odometry) -> None:
+    if value.pose.shape != (3,) or not np.isfinite(value.pose).all():
+        raise ValueError("expected a pose of three finite numbers, found another")
+
+
+_FITTING: dict[type, Callable[[Any], None]] = {
+    Particles: _particles,
+    Edges: _edges,
+    Increment: _increment,
+    Visibility: _visibility,
+    Odometry: _odometry,
+}
+"""What raises ValueError where the parts of a value of this type do not fit each other."""

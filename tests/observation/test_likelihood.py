@@ -207,6 +207,24 @@ def test_detection_rates_are_a_poisson_process(kind: str) -> None:
     np.testing.assert_array_equal(found[:, seen == 0], 0.0)
 
 
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_a_hidden_landmark_counts_for_the_probability_of_being_visible(kind: str) -> None:
+    rng = np.random.default_rng(7)
+    observation = EdgeObservation(camera(20.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map, particles, sighting = some_map(rng, 40), cloud(rng, 200), Sighting(0, some_edges(rng, 12, True))
+
+    def by_rate(visibility: Array | None = None, of: LandmarkMap = landmark_map) -> Array:
+        return observation.by_detection_rate(particles, sighting, of, 0.004, visibility)
+
+    everything, hidden = by_rate(), rng.random(40) < 0.5
+    np.testing.assert_array_equal(by_rate(np.ones(40)), everything)
+    shown = landmark_map.take(np.flatnonzero(~hidden))
+    np.testing.assert_allclose(by_rate(np.where(hidden, 0.0, 1.0)), by_rate(of=shown), rtol=1e-9, atol=1e-9)
+    assert (np.abs(by_rate(of=shown) - everything).max(axis=1) > 0.1).all()
+    # Half as visible, twice as often: 0.7 is twice 0.35.
+    np.testing.assert_allclose(by_rate(np.full(40, 0.5))[4], everything[3], rtol=1e-9, atol=1e-9)
+
+
 def test_particles_all_over_a_large_map_are_weighed_as_by_arrays():
     """Cells stay small, however large the building, and hold no landmark too few."""
     rng = np.random.default_rng(4)

@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter import FilterState, Mcl, MclParameters, Odometry, Start, step
 from localiser.filter.scene import Scene, SeenImage
 from localiser.geometry import Increment
-from localiser.observation import EdgeObservation, ObservationParameters
+from localiser.observation import EdgeObservation, ObservationParameters, Visibility
 from localiser.storage.checkpoint import FORMAT, Checkpoint, checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.packing import decode, encode
 
@@ -263,11 +263,27 @@ def _negative(state: FilterState) -> None:
     _last_image(state, cov=np.diag([1.0, -1e-9, 1.0]))
 
 
+def _invisible(state: FilterState) -> None:
+    state.belief = replace(state.belief, visibility=Visibility(np.array([2, 1]), np.array([0.1, 0.9])))
+
+
+def _certain(state: FilterState) -> None:
+    state.belief = replace(state.belief, visibility=Visibility(np.array([1, 2]), np.array([0.1, 1.0])))
+
+
+def _unequal(state: FilterState) -> None:
+    state.belief = replace(state.belief, visibility=Visibility(np.array([1, 2]), np.array([0.1])))
+
+
 def _flat(state: FilterState) -> None:
     _last_image(state, mean=np.zeros(2))
 
 
-@pytest.mark.parametrize("change", [_cut, _far, _weightless, _short, _uneven, _backward, _unturned, _negative, _flat])
+IMPOSSIBLE = [_cut, _far, _weightless, _short, _uneven, _backward, _unturned, _negative, _flat]
+IMPOSSIBLE += [_invisible, _certain, _unequal]
+
+
+@pytest.mark.parametrize("change", IMPOSSIBLE)
 def test_a_state_that_no_run_can_have_saved_is_refused(tmp_path: Path, change: Callable[[FilterState], None]) -> None:
     """Its checksum is right: it was not damaged, but made."""
     state = filter_state()
