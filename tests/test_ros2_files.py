@@ -17,20 +17,35 @@ from localiser.ros import outputs_named
 FOLDER = ROOT / "examples" / "ros2"
 
 
-def commands() -> list[str]:
-    """Return every call of the program, without the values that others put in."""
+SUBSTITUTION = re.compile(r"\$\((?:var|env) \w+\)")
+
+
+def launched() -> list[str]:
+    """Return the words of the launch file's call: ROS cuts it at substitutions, then splits each piece as a shell."""
     launch = yaml.safe_load((FOLDER / "localiser.launch.yaml").read_text(encoding="utf-8"))
-    calls = [part["executable"]["cmd"] for part in launch["launch"] if "executable" in part]
+    (cmd,) = (part["executable"]["cmd"] for part in launch["launch"] if "executable" in part)
+    words = [""]
+    for number, text in enumerate(SUBSTITUTION.split(cmd)):
+        words[-1] += "x" if number else ""
+        first, *others = shlex.split(text) or [""]
+        words += [""] if text[:1].isspace() else []
+        words[-1] += first
+        words += [*others, ""] if text[-1:].isspace() else others
+    return [word for word in words if word]
+
+
+def commands() -> list[list[str]]:
+    """Return every call of the program as words, without the values that others put in."""
     services = yaml.safe_load((FOLDER / "compose.yaml").read_text(encoding="utf-8"))["services"]
-    calls += [service["command"][2].split("exec ")[1] for service in services.values() if service["command"][0] == "sh"]
+    calls = [service["command"][2].split("exec ")[1] for service in services.values() if service["command"][0] == "sh"]
     page = (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
     calls += [line.split(" #")[0] for line in re.findall(r"^    (localiser .*)$", page, re.MULTILINE)]
-    return [re.sub(r"\$\((?:var|env) \w+\)|\$\{[^}]*\}", "x", call) for call in calls]
+    return [launched(), *(shlex.split(re.sub(r"\$\{[^}]*\}", "x", call)) for call in calls)]
 
 
-@pytest.mark.parametrize("call", commands())
-def test_every_call_has_commands_and_options_that_there_are(call: str) -> None:
-    words = shlex.split(call)
+@pytest.mark.parametrize("call", commands(), ids=" ".join)
+def test_every_call_has_commands_and_options_that_there_are(call: list[str]) -> None:
+    words = list(call)
     assert words.pop(0) == "localiser"
     command = get_command(app)
     while words and words[0] in getattr(command, "commands", {}):
@@ -62,8 +77,8 @@ def test_what_the_launch_file_sets_in_the_environment_is_read() -> None:
 
 
 def test_two_robots_publish_on_topics_of_their_own() -> None:
-    (call,) = (call for call in commands() if "amcl_pose" in call and "--namespace" in call)
-    words = shlex.split(call)
+    words = launched()
+    assert words[words.index("--namespace") + 1] == "x"
     names = dict(words[k + 1].split("=") for k, word in enumerate(words) if word == "--publish")
     first, second = ({one.topic for one in outputs_named(names, robot).values()} for robot in ("/robot1", "/robot2"))
     assert not first & second
