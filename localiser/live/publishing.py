@@ -11,7 +11,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.live.transports import Topic, Transport
 from localiser.ros import Frames, Message, Outgoing, Output
 
-RECORDED = frozenset(("pose", "tf", "landmarks", "diagnostics"))
+RECORDED = frozenset(("tf", "diagnostics"))
 """What is made for a recording also when nobody listens, as is what is latched; a replay makes the rest again."""
 
 Record = Callable[[str, str, bytes], None]

@@ -36,7 +36,7 @@ class Output:
 
 
 _ALL = (
-    Output("pose", "/localiser/pose", POSE),
+    Output("pose", "/localiser/pose", POSE, latched=True, depth=1),
     Output("tf", "/tf", TRANSFORMS, depth=100),
     Output("particles", "/localiser/particles", POSES),
     Output("map", MAP_TOPIC, TEXT, latched=True, depth=1),

@@ -12,20 +12,22 @@ from threading import Event
 
 import numpy as np
 import pytest
+from live_feed import LOG, Feed, camera, drive
 from live_processes import free_domain, program
 from short_log import CORRIDOR, Localiser
 
 from localiser.errors import InputError
 from localiser.live import NetworkOptions, open_transport
+from localiser.live.publishing import Publisher
 from localiser.live.transports import Reply, Service, Topic, Transport
 from localiser.live.transports.dds_types import dds_name, dds_type
-from localiser.ros import SERVICES, request_bytes, response_bytes
+from localiser.ros import SERVICES, outputs_named, request_bytes, response_bytes
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
 PATIENCE_S = 60.0
 FLOOD = 2000  # as many as dds_counterpart.py writes
-NAMES, HEARS, LATE, MISMATCHED, ASKED, NODES, EXAMINED, FLOODED = (free_domain() for _ in range(8))
+NAMES, HEARS, RECALLS, LATE, MISMATCHED, ASKED, NODES, EXAMINED, FLOODED = (free_domain() for _ in range(9))
 
 
 def test_names_are_those_of_ros() -> None:
@@ -83,6 +85,20 @@ def test_a_pose_is_heard_by_types_that_are_not_ours() -> None:
         assert other.wait(PATIENCE_S) == 0
     assert "sec=7, nanosec=9" in header and "frame_id='map'" in header
     assert position.startswith("Point(x=1.0, y=-2.0") and float(variance) == 0.04
+
+
+def test_the_last_pose_reaches_a_transient_local_subscriber_that_comes_late() -> None:
+    """As Nav2's programs subscribe to the pose of AMCL."""
+    with joined(RECALLS) as transport:
+        feed = Feed()
+        feed.run.publisher = Publisher(transport, outputs_named())
+        feed([*camera(), *drive(2)])
+        with counterpart(RECALLS, "recall") as other:
+            assert other.stdout is not None
+            header, position, _ = other.stdout.read().splitlines()
+            assert other.wait(PATIENCE_S) == 0
+    assert f"nanosec={LOG.frames[1].t_ns}" in header and "frame_id='map'" in header
+    assert position.startswith("Point(x=")
 
 
 def test_what_is_latched_reaches_those_who_come_late() -> None:

@@ -35,7 +35,7 @@ def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
     )}  # fmt: skip
     few = KeepingTransport(heard={"/tf"})
     fed(Publisher(few, outputs_named()))([*camera(), *drive(4)])
-    assert few.kinds() == {"/tf", "/localiser/map", "/localiser/landmarks"}, (
+    assert few.kinds() == {"/tf", "/localiser/pose", "/localiser/map", "/localiser/landmarks"}, (
         "what is latched goes out for those who come later"
     )
     assert few.advertised == transport.advertised

@@ -1,6 +1,6 @@
 """A counterpart over DDS: Cyclone DDS with types of its own, written field by field, and none of our code.
 
-python dds_counterpart.py DOMAIN hear|latched|mismatched|flood|ask|nodes
+python dds_counterpart.py DOMAIN hear|recall|latched|mismatched|flood|ask|nodes
 """
 
 import sys
@@ -169,9 +169,10 @@ def main(domain: int, what: str) -> None:
     pose = Stamped(
         Header(Time(12, 34), "map"), PoseWithCovariance(Pose(Point(1.5, -2.0, 0), Quaternion(0, 0, 0, 1)), [0.25] * 36)
     )
-    if what == "hear":
+    if what in ("hear", "recall"):
         topic = Topic(participant, "rt/localiser/pose", Stamped)
-        heard = DataReader(participant, topic, quality()).take_one(timeout=duration(seconds=PATIENCE_S))
+        reader = DataReader(participant, topic, quality(latched=what == "recall"))
+        heard = reader.take_one(timeout=duration(seconds=PATIENCE_S))
         at = heard.pose.pose
         sys.stdout.write(f"{heard.header}\n{at.position}\n{heard.pose.covariance[0]}\n")
         return

@@ -11,7 +11,7 @@ from localiser.storage.bags import typestore
 
 @dataclass
 class KeepingTransport:
-    """Keeps messages by topic. heard: the topics that somebody listens to, None for all."""
+    """Keeps messages by topic. heard: the topics that somebody listens to, None for all; what is latched always is."""
 
     heard: set[str] | None = None
     advertised: list[str] = field(default_factory=list)
@@ -27,7 +27,7 @@ class KeepingTransport:
         self.sent.setdefault(topic.name, []).append((topic, content))
 
     def is_heard(self, topic: Topic) -> bool:
-        return self.heard is None or topic.name in self.heard
+        return topic.latched or self.heard is None or topic.name in self.heard
 
     def close(self) -> None:
         pass
