@@ -13,7 +13,8 @@ from localiser.ros import Output, topic_in
 def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str]:
     """Return the topic of every role. asked: in place of those in TOPICS.
 
-    namespace: of all topics but those that are asked for with a leading slash.
+    namespace: of all topics but those that are asked for with a leading slash, and the clock: one simulator tells the
+    time of all robots, and every node of ROS listens to /clock.
 
     Raises InputError for an unknown role, and where a topic would have two roles: each of its messages would be taken,
     and recorded, twice.
@@ -21,7 +22,8 @@ def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str
     for role in asked:
         if role not in TOPICS:
             raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
-    topics = {role: topic_in(namespace, asked.get(role, topic.removeprefix("/"))) for role, topic in TOPICS.items()}
+    names = {role: topic if role == "clock" else topic.removeprefix("/") for role, topic in TOPICS.items()}
+    topics = {role: topic_in(namespace, name) for role, name in (names | dict(asked)).items()}
     _check_apart([(role, "--topic", name) for role, name in topics.items()])
     return topics
 

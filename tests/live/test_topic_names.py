@@ -18,6 +18,8 @@ def test_a_namespace_holds_what_is_named_without_a_leading_slash() -> None:
         topics["groundtruth"] == "/robot1/truth" and input_topics({"groundtruth": "truth"})["groundtruth"] == "/truth"
     )
     assert list(topics) == list(TOPICS)
+    assert topics["clock"] == "/clock", "as every node of ROS has it"
+    assert input_topics({"clock": "time"}, "/robot1")["clock"] == "/robot1/time"
     assert outputs_named({"pose": "amcl_pose"}, "/robot1")["pose"].topic == "/robot1/amcl_pose"
     assert outputs_named({"pose": "/amcl_pose"}, "/robot1")["pose"].topic == "/amcl_pose"
 
