@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -276,12 +276,14 @@ class Localiser:
         """
         return identity_of(
             self.config.model_dump(exclude={"versions"}),
-            map=replace(self.landmark_map, frame={}, extra=(), header={}),  # what nobody reads but people
+            map=_without_remarks(self.landmark_map),
             camera=self._camera and replace(self._camera, name=""),
         ) | {f"own {part}": _name_of(own) for part, own in self._own.items() if own is not None}
 
-    def save(self, shift_ns: int = 0) -> bytes:
+    def save(self, shift_ns: int = 0, notes: Mapping[str, str] | None = None) -> bytes:
         """Return the state and the generator, to go on with later. shift_ns: what is added to all times.
+
+        notes: kept with it for whoever goes on; see `storage.checkpoint_of`.
 
         Images and their timings are not part of it: of those that wait for the wheels the edges are. Neither is what an
         observation, a motion model or a detector of one's own keeps in itself.
@@ -293,7 +295,7 @@ class Localiser:
             odometry=deque(replace(pose, t_ns=pose.t_ns + shift_ns) for pose in state.odometry),
             waiting=deque(replace(sighting, t_ns=sighting.t_ns + shift_ns) for sighting in state.waiting),
         )
-        return checkpoint_bytes(moved, self.rng, identity)
+        return checkpoint_bytes(moved, self.rng, identity, notes)
 
     def restore(self, content: bytes, path: Path | str = "state") -> None:
         """Go on from what `save` returned. path: what errors name.
@@ -353,6 +355,16 @@ class Localiser:
 
 
 # -- settings that cannot work ----------------------------------------------------------------------------------------
+
+
+def belongs_to(identity: Mapping[str, str], landmark_map: LandmarkMap) -> bool:
+    """Return whether a state with this `Localiser.identity` belongs to a map."""
+    return identity.get("map") == identity_of({}, map=_without_remarks(landmark_map))["map"]
+
+
+def _without_remarks(landmark_map: LandmarkMap) -> LandmarkMap:
+    """Return a map without what nobody reads but people."""
+    return replace(landmark_map, frame={}, extra=(), header={})
 
 
 def check_settings(

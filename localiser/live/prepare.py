@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +74,8 @@ class LiveOptions:
 def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
+    begun_map = options.map_file
+    options, resumed = state_to_resume(options, say)
     landmark_map = read_map(options.map_file)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
@@ -116,18 +118,40 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         run.publisher = _publisher(options, transport, outputs, recording)
         run.simulated = SimulatedTime() if options.use_sim_time else None
-        run.requests = Requests(options.map_file.parent)
+        run.requests = Requests(begun_map.parent)
         serve(transport, inbox, options.network.prefix, options.services)
-        if options.checkpoint is not None:
-            run.checkpoints = Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why))
-            if options.resume and options.checkpoint.exists():
-                run.resumed = Resumed(options.checkpoint)
+        run.checkpoints, run.resumed = _checkpoints(options, begun_map, monitor), resumed
         for role, topic in topics.items():
             if _is_listened_to(role, options):
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
         yield run
+
+
+def state_to_resume(options: LiveOptions, say: Callable[[str, str], None]) -> tuple[LiveOptions, Resumed | None]:
+    """Return the state to go on from, and the options with its map; None without a state of a map that is there.
+
+    Raises InputError where the state is damaged.
+    """
+    if options.checkpoint is None or not (options.resume and options.checkpoint.exists()):
+        return options, None
+    resumed, map_file = Resumed(options.checkpoint), options.map_file
+    belongs = resumed.map_file(map_file)
+    if belongs is None:
+        say(f"{options.checkpoint}: not resumed: the state belongs to another map than {map_file}", "WARNING")
+        return options, None
+    if belongs != map_file:
+        say(f"going on with the map {belongs}, which was loaded in the place of {map_file}", "INFO")
+    return replace(options, map_file=belongs), resumed
+
+
+def _checkpoints(options: LiveOptions, begun_map: Path, monitor: Monitor) -> Checkpoints | None:
+    """Return what saves the state. begun_map: that the command names, which the options may have another one than."""
+    if options.checkpoint is None:
+        return None
+    loaded_map = options.map_file if options.map_file != begun_map else None
+    return Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why), begun_map, loaded_map)
 
 
 def _is_listened_to(role: str, options: LiveOptions) -> bool:

@@ -70,7 +70,7 @@ class Requests:
             run.monitor.warn("no such map", f"expected a map in {self.folder}, asked for {request.map_url!r}")
             return {"result": MAP_NOT_THERE}
         try:
-            run.load_map(read_map(path))
+            run.load_map(read_map(path), path)
         except InputError as error:
             run.monitor.warn("bad map", f"the map stays as it was: {error}")
             return {"result": MAP_INVALID}

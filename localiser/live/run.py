@@ -336,11 +336,14 @@ class LiveRun:
         self._decide(anywhere_decision(t_ns))
         self.monitor.inform("the robot is looked for on the whole map")
 
-    def load_map(self, landmark_map: LandmarkMap) -> None:
+    def load_map(self, landmark_map: LandmarkMap, path: Path) -> None:
         """Go on with another map: the robot took the lift. What was believed is forgotten. Raises InputError.
 
         A recording belongs to one map and ends here. A state that is saved from here on belongs to the new map.
+        path: of the map, so that a state that is resumed finds it again.
         """
+        if self.checkpoints is not None:
+            self.checkpoints.now_on(path)
         if self.localiser is None or self.finder.camera is None:
             self.given_map, self.start, self.resumed = landmark_map, None, None
             return

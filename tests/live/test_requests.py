@@ -13,10 +13,13 @@ from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 
 from localiser.errors import InputError
+from localiser.live.prepare import LiveOptions, opened, state_to_resume
 from localiser.live.publishing import Publisher
 from localiser.live.requests import Requests, serve
 from localiser.live.sources import Arrival, Inbox
-from localiser.live.state import Checkpoints
+from localiser.live.state import Checkpoints, Resumed
+from localiser.live.timeline import Timeline
+from localiser.live.transports import NetworkOptions
 from localiser.localiser import Localiser as RobotLocaliser
 from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, outputs_named, request_bytes, response_of
 from localiser.storage import read_track, write_map
@@ -127,6 +130,39 @@ def test_the_state_is_saved_when_asked_for(tmp_path: Path) -> None:
     again = RobotLocaliser(LOG.landmark_map, LOG.camera, feed.config)
     again.restore((tmp_path / "state").read_bytes())
     assert again.state.is_begun
+
+
+def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Path) -> None:
+    """By the command as it was. A map that has changed since, and another command, leave the state out."""
+    begun, loaded = tmp_path / "house.yaml", tmp_path / "upstairs.yaml"
+    shifted = replace(LOG.landmark_map, name="upstairs", points=LOG.landmark_map.points + np.array([100.0, 0.0]))
+    write_map(LOG.landmark_map, begun)
+    write_map(shifted, loaded)
+    feed, _ = fed(tmp_path)
+    feed.run.checkpoints = Checkpoints(tmp_path / "state", pytest.fail, begun)
+    feed([*camera(), *drive(3)])
+    assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
+    feed(drive(3, first=4))
+    assert asked(feed, "save_state").success
+    assert Resumed(tmp_path / "state").map_file(begun) == loaded
+
+    options = LiveOptions(begun, feed.config, checkpoint=tmp_path / "state", resume=True)
+    said: list[str] = []
+    again, resumed = state_to_resume(options, lambda text, level: said.append(text))
+    assert again.map_file == loaded and "upstairs.yaml, which was loaded in the place of" in said[-1]
+    on = RobotLocaliser(shifted, LOG.camera, feed.config)
+    assert resumed is not None and resumed.begin(on, Timeline(lambda _: None), feed.now_ns).mean[0] > 90
+
+    other, resumed = state_to_resume(
+        replace(options, map_file=CORRIDOR / "map.yaml"), lambda text, level: said.append(text)
+    )
+    assert resumed is None and other.map_file == CORRIDOR / "map.yaml" and "state belongs to another map" in said[-1]
+    network = NetworkOptions(connect=("tcp/127.0.0.1:9",))  # where nobody is
+    with opened(replace(options, network=network), lambda text, level: said.append(text)) as run:
+        assert run.localiser_of(LOG.camera).landmark_map.name == "upstairs" and run.resumed is not None
+        assert run.checkpoints is not None and run.checkpoints.loaded_map == loaded, "also after the next restart"
+    write_map(replace(shifted, points=shifted.points + 1.0), loaded)
+    assert state_to_resume(options, lambda text, level: said.append(text))[1] is None
 
 
 def test_a_request_that_is_none_is_told() -> None:

@@ -75,6 +75,11 @@ def test_state_and_generator_come_back_to_the_last_bit(tmp_path: Path) -> None:
     assert loaded.rng.standard_normal(5).tolist() == rng.standard_normal(5).tolist()
 
 
+def test_notes_come_back_and_are_not_compared(tmp_path: Path) -> None:
+    content = checkpoint_bytes(FilterState(), np.random.default_rng(0), IDENTITY, {"by": "a run"})
+    assert checkpoint_of(content, tmp_path, IDENTITY).notes == {"by": "a run"}
+
+
 def test_state_before_anything_has_happened(tmp_path: Path) -> None:
     save(tmp_path / "run", FilterState(), np.random.default_rng(0))
     assert equal(load(tmp_path / "run").state, FilterState())
@@ -128,9 +133,9 @@ def test_identity_names_settings_and_parts() -> None:
 
 
 def test_what_is_no_checkpoint(tmp_path: Path) -> None:
-    for content in (b"", b"PK\x03\x04", b"localiser-checkpoint/1\n", b"\n" * 5):
+    for content in (b"", b"PK\x03\x04", b"localiser-checkpoint/2\n", b"\n" * 5):
         (tmp_path / "file").write_bytes(content)
-        with pytest.raises(InputError, match=r"file: expected a checkpoint \(localiser-checkpoint/2\)"):
+        with pytest.raises(InputError, match=r"file: expected a checkpoint \(localiser-checkpoint/3\)"):
             load(tmp_path / "file")
 
 
@@ -196,7 +201,7 @@ def test_state_with_other_fields_is_refused(saved: Path, tmp_path: Path) -> None
 
 def test_sizes_are_checked_before_memory_is_taken(saved: Path, tmp_path: Path) -> None:
     content = decode(Any, body_of(saved))
-    content[3]["particles"]["columns"][1] = [2**34]
+    content[4]["particles"]["columns"][1] = [2**34]
     (tmp_path / "file").write_bytes(sealed(encode(content)))
     tracemalloc.start()
     with pytest.raises(InputError, match=r"expected an array of \[17179869184\] <f8, found"):
