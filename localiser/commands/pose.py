@@ -31,6 +31,9 @@ def pose_set(
     topic: Annotated[
         str | None, typer.Option(metavar="NAME", help="Where live runs listen for poses; /initialpose.")
     ] = None,
+    frame: Annotated[
+        str, typer.Option(metavar="NAME", help="The map's frame, where live runs have another by `--frame map=NAME`.")
+    ] = "map",
     domain: Domain = None,
     namespace: Namespace = "",
     names: Names = "rmw_zenoh",
@@ -45,5 +48,5 @@ def pose_set(
 
     network = network_of(connect, None, zenoh_config, domain, namespace, names, distro, dds, interface)
     name = topic_in(network.prefix, topic or "initialpose")
-    send_pose(pose, sigma, network, name)
+    send_pose(pose, sigma, network, name, frame)
     typer.echo(f"sent to {name}", err=True)

@@ -118,6 +118,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         run.publisher = _publisher(options, transport, outputs, recording)
         run.simulated = SimulatedTime() if options.use_sim_time else None
+        run.map_frame = options.frames.map
         run.requests = Requests(begun_map.parent)
         serve(transport, inbox, options.network.prefix, options.services)
         run.checkpoints, run.resumed = _checkpoints(options, begun_map, monitor), resumed

@@ -33,6 +33,7 @@ from localiser.localiser import Localiser
 from localiser.replay import Sink
 from localiser.storage.bags import (
     DECISIONS_TOPIC,
+    MAP,
     STATE_TOPIC,
     CameraFinder,
     anywhere_decision,
@@ -62,7 +63,7 @@ class LiveRun:
 
     publisher: sends results over the network, None where there is none. requests: answers those of services. simulated:
     the time in place of this machine's. start: given by the user, without its time; None looks for the robot
-    everywhere. sinks: get every located image. now_ns: the clock of arrivals.
+    everywhere. map_frame: the name of the map's frame. sinks: get every located image. now_ns: the clock of arrivals.
     """
 
     inbox: Inbox
@@ -81,6 +82,7 @@ class LiveRun:
     now_ns: Callable[[], int] = time.monotonic_ns
     localiser: Localiser | None = None
     given_map: LandmarkMap | None = None
+    map_frame: str = MAP
     clock: RobotClock = field(default_factory=RobotClock)
     timeline: Timeline = field(init=False)
     _counts: Counter[str] = field(default_factory=Counter)
@@ -239,6 +241,7 @@ class LiveRun:
         if arrival.content == before and arrival.at_ns - before_ns < _REPEATED_NS:
             self._stated = before, arrival.at_ns
             return
+        self._check_frame(arrival, message)
         mean, cov = start_of_message(message)
         self._stated = arrival.content, arrival.at_ns
         self._record(arrival)
@@ -249,6 +252,14 @@ class LiveRun:
             t_ns = stamp_of(message) + self.clock.offset_ns
             # Whoever states a pose may have another clock; then it is meant for now.
             self._restart(Start(t_ns if newest_ns - LATE_NS <= t_ns <= newest_ns else newest_ns, mean, cov))
+
+    def _check_frame(self, arrival: Arrival, message: Any) -> None:
+        """Raise ValueError unless a pose is in the map's frame; one that names no frame is taken to be."""
+        frame, expected = plain_frame(message.header.frame_id), plain_frame(self.map_frame)
+        if not frame:
+            self.monitor.warn("pose without a frame", f"{arrival.topic}: a pose names no frame; taken to be {expected}")
+        elif frame != expected:
+            raise ValueError(f"expected a pose in the frame {expected}, found one in {frame}")
 
     def _time(self, arrival: Arrival, message: Any) -> int | None:
         """Return the time of a message by its stamp, None when that cannot be true."""

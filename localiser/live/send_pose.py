@@ -10,14 +10,14 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.live.transports import NetworkOptions, Topic, open_transport
 from localiser.replay import given_pose
-from localiser.storage.bags import POSE, Messages
+from localiser.storage.bags import MAP, POSE, Messages
 
 _PATIENCE_S = 3.0  # until a session that has just begun knows who listens
 _REPEATS, _PAUSE_S = 5, 0.3  # of the same message, which a live run takes once
 
 
-def send_pose(pose: str, sigma: str, network: NetworkOptions, name: str) -> None:
-    """Publish a pose `x,z,heading_deg` with sigmas `m,deg` on the topic `name`.
+def send_pose(pose: str, sigma: str, network: NetworkOptions, name: str, frame: str = MAP) -> None:
+    """Publish a pose `x,z,heading_deg` with sigmas `m,deg` on the topic `name`. frame: the map's.
 
     Raises InputError, also when nobody listens.
     """
@@ -30,7 +30,7 @@ def send_pose(pose: str, sigma: str, network: NetworkOptions, name: str) -> None
         raise InputError(f"expected M,DEG above 0, such as 0.1,3, found {sigma!r}", field="--sigma")
     cov = np.diag([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
     make = Messages()
-    content = make.encode(make.pose_in_map(time.time_ns(), mean, cov))
+    content = make.encode(make.pose_in_map(time.time_ns(), mean, cov, frame))
     topic = Topic(name, POSE)
     with closing(open_transport(network, "localiser_pose_set", wait=False)) as transport:
         end = time.monotonic() + _PATIENCE_S

@@ -221,6 +221,21 @@ def test_a_pose_that_is_stated_again_later_counts_again() -> None:
     assert sum(text.startswith("started") for text in feed.said) == 3
 
 
+@pytest.mark.parametrize(
+    ("frame", "map_frame", "taken"),
+    [("map", "map", True), ("/map", "map", True), ("world", "world", True), ("odom", "map", False), ("", "map", True)],
+)
+def test_a_pose_in_another_frame_than_the_maps_is_left_out(frame: str, map_frame: str, taken: bool) -> None:
+    feed = Feed()
+    feed.run.map_frame = map_frame
+    feed([*camera(), *drive(2)])
+    stated = MAKE.pose_in_map(BEGIN_NS, LOG.groundtruth.at(feed.now_ns), np.diag([0.01, 0.01, 0.003]), frame)
+    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated))])
+    assert sum(text.startswith("started") for text in feed.said) == 1 + taken
+    assert any("in the frame map, found one in odom" in text for text in feed.said) != taken
+    assert any("names no frame" in text for text in feed.said) == (frame == "")
+
+
 def test_a_start_that_is_no_pose_is_refused() -> None:
     feed = Feed()([*camera(), *drive(2)])
     stated = MAKE.pose_in_map(BEGIN_NS, np.zeros(3), np.zeros((3, 3)))
