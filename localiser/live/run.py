@@ -246,7 +246,7 @@ class LiveRun:
         self._stated = arrival.content, arrival.at_ns
         self._record(arrival)
         if self.localiser is None:
-            self.start = Start(0, mean, cov)
+            self.start, self.resumed = Start(0, mean, cov), None
         else:
             newest_ns = max(self.timeline.newest_ns, self.timeline.weighed_ns)
             t_ns = stamp_of(message) + self.clock.offset_ns
@@ -334,7 +334,7 @@ class LiveRun:
 
     def look_everywhere(self) -> None:
         """Forget where the robot is, and look for it on the whole map from the next image on."""
-        self.start = None
+        self.start, self.resumed = None, None
         if self.localiser is None:
             return
         if not self.localiser.can_look_everywhere:

@@ -324,6 +324,21 @@ def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
     assert any("in between" in text for text in again.said)
 
 
+@pytest.mark.parametrize("asked", ["a pose", "everywhere"])
+def test_what_is_said_before_the_camera_is_known_comes_before_a_saved_state(tmp_path: Path, asked: str) -> None:
+    first = Feed()([*camera(), *drive(N)])
+    Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
+    again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
+    if asked == "a pose":
+        stated = MAKE.pose_in_map(BEGIN_NS, np.array([1.0, 2.0, 0.0]), np.diag([0.01, 0.01, 0.003]))
+        again([arrival("initialpose", 0, MAKE.encode(stated))])
+    else:
+        again.run.look_everywhere()
+    again([*camera(), *drive(2, first=N)])
+    told = "started at x = 1.00 m, z = 2.00 m" if asked == "a pose" else "looked for on the whole map"
+    assert any(told in text for text in again.said) and not any("resumed" in text for text in again.said)
+
+
 def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Path) -> None:
     first = Feed()([*camera(), *drive(N)])
     Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
