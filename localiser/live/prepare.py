@@ -188,8 +188,9 @@ def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None
-    topics = input_topics(options.topics, options.network.prefix)
-    recording = Recording(options.record, failed)
+    topics, outputs = _names(options)
+    latched = {output.topic for output in outputs.values() if output.latched}
+    recording = Recording(options.record, failed, latched | {topics["transforms"], LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC})
     texts = {
         LOG_TOPIC: live_label_text(options.record.stem, _changed_settings(options.config), topics),
         MAP_TOPIC: read_text(options.map_file),

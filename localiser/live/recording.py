@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 from threading import Condition, Thread
@@ -24,9 +24,12 @@ _Row = tuple[str, str, int, bytes]
 class Recording:
     """A bag of what came in and what was decided; written in the order in which it is told."""
 
-    def __init__(self, path: Path, failed: Callable[[str], None]) -> None:
-        """Make the bag. failed: is told, in another thread, why the recording ended. Raises InputError, OutputError."""
-        self._recorder = BagRecorder(path)
+    def __init__(self, path: Path, failed: Callable[[str], None], latched: Collection[str] = ()) -> None:
+        """Make the bag. failed: is told, in another thread, why the recording ended. latched: see `BagRecorder`.
+
+        Raises InputError, OutputError.
+        """
+        self._recorder = BagRecorder(path, latched)
         self._failed, self._messages = failed, Messages()
         self._queue: deque[_Row] = deque()
         self._bytes = 0

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image, odometry
 from live_transport import KeepingTransport
+from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
+from rosbags.rosbag2 import Reader
 
 from localiser.geometry import compose, pose_from_ros
 from localiser.live.publishing import Publisher
@@ -146,6 +149,25 @@ def test_what_goes_out_is_recorded() -> None:
     publisher = Publisher(transport, outputs_named(), record=lambda topic, *rest: heard.append(topic))
     fed(publisher)([*camera(), *drive(4)])
     assert set(heard) == transport.kinds() and "/localiser/image/compressed" in heard
+
+
+def test_a_player_of_a_recording_keeps_what_was_latched(tmp_path: Path) -> None:
+    """As rosbags reads the quality of service that players offer."""
+    feed = Feed(record=tmp_path / "drive.db3")
+    assert feed.recording is not None
+    feed.run.publisher = Publisher(
+        KeepingTransport(),
+        outputs_named(),
+        record=lambda topic, kind, content: feed.recording.write(topic, kind, 0, content),
+    )
+    feed([*camera(), *drive(3)]).close()
+    with Reader(tmp_path / "drive.db3") as bag:
+        offered = {one.topic: one.ext.offered_qos_profiles for one in bag.connections}
+    latched = {topic for topic, profiles in offered.items() if profiles}
+    assert latched == {"/tf_static", "/localiser/log", "/localiser/map", "/localiser/landmarks", "/localiser/pose"}
+    (profile,) = offered["/tf_static"]
+    assert profile.durability == QosDurability.TRANSIENT_LOCAL and profile.reliability == QosReliability.RELIABLE
+    assert profile.history == QosHistory.KEEP_LAST and profile.liveliness == QosLiveliness.AUTOMATIC
 
 
 def test_diagnostics_tell_the_warnings_of_the_run() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,14 @@ INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'humble');
 """
 
 
+_LATCHED = """\
+- {history: 1, depth: 1, reliability: 1, durability: 1, deadline: {sec: 9223372036, nsec: 854775807},
+   lifespan: {sec: 9223372036, nsec: 854775807}, liveliness: 1,
+   liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}, avoid_ros_namespace_conventions: false}
+"""
+"""Keep last, reliable, transient local, automatic, as numbers: Humble reads no names, later versions read both."""
+
+
 class BagRecorder:
     """Writes a ROS 2 bag of SQLite, message by message as they came.
 
@@ -35,8 +43,10 @@ class BagRecorder:
     MCAP, whose index is written at the end, does not.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Make the file. Raises InputError for a path that does not end in .db3, OutputError."""
+    def __init__(self, path: Path, latched: Collection[str] = ()) -> None:
+        """Make the file. latched: topics whose last message players of bags keep for those who subscribe later.
+
+        Raises InputError for a path that does not end in .db3, OutputError."""
         if path.suffix != SUFFIX:
             raise InputError(
                 f"expected a path that ends in {SUFFIX} (`localiser convert` makes other kinds of it), found {path}",
@@ -44,7 +54,7 @@ class BagRecorder:
             )
         if path.exists():
             raise OutputError(f"{path}: expected a path where nothing is, found something there")
-        self._path, self._store = path, typestore(ros1=False)
+        self._path, self._latched, self._store = path, frozenset(latched), typestore(ros1=False)
         self._topics: dict[tuple[str, str], int] = {}
         self._last_ns = 0
         with self._errors():
@@ -84,7 +94,8 @@ class BagRecorder:
             hashed: dict[str, Any] = {"type_description_hash": digest}
             definition = {"topic_type": msgtype, "encoding": "ros2msg", "encoded_message_definition": text}
             self._insert("message_definitions", **definition, **hashed)
-            row = {"name": topic, "type": msgtype, "serialization_format": "cdr", "offered_qos_profiles": ""}
+            profiles = _LATCHED if topic in self._latched else ""
+            row = {"name": topic, "type": msgtype, "serialization_format": "cdr", "offered_qos_profiles": profiles}
             self._topics[key] = self._insert("topics", **row, **hashed)
         return self._topics[key]
 
