@@ -57,8 +57,15 @@ class RobotClock:
         """
         if self._at_ns is None:
             return None
-        t_ns = stamp_ns + self.offset_ns
-        return t_ns if self._newest_ns - LATE_NS <= t_ns <= at_ns + self._lead_at(at_ns) + EARLY_NS else None
+        return None if self.is_late(stamp_ns) or self.is_early(stamp_ns, at_ns) else stamp_ns + self.offset_ns
+
+    def is_late(self, stamp_ns: int) -> bool:
+        """Whether a stamp lies too far behind the newest to be true now."""
+        return self.is_known and stamp_ns + self.offset_ns < self._newest_ns - LATE_NS
+
+    def is_early(self, stamp_ns: int, at_ns: int) -> bool:
+        """Whether a stamp lies too far ahead of a time of arrival to be true."""
+        return self.is_known and stamp_ns + self.offset_ns > at_ns + self._lead_at(at_ns) + EARLY_NS
 
     def shift(self, by_ns: int) -> None:
         """Take stamps that jump back by so much from now on, as is known from elsewhere: the time goes on steadily."""

@@ -51,6 +51,7 @@ _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
 _OF_ONE = ("image", "odometry", "camera_info", "groundtruth")  # whose topics have one publisher
 _MOST_SENDERS = 1000
+_MOST_OVERTAKING = 200  # messages that come before /clock begins anew
 _REPEATED_NS = (
     2_000_000_000  # the same stated pose again so soon: a repetition, as networks and careful senders have it
 )
@@ -89,6 +90,7 @@ class LiveRun:
     _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
     _stated: tuple[bytes, int] = (b"", 0)
     _senders: dict[str, tuple[bytes, set[bytes]]] = field(default_factory=dict)
+    _overtaking: deque[tuple[Arrival, Any]] = field(default_factory=lambda: deque(maxlen=_MOST_OVERTAKING))
     _newest_odometry: tuple[int, Array] | None = None
     _intervals_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
     _costs_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
@@ -126,10 +128,16 @@ class LiveRun:
                     continue
                 message = message_of(arrival)
                 self._note_sender(arrival)
-                if self.simulated is None or self._is_timed(arrival):
-                    getattr(self, f"_take_{arrival.role}")(self._at(arrival), message)
+                if self.simulated is None or self._is_in_time(self.simulated, arrival, message):
+                    self._take(self._at(arrival), message)
             except ValueError as error:
-                self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
+                self._warn_of_message(arrival, error)
+
+    def _take(self, arrival: Arrival, message: Any) -> None:
+        getattr(self, f"_take_{arrival.role}")(arrival, message)
+
+    def _warn_of_message(self, arrival: Arrival, error: ValueError) -> None:
+        self.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
 
     def _note_sender(self, arrival: Arrival) -> None:
         """Tell of a topic on which two publish in turn; one that takes another's place has been started again."""
@@ -145,13 +153,23 @@ class LiveRun:
             before = {*before, now} if len(before) < _MOST_SENDERS else {now}
         self._senders[arrival.role] = arrival.source, before
 
-    def _is_timed(self, arrival: Arrival) -> bool:
-        """Whether the simulated time of a message is known, or it needs none."""
-        assert self.simulated is not None
-        if self.simulated.is_known or arrival.role in ("clock", "transforms", "camera_info"):
+    def _is_in_time(self, simulated: SimulatedTime, arrival: Arrival, message: Any) -> bool:
+        """Whether a message is to be taken now, by the simulated time.
+
+        Where /clock begins anew, messages of other topics may come before it, which wait for it, or after it though
+        they were sent before, which are left out. Neither tells of a jump of the robot's clock.
+        """
+        if arrival.role in ("clock", "transforms", "camera_info"):
             return True
-        self.monitor.wait("no clock", "messages wait for the simulated time on /clock")
-        return False
+        if not simulated.is_known:
+            self.monitor.wait("no clock", "messages wait for the simulated time on /clock")
+            return False
+        if arrival.role == "initialpose":
+            return True
+        if self.clock.is_late(stamp_of(message)):
+            self._overtaking.append((self._at(arrival), message))
+            return False
+        return not (simulated.has_just_begun and self.clock.is_early(stamp_of(message), simulated.now_ns))
 
     def _at(self, arrival: Arrival) -> Arrival:
         """Return a message with the simulated time at which it came, where there is one."""
@@ -161,12 +179,24 @@ class LiveRun:
         if self.simulated is None:
             return
         clock_ns = message.clock.sec * 10**9 + message.clock.nanosec
-        back_ns = self.simulated.take(clock_ns, self.clock.newest_ns + 1 - (clock_ns + self.clock.offset_ns))
+        stamps_ns = (stamp_of(waiting) for _, waiting in self._overtaking)
+        first_ns = min((ns for ns in stamps_ns if clock_ns - LATE_NS <= ns <= clock_ns), default=clock_ns)
+        back_ns = self.simulated.take(clock_ns, self.clock.newest_ns + 1 - (first_ns + self.clock.offset_ns))
         if back_ns:
             self.clock.shift(back_ns)
             self._decide(clock_decision(self.clock.offset_ns))
             self.monitor.inform(f"/clock went back by {back_ns / 1e9:.1f} s: the robot begins anew")
             self._begin_anew()
+        self._take_overtaking(self.simulated.now_ns, anew=back_ns > 0)
+
+    def _take_overtaking(self, now_ns: int, *, anew: bool) -> None:
+        """Take the messages that came before /clock began anew; those for which it does not do so are late."""
+        while self._overtaking and (anew or now_ns - self._overtaking[0][0].at_ns > LATE_NS):
+            arrival, message = self._overtaking.popleft()
+            try:
+                self._take(replace(arrival, at_ns=now_ns) if anew else arrival, message)
+            except ValueError as error:
+                self._warn_of_message(arrival, error)
 
     def _begin_anew(self) -> None:
         """Forget where the robot was, because its time began anew: it is where it started, or anywhere.

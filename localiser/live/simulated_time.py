@@ -7,6 +7,9 @@ from dataclasses import dataclass
 SLACK_NS = 100_000_000
 """How far /clock may go back without having begun anew: messages of two networks may overtake each other."""
 
+JUST_NS = 1_000_000_000
+"""How long messages that were sent before /clock began anew may still come."""
+
 
 @dataclass(slots=True, eq=False)
 class SimulatedTime:
@@ -14,6 +17,12 @@ class SimulatedTime:
 
     _clock_ns: int | None = None
     _offset_ns: int = 0
+    _begun_ns: int | None = None
+
+    @property
+    def has_just_begun(self) -> bool:
+        """Whether /clock has begun anew within the last second."""
+        return self._begun_ns is not None and self.clock_ns - self._begun_ns < JUST_NS
 
     @property
     def is_known(self) -> bool:
@@ -39,7 +48,7 @@ class SimulatedTime:
         if back_ns > SLACK_NS:
             made_up_ns = max(back_ns + 1, least_ns)
             self._offset_ns += made_up_ns
-            self._clock_ns = clock_ns
+            self._clock_ns = self._begun_ns = clock_ns
             return made_up_ns
         self._clock_ns = max(clock_ns, self.clock_ns)
         return 0

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive
+from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
 from short_log import Localiser
 
+from localiser.filter import Start
 from localiser.live.simulated_time import SLACK_NS, SimulatedTime
 from localiser.live.sources import Arrival
 from localiser.storage import read_track
@@ -72,6 +73,39 @@ def test_a_bag_that_begins_again_begins_a_new_run_and_the_recording_replays(
     track = read_track(run / "trajectory.csv")
     assert (track.t_ns - BEGIN_NS).tolist() == feed.times
     np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("behind_ns", [70_000_000, -70_000_000])
+@pytest.mark.parametrize("start", [LOG.start, None])
+def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(
+    localiser: Localiser, tmp_path: Path, behind_ns: int, start: Start | None
+) -> None:
+    """The clock at 10 Hz, the wheels at 100 Hz: each loop begins anew once, and loses no image that the first had.
+
+    behind_ns: how much later than others messages of the clock come.
+    """
+    wheels = [odometry(t_ns) for t_ns in range(0, LOG.frames[N].t_ns, 10_000_000)]
+    pictures = [image(LOG.frames[k].t_ns, k) for k in range(N)]
+    ticks = [clock(t_ns) for t_ns in range(0, LOG.frames[N].t_ns, 100_000_000)]
+    late = [replace(tick, at_ns=tick.at_ns + behind_ns) for tick in ticks]
+    loop_ns = LOG.frames[N].t_ns
+    loops = [
+        replace(message, at_ns=message.at_ns + turn * loop_ns)
+        for turn in range(4)
+        for message in [*wheels, *pictures, *late]
+    ]
+    feed = simulated(start=start, record=tmp_path / "drive.db3")(
+        [*camera(), *sorted(loops, key=lambda message: message.at_ns)]
+    )
+    stamps = [published.stamp_ns - BEGIN_NS for published in feed.published]
+    first = stamps[: next(k for k in range(1, len(stamps)) if stamps[k] < stamps[k - 1])]
+    for stamp_ns in first:
+        assert stamps.count(stamp_ns) == 4, (stamp_ns, stamps)
+    assert not feed.run.monitor.wrong, feed.run.monitor.wrong
+    assert sum("begins anew" in text for text in feed.said) == 3 and not feed.run.clock.jumps
+    feed.close()
+    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
+    np.testing.assert_allclose(read_track(run / "trajectory.csv").poses, feed.poses, rtol=0, atol=1e-9)
 
 
 def test_time_goes_on_steadily_whatever_the_clock_does() -> None:
