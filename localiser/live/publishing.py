@@ -56,10 +56,11 @@ class Publisher:
         if self._outgoing is not None:
             self._outgoing.forget()
 
-    def image(self, found: LocatedFrame, stamp_ns: int, facts: Mapping[str, str]) -> None:
-        """Publish what was located in an image. stamp_ns: of the image. facts: more for the diagnostics."""
+    def image(self, found: LocatedFrame, stamp_ns: int, facts: Mapping[str, str], frame: str) -> None:
+        """Publish what was located in an image. facts: more for the diagnostics. stamp_ns, frame: of the image."""
         if self._outgoing is None:
             return
+        self._outgoing.camera_frame(frame)
         self._send(self._outgoing.image(found, stamp_ns, self._is_wanted, facts))
         if self._newest_ns > self._followed_ns:  # the first image, or the first that is trusted again
             self._follow()

@@ -479,7 +479,8 @@ class LiveRun:
             None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2])),
         )
         if self.publisher is not None:
-            self.publisher.image(found, frame.stamp_ns, self._facts(published.latency_ms))
+            camera_frame = plain_frame(frame.message.header.frame_id)
+            self.publisher.image(found, frame.stamp_ns, self._facts(published.latency_ms), camera_frame)
         for publish in self.publish:
             publish(published)
         work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]

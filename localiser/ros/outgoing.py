@@ -19,7 +19,7 @@ from localiser.ros.outputs import OUTPUTS
 from localiser.ros.path import DrivenPath
 from localiser.ros.picture import annotated
 from localiser.storage import map_text
-from localiser.storage.bags import MAP, ODOM, POSES, Messages, header
+from localiser.storage.bags import MAP, ODOM, OPTICAL, POSES, Messages, header
 
 MOST_PARTICLES = 300
 
@@ -30,6 +30,7 @@ class Frames:
 
     map: str = MAP
     odom: str = ODOM
+    camera: str = OPTICAL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +94,7 @@ class Outgoing:
             "particles": lambda: self._particles(frame.located, stamp_ns),
             "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.map),
             "path": lambda: self._path.message(self._make, stamp_ns, self.frames.map),
-            "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns),
+            "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.camera),
             "annotations": lambda: drawn_lines(self._make, frame, self._ends, self.camera, stamp_ns),
             "diagnostics": lambda: diagnostics(self._make, frame, stamp_ns, facts or {}),
         }
@@ -124,6 +125,11 @@ class Outgoing:
     def odometry_frame(self, name: str) -> None:
         """Take the name of the odometry's frame, as its messages have it."""
         self.frames = replace(self.frames, odom=name)
+
+    def camera_frame(self, name: str) -> None:
+        """Take the name of the camera's frame, as its images have it; nothing where they do not name it."""
+        if name:
+            self.frames = replace(self.frames, camera=name)
 
     def _message(self, kind: str, stamp_ns: int, message: Any) -> Message:
         return Message(kind, stamp_ns, self._make.encode(message))

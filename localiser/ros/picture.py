@@ -13,17 +13,19 @@ from localiser.filter import Image, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import predicted_lines
 from localiser.storage import encode_image
-from localiser.storage.bags import Messages
+from localiser.storage.bags import OPTICAL, Messages
 from localiser.view import MATCHED, UNMATCHED, VISIBLE, Colour
 
 JPEG_QUALITY = 80
 _SHIFT = 4  # bits after the point in the pixels that OpenCV draws to
 
 
-def annotated(make: Messages, frame: LocatedFrame, ends: Array, camera: Camera, stamp_ns: int) -> Any | None:
+def annotated(
+    make: Messages, frame: LocatedFrame, ends: Array, camera: Camera, stamp_ns: int, camera_frame: str = OPTICAL
+) -> Any | None:
     """Return the image with expected landmarks, matched and unmatched edges; None where there is no image.
 
-    ends: (L, 2, 3) of the landmarks in the map.
+    ends: (L, 2, 3) of the landmarks in the map. camera_frame: the name of the camera's frame.
     """
     pixels = None if frame.image is None else _colour(frame.image)
     if pixels is None:
@@ -35,7 +37,7 @@ def annotated(make: Messages, frame: LocatedFrame, ends: Array, camera: Camera, 
     _draw(pixels, expected, VISIBLE, 1)
     _draw(pixels, edges.ends_px[known & ~matched], UNMATCHED, 2)
     _draw(pixels, edges.ends_px[known & matched], MATCHED, 2)
-    return make.compressed(stamp_ns, encode_image(pixels, ".jpg", JPEG_QUALITY))
+    return make.compressed(stamp_ns, encode_image(pixels, ".jpg", JPEG_QUALITY), camera_frame)
 
 
 def _colour(image: Image) -> NDArray[np.uint8] | None:

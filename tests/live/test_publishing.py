@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image, odometry
+from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
 from live_transport import KeepingTransport
 from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability
 from rosbags.rosbag2 import Reader
@@ -53,6 +53,16 @@ def test_names_of_topics_and_frames_can_be_changed() -> None:
     (transform,) = transport.messages("/robot1/tf")[-1].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("world", "wheels")
     assert transport.messages("/amcl_pose")[-1].header.frame_id == "world"
+
+
+def test_the_picture_has_the_frame_of_the_robots_images() -> None:
+    transport = KeepingTransport()
+    frame = LOG.frames[1]
+    named = MAKE.encode(MAKE.compressed(BEGIN_NS + frame.t_ns, frame.encoded(), "left_eye"))
+    feed = fed(Publisher(transport, outputs_named()))([*camera(), *drive(1), arrival("image", frame.t_ns, named)])
+    feed([odometry(frame.t_ns + 60_000_000)])
+    first, second = transport.messages("/localiser/image/compressed")
+    assert (first.header.frame_id, second.header.frame_id) == ("camera_optical_frame", "left_eye")
 
 
 def test_the_transform_has_the_frame_of_the_odometry_unless_named() -> None:

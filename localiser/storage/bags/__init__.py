@@ -36,7 +36,7 @@ from localiser.storage.bags.frames import (
 )
 from localiser.storage.bags.images import grey_image, image_file, stated_size
 from localiser.storage.bags.label import live_label_text
-from localiser.storage.bags.messages import MAP, ODOM, Messages, header
+from localiser.storage.bags.messages import MAP, ODOM, OPTICAL, Messages, header
 from localiser.storage.bags.read import BagReader
 from localiser.storage.bags.record import BagRecorder
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC

@@ -58,10 +58,10 @@ class Messages:
         """Return a std_msgs/String."""
         return self.make(TEXT, data=text)
 
-    def compressed(self, t_ns: int, data: bytes) -> Any:
-        """Return a sensor_msgs/CompressedImage of a JPEG or PNG file."""
+    def compressed(self, t_ns: int, data: bytes, frame: str = OPTICAL) -> Any:
+        """Return a sensor_msgs/CompressedImage of a JPEG or PNG file. frame: of the camera."""
         kind = "png" if suffix_of(data) == ".png" else "jpeg"
-        return self.make(COMPRESSED, header=header(t_ns, OPTICAL), format=kind, data=np.frombuffer(data, np.uint8))
+        return self.make(COMPRESSED, header=header(t_ns, frame), format=kind, data=np.frombuffer(data, np.uint8))
 
     def camera_info(self, t_ns: int, camera: Camera) -> Any:
         """Return a sensor_msgs/CameraInfo."""
