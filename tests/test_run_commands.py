@@ -23,7 +23,7 @@ LISTED = {
         live --map maps/house.yaml --connect tcp/192.168.1.5:7447
         live --map logs/corridor/map.yaml
         live --map maps/house.yaml --record drive.db3
-        live --map house.yaml --publish pose=/amcl_pose
+        live --map house.yaml --publish pose=amcl_pose
         live --map house.yaml --dds 0
         live --map house.yaml --dds 0 --interface eth0
         simulate logs/corridor --serve
