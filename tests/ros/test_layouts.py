@@ -7,17 +7,21 @@ import re
 
 import yaml
 
-from localiser.ros import OUTPUTS
+from localiser.ros import OUTPUTS, outputs_named
 from localiser.ros.layouts import FOLDER
 
-TOPICS = {output.topic: output for output in OUTPUTS.values()}
+TOPICS = {output.topic: output for output in (*OUTPUTS.values(), outputs_named({"pose": "amcl_pose"})["pose"])}
 OTHERS = {"/initialpose", "/camera/image_raw/compressed"}
 
 
 def test_every_topic_of_a_layout_exists() -> None:
     for file in ("localiser.rviz", "foxglove.json"):
         named = set(re.findall(r"/[a-z_]+(?:/[a-z_]+)*(?=[\",:])", (FOLDER / file).read_text()))
-        named = {name for name in named if name.split("/")[1] in ("localiser", "diagnostics", "camera", "initialpose")}
+        named = {
+            name
+            for name in named
+            if name.split("/")[1] in ("localiser", "diagnostics", "camera", "initialpose", "amcl_pose")
+        }
         assert len(named) >= 6 and named <= TOPICS.keys() | OTHERS, named
 
 
@@ -36,12 +40,18 @@ def test_a_display_asks_for_the_type_and_the_quality_of_service_that_are_offered
     layout = yaml.safe_load((FOLDER / "localiser.rviz").read_text())
     manager = layout["Visualization Manager"]
     shown = [display for display in manager["Displays"] if "Topic" in display]
-    assert manager["Global Options"]["Fixed Frame"] == "map" and len(shown) == 6
+    assert manager["Global Options"]["Fixed Frame"] == "map" and len(shown) == 7
     for display in shown:
         topic, offered = display["Topic"], TOPICS[display["Topic"]["Value"]]
         assert SHOWS[display["Class"]] == offered.msgtype
         assert topic["Durability Policy"] == ("Transient Local" if offered.latched else "Volatile")
         assert topic["Reliability Policy"] in ("Reliable", "Best Effort") and topic["Depth"] >= 1
+
+
+def test_the_pose_is_shown_under_both_names_that_the_guide_has() -> None:
+    layout = yaml.safe_load((FOLDER / "localiser.rviz").read_text())
+    shown = {display["Topic"]["Value"] for display in layout["Visualization Manager"]["Displays"] if "Topic" in display}
+    assert {"/localiser/pose", "/amcl_pose"} <= shown
 
 
 def test_every_panel_of_foxglove_has_its_place() -> None:
