@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import subprocess
+from pathlib import Path
 from unittest import mock
 
 import pytest
@@ -88,6 +91,30 @@ def test_the_router_has_the_version_that_is_locked() -> None:
     """Both ends of a link speak one version of zenoh's protocol; newer features need a router that has them."""
     (locked,) = re.findall(r"^eclipse-zenoh==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
     assert f"image: eclipse/zenoh:{locked}\n" in (FOLDER / "compose.yaml").read_text(encoding="utf-8")
+
+
+def shell_scripts() -> dict[str, str]:
+    """Return the scripts of the services, as the shell gets them."""
+    services = yaml.safe_load((FOLDER / "compose.yaml").read_text(encoding="utf-8"))["services"]
+    commands = {name: service["command"] for name, service in services.items()}
+    return {name: words[2].replace("$$", "$") for name, words in commands.items() if words[0] == "sh"}
+
+
+@pytest.mark.parametrize(("name", "script"), shell_scripts().items())
+def test_a_container_installs_the_newest_wheel(name: str, script: str, tmp_path: Path) -> None:
+    for age, version in enumerate(("0.3.0", "0.10.0", "0.2.0")):
+        wheel = tmp_path / f"localiser-{version}-py3-none-any.whl"
+        wheel.touch()
+        os.utime(wheel, (1e9 - age, 1e9 - age))
+    install, _, _ = script.replace("/dist", str(tmp_path)).partition("&&")
+    shown = install.replace("pip install -q", "echo")
+    said = subprocess.run(["sh", "-c", shown], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == f"{tmp_path}/localiser-0.3.0-py3-none-any.whl[live]", name
+
+
+def test_the_map_of_the_container_is_in_a_clone() -> None:
+    (default,) = re.findall(r"\$\{MAP:-([^}]*)\}", shell_scripts()["localiser"])
+    assert (ROOT / default).is_file()
 
 
 def test_every_argument_of_the_launch_file_is_used() -> None:
