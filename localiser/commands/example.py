@@ -32,7 +32,9 @@ def example_folder() -> Path:
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/corridor/1, …")] = Path("results"),
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where results go: DIR/corridor/1, …")] = Path(
+        "results"
+    ),
     view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = "none",
     speed: Annotated[
         float | None,

@@ -29,7 +29,8 @@ def paper(
     ] = 10,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Same seed, same tables.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="New folder for the tables (CSV, Markdown) and a figure.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="New folder for the tables (CSV, Markdown) and a figure."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

@@ -73,9 +73,9 @@ def replay(
     ] = None,
     topics: Topics = None,
     camera: BagCamera = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go: DIR/log/1, DIR/log/2, …")] = Path(
-        "results"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Where results go: DIR/log/1, DIR/log/2, …")
+    ] = Path("results"),
     rrd: Annotated[bool, typer.Option("--rrd/--no-rrd", help="Record the run for Rerun.")] = True,
     bag: Annotated[
         Path | None,

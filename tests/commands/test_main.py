@@ -8,9 +8,9 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,8 +19,10 @@ import yaml
 from folders import ROOT
 from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 from small_log import write_edge_log, write_small_log
+from typer.main import get_command
 
 from localiser import __version__
+from localiser.commands.main import app
 from localiser.config import Config, read_config
 
 
@@ -463,3 +465,21 @@ def test_doctor_takes_the_configuration_of_zenoh(localiser: Localiser, tmp_path:
     (tmp_path / "zenoh.json5").write_text("{ nonsense")
     result = localiser("doctor", "--zenoh-config", tmp_path / "zenoh.json5", "--seconds", 0.5)
     assert result.exit_code == 2 and "expected a configuration of zenoh" in result.err
+
+
+def commands_of(command: Any, name: str = "localiser") -> Iterator[tuple[str, Any]]:
+    for part, inner in getattr(command, "commands", {}).items():
+        yield from commands_of(inner, f"{name} {part}")
+    if not hasattr(command, "commands"):
+        yield name, command
+
+
+def test_where_results_go_has_one_short_name_in_all_commands() -> None:
+    short = {
+        name: option.opts
+        for name, command in commands_of(get_command(app))
+        for option in command.params
+        if "--out" in option.opts
+    }
+    assert len(short) > 12
+    assert all(options == ["--out", "-o"] for options in short.values()), short

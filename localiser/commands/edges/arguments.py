@@ -32,7 +32,7 @@ def edges(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="New folder for the results; by default results/edges/1, 2, …"),
+        typer.Option("--out", "-o", metavar="DIR", help="New folder for the results; by default results/edges/1, 2, …"),
     ] = None,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
     config: ConfigFile = None,
