@@ -150,8 +150,8 @@ class Belief:
             moved = replace(candidates, particles=move(candidates.particles))
             by_rate = clues.by_rate(moved.particles)
             candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
-        log_elsewhere -= max(log_shown - max(log_tracked, 0.0), 0.0)
         if support > SUPPORTED:
+            log_elsewhere -= max(log_shown - max(log_tracked, 0.0), 0.0)
             log_elsewhere = min(log_elsewhere, max(log_tracked, 0.0) + PATIENCE * jump.path_m)
         log_bare = 0.0 if clues.is_blind else -BARE * novelty
         support = min(support + log_shown, MOST_SUPPORT)
