@@ -72,6 +72,8 @@ LISTED = {
         map plan building.yaml -o mine.yaml
         map align plan.yaml mine.yaml -o mine_in_plan.yaml
         map merge plan.yaml mine.yaml --align -o whole.yaml
+        map align grid.yaml house.yaml -o house_in_grid.yaml
+        map merge grid.yaml house.yaml --align -o whole.yaml
         map update mine.yaml logs/today -o newer.yaml
         odometry fit monday tuesday -o robot.yaml
         map build drive.mcap --poses slam -o house.yaml --trajectory path.tum

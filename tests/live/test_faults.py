@@ -86,7 +86,7 @@ def test_messages_that_go_wrong(robot: Program, live: Program, fault: str, happe
     lines = live.poses_at(LEAST_HZ, SETTLED + IMAGES)
     robot.tell("")
     assert (np.diff([line["t_ns"] for line in lines]) > 0).all(), "none twice, and in their order"
-    assert_right(lines, robot)
+    assert_right(lines, robot, is_sure=fault != "no odometry")
     assert max(line["stamp_ns"] for line in lines) < time.time_ns() + 10**9
 
 
@@ -103,8 +103,8 @@ def test_a_source_that_stops_for_ten_seconds_and_comes_back(robot: Program, live
     assert_right(lines, robot)
 
 
-def assert_right(lines: list[dict[str, Any]], robot: Program) -> None:
-    """The robot writes its true poses."""
+def assert_right(lines: list[dict[str, Any]], robot: Program, *, is_sure: bool = True) -> None:
+    """The robot writes its true poses. is_sure: whether it must say so; without odometry it need not."""
     judged = lines[SETTLED:]
     truth = robot.rest()
     while truth[-1]["t_ns"] < judged[-1]["stamp_ns"]:
@@ -112,5 +112,5 @@ def assert_right(lines: list[dict[str, Any]], robot: Program) -> None:
     true_poses = Trajectory(np.array([row["t_ns"] for row in truth]), np.array([row["pose"] for row in truth]))
     true_x, true_z, _ = true_poses.sampled([line["stamp_ns"] for line in judged]).poses.T
     errors_m = np.hypot([line["x"] for line in judged] - true_x, [line["z"] for line in judged] - true_z)
-    assert np.median([line["p_correct"] for line in judged]) > 0.9
+    assert not is_sure or np.median([line["p_correct"] for line in judged]) > 0.9
     assert np.median(errors_m) < WORST_M
