@@ -11,6 +11,7 @@ from typing import Any
 from localiser.documents import output_errors
 from localiser.errors import InputError, OutputError
 from localiser.storage.bags.bag import typestore
+from localiser.storage.bags.quality import latched_quality
 
 SUFFIX = ".db3"
 
@@ -28,14 +29,6 @@ INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'humble');
 """
 
 
-_LATCHED = """\
-- {history: 1, depth: 1, reliability: 1, durability: 1, deadline: {sec: 9223372036, nsec: 854775807},
-   lifespan: {sec: 9223372036, nsec: 854775807}, liveliness: 1,
-   liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}, avoid_ros_namespace_conventions: false}
-"""
-"""Keep last, reliable, transient local, automatic, as numbers: Humble reads no names, later versions read both."""
-
-
 class BagRecorder:
     """Writes a ROS 2 bag of SQLite, message by message as they came.
 
@@ -46,7 +39,8 @@ class BagRecorder:
     def __init__(self, path: Path, latched: Collection[str] = ()) -> None:
         """Make the file. latched: topics whose last message players of bags keep for those who subscribe later.
 
-        Raises InputError for a path that does not end in .db3, OutputError."""
+        Raises InputError for a path that does not end in .db3, OutputError.
+        """
         if path.suffix != SUFFIX:
             raise InputError(
                 f"expected a path that ends in {SUFFIX} (`localiser convert` makes other kinds of it), found {path}",
@@ -89,12 +83,15 @@ class BagRecorder:
     def _topic(self, topic: str, msgtype: str) -> int:
         key = topic, msgtype
         if key not in self._topics:
+            from rosbags.rosbag2.metadata import dump_qos_v8
+
             digest = self._store.hash_rihs01(msgtype)
             text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
             hashed: dict[str, Any] = {"type_description_hash": digest}
             definition = {"topic_type": msgtype, "encoding": "ros2msg", "encoded_message_definition": text}
             self._insert("message_definitions", **definition, **hashed)
-            profiles = _LATCHED if topic in self._latched else ""
+            # As numbers: Humble reads no names, later versions read both.
+            profiles = dump_qos_v8([latched_quality()]) if topic in self._latched else ""
             row = {"name": topic, "type": msgtype, "serialization_format": "cdr", "offered_qos_profiles": profiles}
             self._topics[key] = self._insert("topics", **row, **hashed)
         return self._topics[key]

@@ -16,6 +16,7 @@ from localiser.filter import Odometry
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
+from localiser.storage.bags.quality import latched_quality
 from localiser.storage.bags.topics import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log, require_odometry
@@ -170,9 +171,4 @@ def _kept(make: Messages) -> dict[str, Any]:
     """Return what makes a player of bags keep a message for those who subscribe later."""
     if make.ros1:
         return {"latching": 1}
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-
-    keep, reliable, latched = QosHistory.KEEP_LAST, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
-    never = QosTime(9_223_372_036, 854_775_807)  # what ROS 2 writes for a duration without end
-    live = QosLiveliness.AUTOMATIC
-    return {"offered_qos_profiles": [Qos(keep, 1, reliable, latched, never, never, live, never, False)]}
+    return {"offered_qos_profiles": [latched_quality()]}
