@@ -305,8 +305,9 @@ class Localiser:
         if not isinstance(content, bytes):
             raise InputError(f"expected the bytes of a saved state, found {type(content).__name__}", path=path)
         saved = checkpoint_of(content, Path(path), self.identity)
-        if (saved.state.belief.visibility.landmark >= len(self.landmark_map)).any():
-            raise InputError(f"expected {len(self.landmark_map)} landmarks, found others", path=path)
+        last, count = max(saved.state.belief.visibility.landmark, default=-1), len(self.landmark_map)
+        if last >= count:
+            raise InputError(f"expected {count} landmarks, found one with the index {last}", path=path)
         self.state, self.rng = saved.state, saved.rng
         self._measured.clear()
 
