@@ -19,6 +19,7 @@ from localiser.geometry import Array
 Index = NDArray[np.int64]
 
 _AT_ONCE = 512  # columns that are held as a dense matrix at one time
+_SUBSTITUTED = 32  # columns that are solved at one time
 _REGULAR = 1e-9  # added to the diagonal: no variable is wholly unknown
 
 
@@ -102,13 +103,19 @@ class Factor:
         return np.asarray(self._solver.solve(right))
 
     def projected(self, columns: Any) -> Array:
-        """Return XᵀA⁻¹X (P, 2, 2) of P pairs of columns X, sparse (V, 2 P)."""
-        size, count = columns.shape
+        """Return XᵀA⁻¹X (P, 2, 2) of P pairs of columns X, sparse (V, 2 P): YᵀD⁻¹Y with L Y = X."""
+        from localiser.mapping.sparse_kernel import substitute
+
+        lower, diagonal, order = self._solver.factors()
+        right, count = columns[order], columns.shape[1]
         result = np.zeros((count // 2, 2, 2))
-        for begin in range(0, count, _AT_ONCE):
-            dense = columns[:, begin : begin + _AT_ONCE].T.toarray()
-            solved = np.array([self.solve(row) for row in dense]).reshape(-1, 2, size)
-            result[begin // 2 : begin // 2 + len(solved)] = dense.reshape(-1, 2, size) @ solved.transpose(0, 2, 1)
+        for begin in range(0, count, _SUBSTITUTED):
+            part = right[:, begin : begin + _SUBSTITUTED].toarray(order="C")
+            substitute(lower.indptr, lower.indices, lower.data, part)
+            pairs = part.reshape(len(part), -1, 2)
+            result[begin // 2 : begin // 2 + pairs.shape[1]] = np.einsum(
+                "vpi,vpj->pij", pairs / diagonal[:, None, None], pairs
+            )
         return result
 
     def joint(self, columns: Any) -> Array:
