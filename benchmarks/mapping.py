@@ -3,6 +3,7 @@
 python benchmarks/mapping.py known              # edges simulated on the drives through configs/worlds
 python benchmarks/mapping.py laps               # two laps with wheels 4 % wrong, nothing else known
 python benchmarks/mapping.py long               # time and memory, two to ten minutes through the office
+python benchmarks/mapping.py long --times 24 48 # half an hour, an hour
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
 python benchmarks/mapping.py coarse             # coarse bearings of a simulated robot, from a log alone
 python benchmarks/mapping.py bearings LOG…      # logs of coarse bearings with true poses, and a map to judge by
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -108,12 +109,12 @@ def two_laps(seeds: range, clutter: float) -> None:
             )
 
 
-def long() -> None:
+def long(times_driven: Sequence[int]) -> None:
     """Print what longer and longer logs cost: seconds of one processor, and memory beyond that of the log itself."""
     from mapping_worlds import laps, with_looks
 
     print("| images | edges | poses known, seconds | alone, seconds | RMSE m | memory, MB |")
-    for times in (2, 4, 8):
+    for times in times_driven:
         drive = laps("office", 0, times=times)
         edges = with_looks(drive.edges(0), len(drive.landmark_map), 0)
         begin = process_time()
@@ -243,13 +244,14 @@ if __name__ == "__main__":
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
+    parser.add_argument("--times", type=int, nargs="+", default=(2, 4, 8), help="drives along the path, for `long`")
     arguments = parser.parse_args()
     if arguments.what == "known":
         known(range(arguments.seeds), arguments.clutter)
     elif arguments.what == "laps":
         two_laps(range(arguments.seeds), arguments.clutter)
     elif arguments.what == "long":
-        long()
+        long(arguments.times)
     elif arguments.what == "slam":
         slam(arguments.logs)
     elif arguments.what == "coarse":
