@@ -17,7 +17,7 @@ from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import polarity_of_profiles, profiles
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
-from localiser.edges.undistort import Image, ideal_camera
+from localiser.edges.undistort import Image, half_camera, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
@@ -49,6 +49,12 @@ def find_edges(
     """
     parameters, camera = parameters or EdgeParameters(), camera.at(mount)
     grey = grey_image(image, camera)
+    if parameters.half_resolution:
+        least_px = parameters.min_length_px / 2
+        smaller = replace(parameters, half_resolution=False, min_length_px=least_px)
+        options = {"detector": detector, "with_probabilities": with_probabilities}
+        edges = find_edges(halved(grey), half_camera(camera), smaller, **options)  # type: ignore[arg-type]
+        return _in_whole_pixels(edges, mount)
     found = (detector or detector_of(parameters))(grey, camera)
     segments = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
     mount_sigma_rad = tilt_and_roll_sigma_rad(parameters, camera)
@@ -69,6 +75,19 @@ def find_edges(
         vertical_probability=vertical_probability(edges, others, camera, mount_sigma_rad, plumb_sigma_rad),
         foot_probability=foot_probability(edges.ends_px[:, 0], edges.foot_range_m, grey, camera),
     )
+
+
+def halved(grey: Image) -> Image:
+    """Return an image (H, W) with two rows and two columns averaged to one, (H // 2, W // 2), as `half_camera` sees."""
+    height, width = grey.shape[0] // 2, grey.shape[1] // 2
+    even = grey[: 2 * height, : 2 * width]
+    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def _in_whole_pixels(edges: Edges, mount: Mount | None) -> Edges:
+    """Return edges of an image of half the resolution with the pixels of the whole one."""
+    ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))
+    return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
 
 
 def tilt_and_roll_sigma_rad(parameters: EdgeParameters, camera: Camera) -> Array:

@@ -19,6 +19,9 @@ class EdgeParameters:
     """How vertical edges are found in an image."""
 
     detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "columns"
+    half_resolution: Annotated[
+        bool, Field(description="look for edges in the image at half its resolution, which takes a third of the time")
+    ] = False
     min_length_px: Annotated[float, Field(gt=2, le=1000, description="shortest edge that counts (px)")] = 30.0
     min_contrast: Annotated[
         float, Field(ge=0, le=2, description="faintest edge that counts, as a fraction of the brightness of its sides")

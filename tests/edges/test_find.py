@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -70,6 +72,29 @@ def test_ends_are_in_the_pixels_of_the_image_as_it_was_taken(detector):
     np.testing.assert_allclose(np.arctan(tangent), np.stack([edges.bearing] * 2, axis=-1), atol=np.deg2rad(0.2))
     assert np.all(edges.ends_px[:, 0, 1] > edges.ends_px[:, 1, 1])
     assert np.all(edges.length_px > 0.8 * camera.height)
+
+
+@pytest.mark.parametrize("name", ["rolled", "distorted"])
+def test_half_the_resolution_finds_the_same_edges_less_certainly(name):
+    camera = CAMERAS[name]
+    image = wall_image(camera, BEARINGS_DEG, GREYS, noise_sigma=1.0)
+    whole = sorted_by_bearing(find_edges(image, camera))
+    half = sorted_by_bearing(find_edges(image, camera, EdgeParameters(half_resolution=True)))
+    assert len(half) == len(BEARINGS_DEG)
+    np.testing.assert_allclose(np.rad2deg(half.bearing), BEARINGS_DEG, atol=2 * TOLERANCE_DEG["columns"])
+    assert np.all(np.abs(half.bearing - np.deg2rad(BEARINGS_DEG)) < 4 * half.bearing_sigma)
+    assert np.all(half.bearing_sigma > whole.bearing_sigma)
+    group_px = 16.0  # an edge ends where a group of eight rows of the smaller image does
+    np.testing.assert_allclose(half.ends_px[..., 1], whole.ends_px[..., 1], atol=group_px)
+    np.testing.assert_allclose(half.length_px, whole.length_px, atol=2 * group_px)
+    assert half.mount == whole.mount
+
+
+def test_half_the_resolution_leaves_out_an_odd_row_and_column():
+    camera = replace(CAMERAS["tilted"], width=639, height=479)
+    image = wall_image(CAMERAS["tilted"], BEARINGS_DEG, GREYS)[:479, :639]
+    edges = sorted_by_bearing(find_edges(image, camera, EdgeParameters(half_resolution=True)))
+    np.testing.assert_allclose(np.rad2deg(edges.bearing), BEARINGS_DEG, atol=2 * TOLERANCE_DEG["columns"])
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (480, 640, 3), (144, 176), (144, 176, 3)])
