@@ -56,7 +56,8 @@ SUSPECTED = 0.008  # probability of having been carried from which on what it ex
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
-# From which probability of being off the map on, and after how many scenes, the map is said not to fit.
+# From which probability of being off the map on, and after how many scenes with enough edges, the map is said not to
+# fit.
 TRACKED_UNFIT, UNFIT = (0.9, 15.0), (0.98, 22.0)  # while a place is tracked, and while none is
 
 
@@ -124,7 +125,8 @@ class Belief:
         novelty = max(jump.novelty, carried)
         belief = self._judged(clues, few, replace(jump, novelty=novelty), carried, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
-        belief = replace(belief, unfit=self.unfit + novelty / scenes if belief.off_map > off_map else 0.0)
+        told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
+        belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
         may_be_lost = 1.0 - belief.here >= search.parameters.doubt
         if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):

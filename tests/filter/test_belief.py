@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localiser import Localiser, read_config
+from localiser import Localiser, LocatedFrame, read_config
 from localiser.camera import Camera, Mount
 from localiser.filter.belief import Belief
 from localiser.geometry import Trajectory
@@ -49,3 +49,33 @@ def test_hidden_landmarks_do_not_speak_for_a_place_that_has_none(seed: int) -> N
         for frame in robot.odometry(int(t_ns), pose):
             assert np.hypot(*(frame.located.estimate.pose - pose)[:2]) < 0.5
     assert frame.located.p_correct > 0.9
+
+
+def drive_with_a_wrong_map(seed: int, most_edges: int, images: int = 100) -> list[LocatedFrame]:
+    """Return what a robot says in a corridor 2 m wide with the map of one 3 m wide."""
+    rng = np.random.default_rng(seed)
+    here, other = (
+        np.stack([np.tile([-width / 2, width / 2], 16) + rng.normal(0, 0.1, 32), -rng.uniform(1, 24, 32)], axis=-1)
+        for width in (2.0, 3.0)
+    )
+    maps = [LandmarkMap.from_points(one, bottom_m=np.zeros(32), top_m=np.full(32, 2.0)) for one in (here, other)]
+    poses = np.stack([np.zeros(images), -STEP_M * np.arange(images), np.zeros(images)], axis=-1)
+    truth = Trajectory(STEP_NS * np.arange(1, images + 1), poses)
+    seen = simulated_edges(maps[0], CAMERA, truth, rng, noise=EdgeNoise(clutter_per_frame=3.0))
+    robot = Localiser(maps[1], CAMERA, read_config(None, ["observation.kind=line"]), 0)
+    robot.start(poses[0], START, 0)
+    robot.odometry(0, poses[0])
+    frames = []
+    for t_ns, pose, edges in zip(truth.t_ns, poses, seen, strict=True):
+        robot.edges(int(t_ns), edges.take(np.arange(len(edges)) < most_edges))
+        frames += robot.odometry(int(t_ns), pose)
+    return frames
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most", [4, 100])
+def test_a_map_is_said_not_to_fit_by_images_with_enough_edges_alone(most: int) -> None:
+    """Where a robot sees few edges, they may be anything."""
+    located = [frame.located for frame in drive_with_a_wrong_map(0, most)]
+    assert located[-1].p_correct < 0.2
+    assert (located[-1].warning == "this map does not fit") == (most > 4)
