@@ -59,6 +59,7 @@ def test_every_public_name_can_be_used_after_every_module_was_imported(
         assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_code_of_the_readme_prints_what_it_says(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -90,6 +90,7 @@ def test_two_robots_in_two_domains_do_not_hear_each_other(domain: Callable[[], N
             assert "two publishers" not in said and "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_who_comes_late_gets_map_and_landmarks(domain: Callable[[], Network], tmp_path: Path) -> None:
     network = domain()
     heard: dict[str, list[bytes]] = {"map": [], "landmarks": []}

@@ -22,6 +22,9 @@ ERRORS = {
 }  # fmt: skip
 
 
+pytestmark = pytest.mark.slow  # two replays of a whole log
+
+
 @pytest.fixture(scope="module")
 def run() -> Replay:
     """The shipped log, as its user has it who knows no truth."""

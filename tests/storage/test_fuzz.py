@@ -128,7 +128,7 @@ def replay(path: Path | str) -> None:
             event.load()
 
 
-@pytest.mark.parametrize("log", ["images", "edges", "mrclam"])
+@pytest.mark.parametrize("log", [pytest.param("images", marks=pytest.mark.slow), "edges", "mrclam"])
 @FUZZ
 @given(data=st.data())
 def test_changed_logs(logs: Path, tmp_path: Path, log: str, data: st.DataObject) -> None:
