@@ -21,7 +21,7 @@ from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.mapping.coarse_bearings import COARSE_RAD
 from localiser.mapping.factors import Prior
-from localiser.mapping.far_images import PLACE_SIGMA_M, are_far, build_from_far_images
+from localiser.mapping.far_images import are_far, build_from_far_images
 from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.log_edges import edges_of_log
@@ -155,7 +155,6 @@ def build_map(
         log.name,
         f"{log.name}, poses: {name}",
         probability=probability,
-        pose_sigma_m=0.0 if probability is None else PLACE_SIGMA_M,
     )
     require_landmarks(log, landmark_map, sightings, built, parameters)
     result = MapBuilt(landmark_map, trajectory, sightings, built, slam)

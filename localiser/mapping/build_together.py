@@ -10,7 +10,7 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.mapping.build import BuildParameters, BuildSettings, MapBuilt, built_along, sampled_at_images
-from localiser.mapping.far_images import PLACE_SIGMA_M, are_far
+from localiser.mapping.far_images import are_far
 from localiser.mapping.landmarks import measured_sigma
 from localiser.mapping.log_edges import edges_of_log
 from localiser.mapping.mappable import require_landmarks, require_motion
@@ -69,7 +69,6 @@ def build_map_together(
         names,
         f"{names}, poses: {TRUTH}",
         probability=probability,
-        pose_sigma_m=0.0 if probability is None else PLACE_SIGMA_M,
     )
     require_landmarks(logs[0], landmark_map, sightings, built, config.mapping)
     return MapBuilt(landmark_map, first, sightings, built)

@@ -21,8 +21,6 @@ from localiser.mapping.landmarks import Built, fitted, long_enough, numbered
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings, direction_of
 
-PLACE_SIGMA_M = 0.014
-"""How far true positions are off, one sigma; nearly the same for images that were taken next to each other."""
 POSE_SIGMA_RAD = 3e-3
 """How far true headings are off at an image, one sigma: motion capture and clocks are no better."""
 FAR_M, FAR_RAD = 0.2, np.deg2rad(6.0)

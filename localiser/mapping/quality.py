@@ -139,11 +139,10 @@ def landmark_map_of(
     source: str,
     *,
     probability: Array | None = None,
-    pose_sigma_m: float = 0.0,
 ) -> LandmarkMap:
     """Return the map of the landmarks that are worth keeping, with all that is known of each; it may be empty.
 
-    probability: (L,) that each exists; None: see `existence`. pose_sigma_m: how far the poses are off as a whole.
+    probability: (L,) that each exists; None: see `existence`.
     """
     heights = height_span(sightings, built, cameras, camera)
     if probability is None:
@@ -151,7 +150,7 @@ def landmark_map_of(
     whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
     profile = medians(built.of[built.used], len(built), sightings.profile[built.used])
     quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
-    cov = built.cov + (parameters.place_sigma_m**2 + pose_sigma_m**2) * np.eye(2)
+    cov = built.cov + parameters.place_sigma_m**2 * np.eye(2)
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
     kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters)))
     return replace(kept, ids=tuple(range(len(kept))))
