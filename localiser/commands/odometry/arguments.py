@@ -16,13 +16,10 @@ if TYPE_CHECKING:
     from localiser.commands.odometry.fit import Checked
 
 odometry_app = typer.Typer(
-    no_args_is_help=True, help="Find out how good the robot's odometry is.", rich_markup_mode="markdown"
+    no_args_is_help=True,
+    help="Find out how good the robot's odometry is; make a truth of it and of marks.",
+    rich_markup_mode="markdown",
 )
-
-
-@odometry_app.callback()
-def _group() -> None:
-    """Keep `fit` a command of its own, though it is the only one."""
 
 
 @odometry_app.command(
@@ -68,6 +65,49 @@ def fit(
     if out is not None:
         write_text(out, to_yaml(drives, found))
         typer.echo(f"Written to {out}; use it with --config {out}")
+
+
+@odometry_app.command(
+    epilog="""Example: `localiser odometry marks logs/drive marks.csv -o logs/drive/groundtruth.csv`, with marks.csv:
+
+`t_s,x,z,heading_deg,sigma_m`
+
+`0.0,0.00,0.00,90,0.01`
+
+`31.5,4.25,-3.10,,`"""
+)
+def marks(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of the drive, with odometry.")],
+    marks_file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MARKS",
+            help="CSV of when the robot stood on which mark: t_s (since the first odometry) or t_ns, x, z (metres), "
+            "and where known heading_deg, sigma_m (0.01), sigma_deg (2).",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, as `t_ns,x,z,heading`.")],
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make the true poses of a drive over surveyed MARKS: odometry between them, corrected to meet them."""
+    from localiser.calibration import drive_over_marks
+    from localiser.commands.odometry.marks import named, shown_drive
+    from localiser.config import read_config
+    from localiser.storage import open_log, read_marks, require_new_file, require_odometry, write_poses
+
+    require_new_file(out)
+    recorded = open_log(log)
+    require_odometry(recorded, "a drive over marks")
+    settings = read_config(config, overrides or [], recorded.settings)
+    table = read_marks(marks_file, int(recorded.odometry.t_ns[0]))
+    with named(table):
+        drive = drive_over_marks(recorded.odometry, table.marks, settings.motion)
+    write_poses(drive.trajectory, out)
+    if not quiet:
+        typer.echo(shown_drive(drive))
+        typer.echo(f"Written to {out}; a log has it as its truth by `groundtruth: {out.name}` in log.yaml.")
 
 
 def _show(drives: list[Checked], found: OdometryFit) -> None:
