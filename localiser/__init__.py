@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from localiser.camera import Camera, Mount, MountSigma
+    from localiser.camera import Camera, Mount, MountSigma, RollingShutter
     from localiser.config import Config, read_config
     from localiser.edges import BearingSensor, Detector, EdgeParameters, Edges, find_edges
     from localiser.errors import InputError, LocaliserError
     from localiser.evaluate import Track
     from localiser.filter import Located, LocatedFrame, Start
-    from localiser.geometry import Increment, Trajectory, compose, robot_from_map, wrap_angle
+    from localiser.geometry import Increment, Trajectory, Twist, compose, robot_from_map, wrap_angle
     from localiser.landmarks import LandmarkMap
     from localiser.localiser import Localiser
     from localiser.mapping import BuildWatch, MapBuilt, build_map
@@ -64,11 +64,13 @@ __all__ = [
     "Observation",
     "Particles",
     "Replay",
+    "RollingShutter",
     "Sighting",
     "Sink",
     "Start",
     "Track",
     "Trajectory",
+    "Twist",
     "World",
     "build_map",
     "compose",
@@ -87,13 +89,13 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "camera": ("Camera", "Mount", "MountSigma"),
+    "camera": ("Camera", "Mount", "MountSigma", "RollingShutter"),
     "config": ("Config", "read_config"),
     "edges": ("BearingSensor", "Detector", "EdgeParameters", "Edges", "find_edges"),
     "errors": ("InputError", "LocaliserError"),
     "evaluate": ("Track",),
     "filter": ("Located", "LocatedFrame", "Start"),
-    "geometry": ("Increment", "Trajectory", "compose", "robot_from_map", "wrap_angle"),
+    "geometry": ("Increment", "Trajectory", "Twist", "compose", "robot_from_map", "wrap_angle"),
     "landmarks": ("LandmarkMap",),
     "localiser": ("Localiser",),
     "mapping": ("BuildWatch", "MapBuilt", "build_map"),

@@ -53,9 +53,27 @@ class Mount:
     sigma: MountSigma | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class RollingShutter:
+    """Rows are taken one after another, row_time_s apart; negative: from the bottom up.
+
+    stamp_row: the row, counted from 0 at the top, that is taken at the image's time stamp.
+    """
+
+    row_time_s: float
+    stamp_row: float = 0.0
+
+    def since_stamp_s(self, row: ArrayLike) -> Array:
+        """Return how long (...,) after the image's time stamp rows (...,) are taken."""
+        return np.asarray((np.asarray(row, dtype=np.float64) - self.stamp_row) * self.row_time_s)
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics (pixels, centre of the top-left pixel is (0, 0)), lens distortion as in ROS, and the mount."""
+    """Intrinsics (pixels, centre of the top-left pixel is (0, 0)), lens distortion as in ROS, and the mount.
+
+    shutter: None where all rows are taken at once.
+    """
 
     width: int
     height: int
@@ -67,6 +85,7 @@ class Camera:
     distortion_model: str = "none"
     distortion: tuple[float, ...] = ()
     name: str = ""
+    shutter: RollingShutter | None = None
 
     # -- frames -------------------------------------------------------------------------------------------------
 
@@ -114,6 +133,14 @@ class Camera:
     def undistorted(self) -> Camera:
         """Return the ideal pinhole camera with the same matrix and mount."""
         return replace(self, distortion_model="none", distortion=())
+
+    @property
+    def readout_s(self) -> tuple[float, float]:
+        """When the earliest and the latest row of an image are taken, after its time stamp; 0 where all are at once."""
+        if self.shutter is None:
+            return 0.0, 0.0
+        ends = self.shutter.since_stamp_s([0, self.height - 1])
+        return float(ends.min()), float(ends.max())
 
     # -- pixels and rays ----------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from localiser.camera import DISTORTION_COUNTS, Camera, Mount
+from localiser.camera import DISTORTION_COUNTS, Camera, Mount, RollingShutter
 from localiser.documents import (
     Document,
     dump,
@@ -56,6 +56,15 @@ class MountFile(BaseModel):
     yaw_deg: Degrees = 0.0
 
 
+class ShutterFile(BaseModel):
+    """How the rows of an image follow each other; row_time_us: negative where the last row is the first to be taken."""
+
+    model_config = FileModel
+
+    row_time_us: Annotated[float, Field(ge=-1000, le=1000)]
+    stamp_row: Annotated[float, Field(ge=0, le=2**14)] = 0.0
+
+
 class CameraFile(BaseModel):
     """A camera file. What ROS adds for stereo pairs and for cutting is accepted where it changes nothing."""
 
@@ -70,6 +79,7 @@ class CameraFile(BaseModel):
     distortion_coefficients: MatrixFile | None = None
     rectification_matrix: MatrixFile | None = None
     projection_matrix: MatrixFile | None = None
+    rolling_shutter: ShutterFile | None = None
 
 
 def read_camera(path: Path | str) -> Camera:
@@ -93,7 +103,29 @@ def camera_from_document(document: Document) -> Camera:
     mount |= {name: getattr(file.mount, name) for name in _LENGTHS}
     model, distortion = file.distortion_model, _distortion(document, file)
     size = (file.image_width, file.image_height)
-    return Camera(*size, *intrinsics, Mount(**mount), model, distortion, file.camera_name)
+    shutter = _shutter(document, file)
+    return Camera(*size, *intrinsics, Mount(**mount), model, distortion, file.camera_name, shutter)
+
+
+def _shutter(document: Document, file: CameraFile) -> RollingShutter | None:
+    """Return how the shutter rolls, None where it does not."""
+    stated = file.rolling_shutter
+    if stated is None or stated.row_time_us == 0:
+        return None
+    if stated.stamp_row > file.image_height - 1:
+        problem = f"expected a row of the image, 0 to {file.image_height - 1}, found {stated.stamp_row:g}"
+        raise document.error(("rolling_shutter", "stamp_row"), problem)
+    return shutter_of(stated.row_time_us, stated.stamp_row)
+
+
+def shutter_of(row_time_us: float, stamp_row: float) -> RollingShutter:
+    """Return the shutter whose rows are so many microseconds apart."""
+    return RollingShutter(row_time_us / 1e6, stamp_row)
+
+
+def shutter_data(shutter: RollingShutter) -> dict[str, float]:
+    """Return the shutter as plain data, as files have it; to 15 digits, so that 62.5 µs come back as 62.5."""
+    return {"row_time_us": float(f"{shutter.row_time_s * 1e6:.15g}"), "stamp_row": float(shutter.stamp_row)}
 
 
 def _intrinsics(document: Document, matrix: MatrixFile) -> tuple[float, float, float, float]:
@@ -222,7 +254,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "distortion_model": camera.distortion_model,
         "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
         "mount": angles | lengths,
-    }
+    } | ({"rolling_shutter": shutter_data(camera.shutter)} if camera.shutter else {})
 
 
 def degrees(angle_rad: float) -> float:

@@ -15,7 +15,7 @@ from localiser.documents import Place, shown
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import Anywhere, Odometry, Sighting, Start
-from localiser.geometry import Trajectory
+from localiser.geometry import Trajectory, Twist, twist_at
 from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent
 
@@ -98,6 +98,13 @@ class Log:
     def has_images(self) -> bool:
         """Whether the frames are images, not edges."""
         return isinstance(self.frames[0], ImageEvent)
+
+    def twist_at(self, t_ns: int) -> Twist | None:
+        """Return how the robot moved while it took the image of a time, by its wheels.
+
+        None where that does not matter, because the camera takes all rows at once.
+        """
+        return twist_at(self.odometry, t_ns, self.camera.readout_s) if self.camera.shutter else None
 
     def events(self, start: Start | None = None, *, anywhere: bool = False) -> Iterator[Event]:
         """Yield everything in the order of time: the start first, odometry before an image of the same time.

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_log import CAMERA
 
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera, Mount, RollingShutter
 from localiser.documents import dump, parse
 from localiser.errors import InputError
 from localiser.storage import read_camera, write_camera
@@ -94,3 +94,35 @@ def test_camera_without_distortion(tmp_path: Path) -> None:
     camera = replace(CAMERA, distortion_model="none", distortion=())
     write_camera(camera, tmp_path / "camera.yaml")
     assert_same(read_camera(tmp_path / "camera.yaml"), camera)
+
+
+def test_a_rolling_shutter_is_read_back(tmp_path: Path) -> None:
+    camera = replace(CAMERA, shutter=RollingShutter(62.5e-6, stamp_row=23.5))
+    write_camera(camera, tmp_path / "camera.yaml")
+    data = yaml.safe_load((tmp_path / "camera.yaml").read_text())
+    assert data["rolling_shutter"] == {"row_time_us": 62.5, "stamp_row": 23.5}
+    assert read_camera(tmp_path / "camera.yaml").shutter == camera.shutter
+    assert camera.readout_s == pytest.approx((-62.5e-6 * 23.5, 62.5e-6 * 23.5))
+
+
+@pytest.mark.parametrize("stated", [None, {"row_time_us": 0}])
+def test_a_camera_without_row_time_takes_all_rows_at_once(stated: dict[str, float] | None) -> None:
+    data = camera_data(CAMERA)
+    assert "rolling_shutter" not in data
+    camera = camera_from_document(parse(dump(data | ({"rolling_shutter": stated} if stated else {})), "f"))
+    assert camera.shutter is None and camera.readout_s == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stated", "field", "found"),
+    [
+        ({"row_time_us": 50, "stamp_row": 48}, "rolling_shutter.stamp_row", "row of the image, 0 to 47, found 48"),
+        ({"row_time_us": 2000}, "rolling_shutter.row_time_us", "1000"),
+        ({"stamp_row": 0}, "rolling_shutter.row_time_us", "row_time_us"),
+        ({"row_time_us": 50, "readout": 1}, "rolling_shutter.readout", "readout"),
+    ],
+)
+def test_a_shutter_that_cannot_be_is_refused(stated: dict[str, float], field: str, found: str) -> None:
+    with pytest.raises(InputError, match=found) as refused:
+        camera_from_document(parse(dump(camera_data(CAMERA) | {"rolling_shutter": stated}), "f"))
+    assert refused.value.field == field

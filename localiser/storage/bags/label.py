@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from localiser.camera import Mount, MountSigma
+from localiser.camera import Camera, Mount, MountSigma
 from localiser.documents import MAX_DOCUMENT_BYTES, Document, dump, parse
 from localiser.errors import InputError
-from localiser.storage.cameras import FileModel
+from localiser.storage.cameras import FileModel, ShutterFile, shutter_data, shutter_of
 from localiser.storage.folder import StartFile, start_data
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log
@@ -29,6 +29,7 @@ class Label(BaseModel):
     camera_name: Annotated[str, Field(max_length=200)] = ""
     start: StartFile | None = None
     motion: dict[str, Any] | None = None
+    rolling_shutter: ShutterFile | None = None
     mount_sigma: dict[Literal["yaw_rad", "height_m", "right_m", "back_m"], float] | None = None
     settings: dict[str, Any] | None = None  # everything that a live run was set to, by names such as `mcl.particles`
     topics: dict[str, str] | None = None  # what a live run listened to, by what it is for, such as `image`
@@ -48,6 +49,8 @@ def label_text(log: Log) -> str:
         data["start"] = start_data(log.start)
     if motion := motion_settings(log):
         data["motion"] = motion
+    if log.camera.shutter is not None:
+        data["rolling_shutter"] = shutter_data(log.camera.shutter)
     if sigma := _mount_sigma(log):
         data["mount_sigma"] = sigma
     return dump(data)
@@ -76,6 +79,16 @@ def with_sigma(mounts: Sequence[Mount | None], label: Label) -> Sequence[Mount |
     if not sigmas:
         return mounts
     return [mount and replace(mount, sigma=replace(mount.sigma or MountSigma(), **sigmas)) for mount in mounts]
+
+
+def labelled(camera: Camera, label: Label) -> Camera:
+    """Return the camera with what no message of ROS says of it: its name, and how its shutter rolls."""
+    shutter = label.rolling_shutter
+    return replace(
+        camera,
+        name=camera.name or label.camera_name,
+        shutter=shutter_of(shutter.row_time_us, shutter.stamp_row) if shutter else camera.shutter,
+    )
 
 
 def live_label_text(name: str, settings: Mapping[str, Any], topics: Mapping[str, str]) -> str:

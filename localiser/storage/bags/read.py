@@ -20,7 +20,7 @@ from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Messa
 from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.decisions import Decisions
 from localiser.storage.bags.frames import floor_pose
-from localiser.storage.bags.label import FORMAT, Label, document_of, with_sigma
+from localiser.storage.bags.label import FORMAT, Label, document_of, labelled, with_sigma
 from localiser.storage.bags.playback import ImagePlace, Playback
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
 from localiser.storage.cameras import camera_from_document, read_camera
@@ -187,7 +187,7 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
         mounts = _made(content, lambda: content.finder.mounts([place.stamp_ns for place in places]))
         mounts = with_sigma(mounts, label)
     camera = given or content.finder.camera or _made(content, content.finder.made)
-    camera = camera if given else replace(camera, name=camera.name or label.camera_name)
+    camera = camera if given else labelled(camera, label)
     first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
     starts = decisions.starts or [start_from_file(label.start, first_ns) if label.start else None]
     size = (camera.width, camera.height)

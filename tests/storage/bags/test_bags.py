@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rosbags.interfaces import QosDurability
 from small_bag import HEIGHT, OPTICAL, WIDTH, Recorder, bag, recording
 from small_log import CAMERA, write_edge_log, write_small_log
 
+from localiser.camera import RollingShutter
 from localiser.errors import InputError, OutputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag
 from localiser.storage.bags import playback
@@ -73,6 +75,14 @@ def test_a_bag_of_one_file_needs_no_folder(tmp_path: Path, name: str) -> None:
 @KINDS
 def test_lens_models_survive(tmp_path: Path, kind: str, model: tuple[str, tuple[float, ...]]) -> None:
     assert_lens_survives(tmp_path, kind, *model)
+
+
+@KINDS
+def test_a_rolling_shutter_survives(tmp_path: Path, kind: str) -> None:
+    log = open_log(write_small_log(tmp_path / "log"))
+    shutter = RollingShutter(62.5e-6, stamp_row=23.5)
+    write_bag(tmp_path / NAMES[kind], replace(log, camera=replace(log.camera, shutter=shutter)), kind)
+    assert open_log(tmp_path / NAMES[kind]).camera.shutter == shutter
 
 
 @KINDS
