@@ -15,13 +15,14 @@ from localiser.edges.line_detectors import hough, lsd
 from localiser.edges.measure import edges_of_segments
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import polarity_of_profiles, profiles
+from localiser.edges.readout import Readout, readout_of
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image, half_camera, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
-from localiser.geometry import Array
+from localiser.geometry import Array, Twist
 
 END_SIGMA_PX = 0.5
 """Error of an end across the line, for detectors that do not state it."""
@@ -37,13 +38,15 @@ def find_edges(
     parameters: EdgeParameters | None = None,
     *,
     mount: Mount | None = None,
+    twist: Twist | None = None,
     detector: Detector | None = None,
     with_probabilities: bool = False,
 ) -> Edges:
     """Return the vertical edges of an image.
 
     image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. mount: of the camera when it took the
-    image; None: as the camera says. detector: what finds segments, by
+    image; None: as the camera says. twist: of the robot then, which matters where the camera's shutter rolls; edges are
+    then as they were at the image's time stamp. detector: what finds segments, by
     default the one that the parameters name; see `Detector`. with_probabilities: state how likely each edge is vertical
     and each lower end stands on the floor, to look at; neither localising nor mapping uses them. Raises InputError.
     """
@@ -52,19 +55,24 @@ def find_edges(
     if parameters.half_resolution:
         least_px = parameters.min_length_px / 2
         smaller = replace(parameters, half_resolution=False, min_length_px=least_px)
-        options = {"detector": detector, "with_probabilities": with_probabilities}
+        options = {"twist": twist, "detector": detector, "with_probabilities": with_probabilities}
         edges = find_edges(halved(grey), half_camera(camera), smaller, **options)  # type: ignore[arg-type]
         return _in_whole_pixels(edges, mount)
     found = (detector or detector_of(parameters))(grey, camera)
-    segments = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
+    taken = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
+    segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
+    if readout is not None:
+        segments, turn_sigma_rad = at_stamp(taken, readout)
     mount_sigma_rad = tilt_and_roll_sigma_rad(parameters, camera)
     plumb_sigma_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
-    vertical, error = vertical_segments(segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma)
+    vertical, error = vertical_segments(
+        segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma, turn_sigma_rad
+    )
     kept, others = segments.take(vertical), segments.take(~vertical)
     if not kept.polarity.all():
-        kept = replace(kept, polarity=polarity_of_profiles(profiles(kept.ends_px, grey, camera)))
+        kept = replace(kept, polarity=polarity_of_profiles(profiles(taken.ends_px[vertical], grey, camera)))
     edge = same_edge(kept, camera, error, parameters.gate_sigma)
-    edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad)
+    edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad, readout)
     edges = edges.take(edges.length_px >= parameters.min_length_px)
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
     edges = replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
@@ -73,7 +81,7 @@ def find_edges(
     return replace(
         edges,
         vertical_probability=vertical_probability(edges, others, camera, mount_sigma_rad, plumb_sigma_rad),
-        foot_probability=foot_probability(edges.ends_px[:, 0], edges.foot_range_m, grey, camera),
+        foot_probability=foot_probability(_taken_px(edges, camera, readout)[:, 0], edges.foot_range_m, grey, camera),
     )
 
 
@@ -88,6 +96,24 @@ def _in_whole_pixels(edges: Edges, mount: Mount | None) -> Edges:
     """Return edges of an image of half the resolution with the pixels of the whole one."""
     ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))
     return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
+
+
+def at_stamp(taken: Segments, readout: Readout) -> tuple[Segments, Array]:
+    """Return segments (S) as they were at the image's time stamp, and how far (S,) rad each may be turned besides."""
+    rate, rate_sigma = readout.rates(taken.ends_px)
+    ends_px, support_px = (readout.at_stamp(points, rate) for points in (taken.ends_px, taken.support_px))
+    turn_sigma_rad = np.abs(readout.turn_of(support_px, rate)) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
+    return replace(taken, ends_px=ends_px, support_px=support_px), turn_sigma_rad
+
+
+def _taken_px(edges: Edges, camera: Camera, readout: Readout | None) -> Array:
+    """Return where the ends (E, 2, 2) of edges are in the image."""
+    if readout is None:
+        return edges.ends_px
+    ideal = ideal_camera(camera)
+    ends_px = ideal.pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    taken_px = readout.as_taken(ends_px, readout.rates(ends_px)[0])
+    return camera.pixels_from_image(ideal.image_from_pixels(taken_px))
 
 
 def tilt_and_roll_sigma_rad(parameters: EdgeParameters, camera: Camera) -> Array:

@@ -42,13 +42,14 @@ _LOG_ODDS = {"always": 3.6, "range": -0.8, "junction": -0.7, "near": -2.3, "far"
 """Logistic regression on images of two simulated worlds and a rendered one, all weighing alike."""
 
 
-def foot_of_edges(bottom_px: Array, camera: Camera) -> tuple[Array, Array]:
+def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = None) -> tuple[Array, Array]:
     """Return the floor range (E,) m of feet seen at pixels (E, 2), and its sigma; nan where no foot is seen.
 
-    A foot is where an edge ends inside the image and below the horizon. Design equation 9.
+    A foot is where an edge ends inside the image and below the horizon. Design equation 9. taken_px: (E, 2) where the
+    image shows them, if a rolling shutter took them elsewhere.
     """
-    size = np.array([camera.width, camera.height])
-    inside = np.all((bottom_px >= BORDER_PX) & (bottom_px <= size - 1 - BORDER_PX), axis=1)
+    size, taken_px = np.array([camera.width, camera.height]), bottom_px if taken_px is None else taken_px
+    inside = np.all((taken_px >= BORDER_PX) & (taken_px <= size - 1 - BORDER_PX), axis=1)
     rays = camera.level_rays(bottom_px)
     depression = np.arctan2(-rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))
     sigma_rad = FOOT_SIGMA_PX / camera.focal_px

@@ -11,7 +11,7 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges.mount_kernel import mount_loop
 from localiser.edges.segments import Segments
-from localiser.edges.types import Edges
+from localiser.edges.types import TURN_RATE, Edges
 from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
@@ -97,7 +97,21 @@ def nadir_miss_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float) ->
     """Return how far edges (E) are from pointing at the nadir point; short ones are stated to be more crooked."""
     ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
     miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad)
-    return replace(miss, sigma=edges.lean_sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
+    sigma = edges.lean_sigma
+    if TURN_RATE in edges.common.names:
+        sigma = np.hypot(sigma, _turned_alike(edges, camera))
+    return replace(miss, sigma=sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
+
+
+def _turned_alike(edges: Edges, camera: Camera) -> Array:
+    """Return how far (E,) rad an error of the turn rate turns edges, so that their number does not average it."""
+    tilt_rad = camera.mount.tilt_rad
+    if tilt_rad == 0:
+        return np.zeros(len(edges))
+    common = edges.common
+    k = common.names.index(TURN_RATE)
+    lean = common.bearing_from_lean[:, k] / geometry.bearing_per_lean(edges.bearing, tilt_rad)
+    return np.asarray(np.sqrt(len(edges) * common.cov[k, k]) * np.abs(lean))
 
 
 def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = False) -> MountError:

@@ -12,14 +12,17 @@ from localiser.camera import Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, finite_numbers
 
+TURN_RATE = "turn rate"
+"""The name of the common error of a rolling shutter, rad/s: how fast the robot turned."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonError:
     """Errors that move all edges of a frame together: K terms, such as tilt and roll (design equation 8).
 
-    names: K names, tilt and roll first where known. cov: (K, K), rad², or m² for lengths. bearing_from_lean: (E, K)
-    derivative of the bearing computed from lean alone. bearing_from_line: (E, K) derivative of the bearing of the line
-    held through the nadir point.
+    names: K names, tilt and roll first where known. cov: (K, K), rad², m² for lengths, rad²/s² for rates.
+    bearing_from_lean: (E, K) derivative of the bearing computed from lean alone. bearing_from_line: (E, K) derivative
+    of the bearing of the line held through the nadir point.
     """
 
     names: tuple[str, ...]
@@ -44,7 +47,8 @@ class Edges:
     vertical_probability: (E,) how likely this is a vertical edge of the scene, and no other line that happens to point
         at the nadir point; to look at, see `find_edges`.
     length_px: (E,) visible length. polarity: (E,) +1 dark to light from left to right, -1 light to dark, 0 unknown.
-    ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included.
+    ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included. Where the
+        shutter rolls: in the image that would have been taken at once, at the time stamp.
     foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
         where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
     foot_probability: (E,) how likely the lower end stands on the floor; 0 where foot_range_m is nan. To look at too.

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.camera import Camera
+from localiser.camera import Camera, RollingShutter
 from localiser.geometry import Array
 
 Image = NDArray[np.uint8]
@@ -50,6 +50,7 @@ def ideal_camera(camera: Camera) -> Camera:
 @lru_cache(maxsize=8)
 def half_camera(camera: Camera) -> Camera:
     """Return the cached camera of images in which two rows and two columns have been averaged to one."""
+    shutter = camera.shutter
     return replace(
         camera,
         width=camera.width // 2,
@@ -58,6 +59,7 @@ def half_camera(camera: Camera) -> Camera:
         fy=camera.fy / 2,
         cx=(camera.cx - 0.5) / 2,
         cy=(camera.cy - 0.5) / 2,
+        shutter=shutter and RollingShutter(2 * shutter.row_time_s, (shutter.stamp_row - 0.5) / 2),
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera
 from localiser.edges.mount import MountError, NadirMiss, fit_mount, nadir_miss
@@ -24,14 +26,21 @@ _RESOLVED_PX = 1.5
 
 
 def vertical_segments(
-    segments: Segments, camera: Camera, mount_sigma_rad: Array, plumb_sigma_rad: float, gate_sigma: float
+    segments: Segments,
+    camera: Camera,
+    mount_sigma_rad: Array,
+    plumb_sigma_rad: float,
+    gate_sigma: float,
+    turn_sigma_rad: ArrayLike = 0.0,
 ) -> tuple[NDArray[np.bool_], MountError]:
     """Return (S,) which segments meet the nadir point within what noise allows, and the error of the stated mount.
 
     The stated tilt and roll, uncertain by `mount_sigma_rad` (2,), say which segments may be vertical. Those agree on a
-    better tilt and roll, which then decide. Plumb: how far real edges are from vertical.
+    better tilt and roll, which then decide. Plumb: how far real edges are from vertical. turn_sigma_rad: by how much
+    segments (S,) may be turned besides.
     """
     miss = nadir_miss(segments, camera, plumb_sigma_rad)
+    miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
     prior = MountError(np.zeros(2), np.diag(mount_sigma_rad**2))
     candidates = _above_nadir(segments, camera) & _is_met(miss, prior, gate_sigma)
     posterior = fit_mount(miss.take(candidates), mount_sigma_rad)
