@@ -44,7 +44,7 @@ from localiser.filter import (
     step,
 )
 from localiser.filter import warm_up as warm_up_filter
-from localiser.geometry import Array, finite_numbers
+from localiser.geometry import Array, Trajectory, Twist, finite_numbers, twist_at
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel
 from localiser.observation import EdgeObservation, LocalisesGlobally, Observation, observation_of
@@ -199,21 +199,41 @@ class Localiser:
     def image(
         self, t_ns: int, image: Image, mount: Mount | None = None, *, by_wheels: bool = True
     ) -> list[LocatedFrame]:
-        """Take an image: find its edges, then do as `edges`. image: see `measure`."""
-        return self.edges(t_ns, self.measure(image, mount), mount, by_wheels=by_wheels)
+        """Take an image: find its edges, then do as `edges`. image: see `measure`.
 
-    def measure(self, image: Image, mount: Mount | None = None) -> MeasuredImage:
+        A camera whose shutter rolls should be given the wheels' poses up to the image's time before the image.
+        """
+        return self.edges(
+            t_ns, self.measure(image, mount, self.twist_at(_nanoseconds(t_ns))), mount, by_wheels=by_wheels
+        )
+
+    def twist_at(self, t_ns: int, track: Trajectory | None = None) -> Twist | None:
+        """Return how the robot moved while it took the image of a time, for `measure`.
+
+        track: poses of the wheels; None: those that `odometry` was given until now. None is returned where the camera
+        takes all rows at once, so that it does not matter.
+        """
+        if self._camera is None or self._camera.shutter is None:
+            return None
+        if track is None:
+            poses = self.state.odometry
+            times_ns = np.array([pose.t_ns for pose in poses], dtype=np.int64)
+            track = Trajectory(times_ns, np.array([pose.pose for pose in poses]).reshape(-1, 3))
+        return twist_at(track, t_ns, self._camera.readout_s)
+
+    def measure(self, image: Image, mount: Mount | None = None, twist: Twist | None = None) -> MeasuredImage:
         """Return the edges of an image, for `edges` to take now or later. Changes nothing.
 
         image: (H, W) grey or (H, W, 3) BGR uint8, or a JPEG or PNG file's bytes. mount: of the camera when it took this
-        image; None: as the camera says. Raises InputError when the image is damaged or of another size than the
+        image; None: as the camera says. twist: of the robot then, which a camera whose shutter rolls needs; see
+        `twist_at`. Raises InputError when the image is damaged or of another size than the
         camera's, or the mount is none with which anything could be seen.
         """
         self._check(self._camera and self._camera.at(valid_mount(mount)), images=True)
         begin = perf_counter()
         pixels = decoded_file(image, self.camera) if isinstance(image, bytes) else image
         loaded = perf_counter()
-        edges = find_edges(pixels, self.camera, self.config.edges, mount=mount, detector=self._detector)
+        edges = find_edges(pixels, self.camera, self.config.edges, mount=mount, twist=twist, detector=self._detector)
         found = perf_counter()
         return MeasuredImage(edges, image, {"load": 1e3 * (loaded - begin), "edges": 1e3 * (found - loaded)})
 

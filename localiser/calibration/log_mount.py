@@ -12,7 +12,7 @@ from localiser.calibration.lines import Lines, lines_of
 from localiser.calibration.plumb import PRIOR_SIGMA_RAD, REACH_SIGMA, fitted, voted
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, find_edges
-from localiser.geometry import Array, wrap_angle
+from localiser.geometry import Array, Twist, wrap_angle
 
 _COARSE_IMAGES = 60
 _COARSE_PASSES = 4
@@ -77,12 +77,13 @@ def mount_of_images(
     camera: Camera,
     parameters: EdgeParameters,
     progress: Callable[[], None] = lambda: None,
+    twist_of: Callable[[int], Twist | None] = lambda _: None,
 ) -> LogMount:
     """Return tilt and roll of `camera` over images 0 … F - 1, starting from a stated mount that may be degrees off.
 
     views: (F,) which view each image belongs to; see `views_of`. The detector looks along the columns of an image from
     which the stated mount is undone, so that is brought up to date on a few images first. `progress` is called once
-    per image of the last pass.
+    per image of the last pass. twist_of: how the robot moved at an image, see `find_edges`.
     """
     stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
     few = spread(len(views), _COARSE_IMAGES)
@@ -90,11 +91,11 @@ def mount_of_images(
     searching = replace(parameters, tilt_sigma_deg=float(wide[0]), roll_sigma_deg=float(wide[1]))
     present = stated
     for _ in range(_COARSE_PASSES):
-        lines = _lines_at(present, load, few, camera, searching)
+        lines = _lines_at(present, load, few, camera, searching, twist_of=twist_of)
         before, present = present, fitted(lines, stated, voted(lines, stated)).mount
         if np.abs(present - before).max() < _SETTLED_RAD:
             break
-    lines = _lines_at(present, load, range(len(views)), camera, parameters, progress)
+    lines = _lines_at(present, load, range(len(views)), camera, parameters, progress, twist_of)
     return mount_of_lines(lines, views, stated)
 
 
@@ -105,12 +106,13 @@ def _lines_at(
     camera: Camera,
     parameters: EdgeParameters,
     progress: Callable[[], None] = lambda: None,
+    twist_of: Callable[[int], Twist | None] = lambda _: None,
 ) -> Lines:
     """Return the lines of some images as the detector finds them with the tilt and roll (2,)."""
     turned = camera.with_mount(tilt_rad=float(mount[0]), roll_rad=float(mount[1]))
     parts = []
     for i in images:
-        parts.append(lines_of(find_edges(load(i), turned, parameters), turned, i))
+        parts.append(lines_of(find_edges(load(i), turned, parameters, twist=twist_of(i)), turned, i))
         progress()
     return Lines.together(parts)
 

@@ -421,7 +421,7 @@ class LiveRun:
             self._weigh(self.localiser, frame)
             return
         waiting = self.timeline.waiting
-        if waiting is not None and waiting.measured is None:
+        if waiting is not None and waiting.measured is None and self.localiser.camera.shutter is None:
             self._find_edges(self.localiser, waiting)
 
     def _now_ns(self) -> int:
@@ -442,7 +442,8 @@ class LiveRun:
         """Find the edges of an image; an image that is damaged is left out."""
         try:
             pixels = grey_image(frame.message)
-            frame.measured = localiser.measure(image_file(frame.message) if pixels is None else pixels)
+            image = image_file(frame.message) if pixels is None else pixels
+            frame.measured = localiser.measure(image, twist=localiser.twist_at(frame.t_ns, self.timeline.track))
         except (InputError, ValueError) as error:
             self.monitor.warn("bad image", f"left out an image: {error}")
             self.timeline.discard(frame, "damaged")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from localiser.filter import Odometry
-from localiser.geometry import Array
+from localiser.geometry import Array, Trajectory
 from localiser.localiser import MeasuredImage
 from localiser.storage.bags import image_decision, odometry_decision
 
@@ -66,7 +66,7 @@ class Timeline:
     heard_ns: int = -1
     late_odometry: int = 0
     skipped: dict[str, int] = field(default_factory=dict)
-    _released: deque[Odometry] = field(default_factory=lambda: deque(maxlen=2))  # on both sides of the last image
+    _released: deque[Odometry] = field(default_factory=lambda: deque(maxlen=8))  # before the last image, one after
     _odometry: list[tuple[int, int, Array]] = field(default_factory=list)
     _frames: list[Frame] = field(default_factory=list)
 
@@ -117,6 +117,13 @@ class Timeline:
     def waiting(self) -> Frame | None:
         """The newest image that still waits for the wheels."""
         return self._frames[-1] if self._frames else None
+
+    @property
+    def track(self) -> Trajectory:
+        """The poses of the wheels about the last image and since."""
+        poses = [*self._released, *(Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
+        times_ns = np.array([pose.t_ns for pose in poses], dtype=np.int64)
+        return Trajectory(times_ns, np.array([pose.pose for pose in poses]).reshape(-1, 3))
 
     def release(self, frame: Frame) -> Iterator[Odometry]:
         """Yield the poses of the wheels up to the first at or after an image that is weighed now; they are settled."""

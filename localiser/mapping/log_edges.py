@@ -22,6 +22,7 @@ from localiser.documents import drafted
 from localiser.edges import CommonError, EdgeParameters, Edges, find_edges
 from localiser.errors import OutputError
 from localiser.filter import Sighting
+from localiser.geometry import Twist
 from localiser.mapping.recorded import RecordedImage, RecordedLog
 
 # What was rejected is only looked at; a map is not built from it.
@@ -61,15 +62,16 @@ def _found(log: RecordedLog, parameters: EdgeParameters, cache: Path | None) -> 
             yield frame.t_ns, frame.edges
         else:
             images.append(frame)
-    path = cache / f"edges-{_key(images, log.camera, parameters)}.npz" if cache and images else None
+    twists = [log.twist_at(image.t_ns) for image in images]
+    path = cache / f"edges-{_key(images, twists, log.camera, parameters)}.npz" if cache and images else None
     known = _load(path, len(images)) if path else None
     if known is not None:
         for image, edges in zip(images, known, strict=True):
             yield image.t_ns, replace(edges, mount=image.mount)
         return
     found = []
-    for image in images:
-        edges = find_edges(image.load(), log.camera, parameters, mount=image.mount)
+    for image, twist in zip(images, twists, strict=True):
+        edges = find_edges(image.load(), log.camera, parameters, mount=image.mount, twist=twist)
         found.append(Edges(**{name: getattr(edges, name) for name in _COLUMNS}, common=edges.common, mount=image.mount))
         yield image.t_ns, found[-1]
     if path and len({edges.common.names for edges in found if len(edges)}) <= 1:
@@ -84,16 +86,19 @@ def cache_folder() -> Path:
     return Path(user) / "localiser" / "edges"
 
 
-def _key(images: Sequence[RecordedImage], camera: Camera, parameters: EdgeParameters) -> str:
+def _key(
+    images: Sequence[RecordedImage], twists: Sequence[Twist | None], camera: Camera, parameters: EdgeParameters
+) -> str:
     """Return a digest of all that the edges depend on."""
     digest = hashlib.sha256()
     for source in _sources():
         digest.update(source.read_bytes())
     values = {field.name: getattr(camera, field.name) for field in fields(camera)}
     digest.update(repr((sorted(values.items(), key=lambda item: item[0]), parameters)).encode())
-    for image in images:
-        if image.mount is not None:
-            digest.update(repr(image.mount).encode())
+    for image, twist in zip(images, twists, strict=True):
+        for part in (image.mount, twist):
+            if part is not None:
+                digest.update(repr(part).encode())
         digest.update(hashlib.sha256(image.encoded()).digest())
     return digest.hexdigest()[:32]
 

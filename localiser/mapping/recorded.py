@@ -14,7 +14,7 @@ from localiser import motion
 from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
-from localiser.geometry import Array, Increment, Trajectory, between, compose
+from localiser.geometry import Array, Increment, Trajectory, Twist, between, compose
 from localiser.mapping.factors import Wheels
 from localiser.motion import MotionParameters
 
@@ -55,6 +55,7 @@ class RecordedLog(Protocol):
     def start(self) -> Start | None: ...  # noqa: D102
     @property
     def frames(self) -> Sequence[RecordedImage | Sighting]: ...  # noqa: D102
+    def twist_at(self, t_ns: int) -> Twist | None: ...  # noqa: D102
 
 
 def known_poses(log: RecordedLog, poses: str) -> Trajectory:

@@ -129,7 +129,7 @@ class Replay:
     def _measured(self, event: ImageEvent) -> MeasuredImage:
         data = event.encoded()
         try:
-            return self.localiser.measure(data, event.mount)
+            return self.localiser.measure(data, event.mount, self.log.twist_at(event.t_ns))
         except InputError as error:
             raise self._named(error, event) from None
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_log import write_small_log
 
+from localiser.camera import RollingShutter
 from localiser.config import read_config
+from localiser.geometry import Trajectory
 from localiser.mapping import cache_folder
 from localiser.mapping.log_edges import edges_of_log
 from localiser.storage import open_log
@@ -70,3 +73,12 @@ def test_a_cache_that_the_readers_of_numpy_and_zip_cannot_read_is_passed_over(tm
         file.write_bytes(content)
     again = edges_of_log(log, parameters, cache=tmp_path / "c")
     assert [edges.bearing.tolist() for edges in again] == [edges.bearing.tolist() for edges in found]
+
+
+def test_edges_of_a_rolling_shutter_are_kept_by_how_the_robot_moved(tmp_path: Path) -> None:
+    log, parameters = open_log(write_small_log(tmp_path / "log", ".png")), read_config(None).edges
+    rolling = replace(log, camera=replace(log.camera, shutter=RollingShutter(600e-6)))
+    turning = Trajectory(log.odometry.t_ns, log.odometry.poses + np.outer(log.odometry.t_ns / 1e9, [0.0, 0.0, 1.0]))
+    for each in (log, rolling, replace(rolling, odometry=turning), rolling):
+        edges_of_log(each, parameters, cache=tmp_path / "c")
+    assert len(list((tmp_path / "c").iterdir())) == 3

@@ -30,7 +30,8 @@ def find_offset(log: Log, images: list[ImageEvent], config: Config, progress: Ca
     """Return by how much images of a log are stamped later than its wheels. Raises InputError for a bad image."""
 
     def edges_of(index: int) -> Edges:
-        return find_edges(images[index].load(), log.camera, config.edges)
+        image = images[index]
+        return find_edges(image.load(), log.camera, config.edges, twist=log.twist_at(image.t_ns))
 
     times = np.array([image.t_ns for image in images])
     return clock_offset(times, edges_of, log.odometry, log.camera, progress=progress)

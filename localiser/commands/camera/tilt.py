@@ -40,7 +40,9 @@ def find_tilt(log: Log, images: list[ImageEvent], config: Config, progress: Call
     """Return tilt and roll that images of a log tell. Raises InputError when one of them cannot be read."""
     times = np.array([image.t_ns for image in images])
     views = views_of(log.odometry.sampled(times).poses)
-    found = mount_of_images(lambda i: images[i].load(), views, log.camera, config.edges, progress)
+    found = mount_of_images(
+        lambda i: images[i].load(), views, log.camera, config.edges, progress, lambda i: log.twist_at(images[i].t_ns)
+    )
     return Tilt(log, found, (times - log.start_ns) / 1e9)
 
 

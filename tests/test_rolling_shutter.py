@@ -1,0 +1,92 @@
+"""A camera whose rows are taken one after another: what a localiser, a replay and a live run make of its images."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from localiser import open_log, replay_log
+from localiser.camera import RollingShutter
+from localiser.edges import find_edges
+from localiser.filter import Odometry
+from localiser.geometry import UNKNOWN_TWIST
+from localiser.live.timeline import Timeline
+from localiser.localiser import Localiser
+from localiser.simulate import world_of
+from localiser.storage import Log, simulate_log
+
+ROOT = Path(__file__).resolve().parents[1]
+SHUTTER = RollingShutter(30e-3 / 479)
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    recorded = open_log(ROOT / "logs" / "corridor")
+    return replace(recorded, camera=replace(recorded.camera, shutter=SHUTTER))
+
+
+def test_a_log_a_localiser_and_a_live_run_tell_the_same_motion(log: Log) -> None:
+    """Each knows the wheels' poses up to the first one at or after the image."""
+    assert log.landmark_map is not None
+    robot, timeline = Localiser(log.landmark_map, log.camera, seed=0), Timeline(lambda _: None)
+    image = log.frames[20]
+    until = int(np.searchsorted(log.odometry.t_ns, image.t_ns)) + 1
+    for number, (t_ns, pose) in enumerate(zip(log.odometry.t_ns[:until], log.odometry.poses[:until], strict=True)):
+        robot.state.odometry.append(Odometry(int(t_ns), pose))
+        timeline.add_odometry(int(t_ns), number, pose, 0)
+    told = log.twist_at(image.t_ns)
+    assert told is not None and abs(told.backward_m_s) > 0.3
+    assert robot.twist_at(image.t_ns) == told == robot.twist_at(image.t_ns, timeline.track)
+
+
+def test_nothing_is_asked_of_the_wheels_where_all_rows_are_taken_at_once(log: Log) -> None:
+    assert log.landmark_map is not None
+    plain = replace(log, camera=replace(log.camera, shutter=None))
+    assert plain.twist_at(log.frames[20].t_ns) is None
+    assert Localiser(log.landmark_map, plain.camera, seed=0).twist_at(log.frames[20].t_ns) is None
+
+
+def test_an_image_is_measured_by_the_motion_that_the_wheels_tell(log: Log) -> None:
+    assert log.landmark_map is not None and log.start is not None
+    robot = Localiser(log.landmark_map, log.camera, seed=0)
+    image = log.frames[20]
+    robot.start(log.start.mean, log.start.cov, int(log.odometry.t_ns[0]))
+    for t_ns, pose in zip(log.odometry.t_ns, log.odometry.poses, strict=True):
+        if t_ns < image.t_ns:
+            robot.odometry(int(t_ns), pose)
+    twist = robot.twist_at(image.t_ns)
+    assert twist is not None and twist != UNKNOWN_TWIST
+    robot.image(image.t_ns, image.load())  # type: ignore[union-attr]
+    (waiting,) = robot.state.waiting
+    expected = find_edges(image.load(), log.camera, robot.config.edges, twist=twist)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(waiting.edges.bearing, expected.bearing)
+    assert expected.common.names[-1] == "turn rate"
+
+
+def bends(shutter: dict[str, Any] | None) -> Log:
+    """Return the log of a short drive down the corridor that bends at 1 rad/s."""
+    world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
+    way = [(0.1, 0.7, 0.0), (-0.3, -0.9, 0.5), (0.3, -2.5, 0.5), (0.0, -4.0, 0.0)]
+    world["drive"]["path"] = [{"to": [x, z], "corner_radius_m": radius} for x, z, radius in way]
+    world["drive"] |= {"end_turn_deg": -90.0, "turn_deg_s": 57.3}
+    world["image"] |= {"colour": False}
+    world["camera"] |= {"rolling_shutter": shutter} if shutter else {}
+    return simulate_log(world_of(world), 0)
+
+
+@pytest.mark.slow
+def test_a_drive_is_as_accurate_as_with_all_rows_at_once_if_the_shutter_is_stated() -> None:
+    row_time = {"row_time_us": SHUTTER.row_time_s * 1e6}
+    plain, stated, silent = (
+        replay_log(bends(shutter), seed=0).metrics
+        for shutter in (None, {**row_time, "stated": True}, {**row_time, "stated": False})
+    )
+    assert stated["position_rmse_m"] < 1.3 * plain["position_rmse_m"]
+    assert stated["heading_rmse_deg"] < 1.3 * plain["heading_rmse_deg"]
+    assert stated["nees_mean"] < 2.0 and stated["confidence"]["sure_and_wrong"] == 0.0
+    assert silent["heading_rmse_deg"] > 3.0 * stated["heading_rmse_deg"]
