@@ -39,9 +39,11 @@ def drive_of(world: World, rng: np.random.Generator) -> Drive:
     """Return the world's drive and one draw of its odometry's errors."""
     spec = world.drive
     truth = truth_of(spec)
-    half_exposure_ns = round(world.image.exposure_s * 5e8)
-    first_ns = max(round(spec.image_offset_s * 1e9), half_exposure_ns)
-    count = int((truth.t_ns[-1] - half_exposure_ns - first_ns) * spec.image_hz / 1e9) + 1
+    half_exposure_ns = round(world.image.longest_exposure_s * 5e8)
+    before_s, after_s = world.camera.camera().readout_s
+    first_ns = max(round(spec.image_offset_s * 1e9), half_exposure_ns + round(-before_s * 1e9))
+    last_ns = truth.t_ns[-1] - half_exposure_ns - round(after_s * 1e9)
+    count = int((last_ns - first_ns) * spec.image_hz / 1e9) + 1
     image_t_ns = first_ns + np.round(np.arange(count) * 1e9 / spec.image_hz).astype(np.int64)
     return Drive(truth, odometry_of(truth, world.odometry, rng), image_t_ns)
 

@@ -64,9 +64,31 @@ def require_view_ahead(camera: Camera) -> None:
 @lru_cache(maxsize=1)
 def level_view_of(camera: Camera) -> LevelView:
     """Return the level view that covers the camera's image, which must not look straight down."""
+    return _view_of_rays(_rays(camera), camera)
+
+
+def strip_view_of(camera: Camera, rows: slice, turned_rad: Array) -> LevelView:
+    """Return the level view that covers some rows (R,) of the camera's image, each taken with the camera turned on.
+
+    turned_rad: (R,) anticlockwise, about the vertical through the camera.
+    """
+    rays = _rays(camera)[rows.start * OVERSAMPLE : rows.stop * OVERSAMPLE]
+    turned = np.repeat(turned_rad, OVERSAMPLE)[:, None]
+    x, z = rays[..., 0], rays[..., 2]
+    cos, sin = np.cos(turned), np.sin(turned)
+    return _view_of_rays(np.stack([cos * x + sin * z, rays[..., 1], -sin * x + cos * z], axis=-1), camera)
+
+
+@lru_cache(maxsize=1)
+def _rays(camera: Camera) -> Array:
+    """Return rays (H', W', 3) of the level frame through all samples of the camera's image."""
     u = (np.arange(camera.width * OVERSAMPLE) + 0.5) / OVERSAMPLE - 0.5
     v = (np.arange(camera.height * OVERSAMPLE) + 0.5) / OVERSAMPLE - 0.5
-    rays = camera.level_rays(np.stack(np.meshgrid(u, v), axis=-1))
+    return camera.level_rays(np.stack(np.meshgrid(u, v), axis=-1))
+
+
+def _view_of_rays(rays: Array, camera: Camera) -> LevelView:
+    """Return the level view that covers rays (H', W', 3) of some rows of the camera's image."""
     bearing, elevation = rays[..., 0] / -rays[..., 2], rays[..., 1] / -rays[..., 2]
     per_unit = OVERSAMPLE * camera.focal_px
     margin = 3 / per_unit
@@ -85,7 +107,7 @@ def level_view_of(camera: Camera) -> LevelView:
         stop_row,
         row_at.astype(np.float32),
         column_at.astype(np.float32),
-        (camera.width, camera.height),
+        (camera.width, len(rays) // OVERSAMPLE),
     )
 
 

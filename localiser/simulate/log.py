@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from localiser.errors import InputError
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.simulate.drive import Drive, drive_of
+from localiser.simulate.exposure import Exposures
 from localiser.simulate.mount_motion import stated_mount
 from localiser.simulate.render import Scene, expose, scene_of
 from localiser.simulate.solids import clearance_m
@@ -31,7 +32,7 @@ class SimulatedLog:
     landmark_map: landmarks that at least five images show; their ids are their indices in the map of the whole world.
     start, start_cov: stated pose (3,) at the first image, off the truth by a draw from that covariance (3, 3).
     visible: for each image what it truly shows; its landmarks are ids. mounts: of the camera at each image as the robot
-    states them, None where it does not move.
+    states them, None where it does not move. exposures: how each image is exposed.
     """
 
     name: str
@@ -45,6 +46,7 @@ class SimulatedLog:
     jpeg_quality: int
     seed: int
     scene: Scene
+    exposures: Exposures
 
     def __len__(self) -> int:
         return len(self.drive.image_t_ns)
@@ -52,7 +54,8 @@ class SimulatedLog:
     def image(self, index: int) -> NDArray[np.uint8]:
         """Return one image, (H, W) grey or (H, W, 3) BGR; the same whenever it is asked for."""
         rng = np.random.default_rng([self.seed, _IMAGES, index])
-        return expose(self.scene, self.drive.truth, int(self.drive.image_t_ns[index]), rng)
+        exposed = self.exposures.of(index)
+        return expose(self.scene, self.drive.truth, int(self.drive.image_t_ns[index]), rng, exposed)
 
     def images(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all images in the order of time."""
@@ -80,7 +83,7 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
     start[2] = wrap_angle(start[2])
     return SimulatedLog(
         name=world.name,
-        camera=scene.camera,
+        camera=scene.camera if _is_stated(world) else replace(scene.camera, shutter=None),
         drive=drive,
         landmark_map=_seen(scene.structure.landmark_map, visible),
         start=start,
@@ -90,7 +93,14 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
         jpeg_quality=world.image.jpeg_quality,
         seed=seed,
         scene=scene,
+        exposures=Exposures(scene, drive.truth, drive.image_t_ns),
     )
+
+
+def _is_stated(world: World) -> bool:
+    """Whether the log says how the shutter rolls, if it does."""
+    shutter = world.camera.rolling_shutter
+    return shutter is None or shutter.stated
 
 
 def _stated_mounts(scene: Scene, times_ns: list[int], rng: np.random.Generator) -> tuple[Mount | None, ...]:

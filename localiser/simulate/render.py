@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
-from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead
+from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead, strip_view_of
 from localiser.simulate.light import Lighting, lighting_of
 from localiser.simulate.mount_motion import mount_at
 from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
@@ -23,20 +23,31 @@ from localiser.simulate.world import World
 
 _BLUR_STEP_PX = 1.5  # motion blur averages sharp images no further apart than this
 _BLUR_STEPS_MOST = 16
+_STRIP_M = 0.001  # of driving: it moves an edge that is 1 m away by a seventh of a pixel at most, either way
+_STRIP_PX = 0.25  # of a camera that tilts on the robot
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A world and the camera that sees it. What only rendering needs is made when it is first used."""
+    """A world and the camera that sees it. What only rendering needs is made when it is first used.
+
+    part: the level view of some rows of the image alone; None: of all.
+    """
 
     world: World
     camera: Camera
     structure: Structure
+    part: LevelView | None = None
 
     @cached_property
     def atlas(self) -> Atlas:
         """The textures of all materials."""
         return atlas_of(self.world.materials)
+
+    @property
+    def glow(self) -> NDArray[np.float32]:
+        """How brightly all materials shine by themselves."""
+        return np.array([material.glow for material in self.world.materials.values()], dtype=np.float32)
 
     @cached_property
     def lighting(self) -> Lighting:
@@ -48,16 +59,16 @@ class Scene:
         """The camera as it is mounted at a time."""
         return self.camera.at(mount_at(self.camera.mount, self.world.camera.motion, t_ns))
 
-    def seen_by(self, camera: Camera) -> Scene:
+    def seen_by(self, camera: Camera, part: LevelView | None = None) -> Scene:
         """Return the scene seen by another camera, with all that has been made of the world."""
-        other = replace(self, camera=camera)
+        other = replace(self, camera=camera, part=part)
         other.__dict__.update(atlas=self.atlas, lighting=self.lighting)
         return other
 
     @property
     def view(self) -> LevelView:
         """The level view of the camera."""
-        return level_view_of(self.camera)
+        return self.part or level_view_of(self.camera)
 
 
 def scene_of(world: World, camera: Camera | None = None) -> Scene:
@@ -75,22 +86,76 @@ def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray
     return _developed(radiance(scene, robot_pose), scene.world.image, rng)
 
 
-def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the image with the middle of its exposure at `t_ns`, blurred by the robot's motion."""
-    half_ns = round(scene.world.image.exposure_s * 5e8)
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """How an image is exposed. amount: of light, gain included, over what the world file states; gain: part of it."""
+
+    exposure_s: float
+    amount: float = 1.0
+    gain: float = 1.0
+
+
+def expose(
+    scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator, exposure: Exposure | None = None
+) -> NDArray[np.uint8]:
+    """Return the image with the middle of its exposure at `t_ns`, blurred by the robot's motion.
+
+    Where the shutter rolls, that is the exposure of the row that is taken at the time stamp. exposure: None: as the
+    world says.
+    """
+    exposure = exposure or Exposure(scene.world.image.exposure_s)
+    half_ns = round(exposure.exposure_s * 5e8)
     begin_ns, end_ns = t_ns - half_ns, t_ns + half_ns
     ends = [(truth.at(at_ns), scene.camera_at(at_ns)) for at_ns in (begin_ns, end_ns)]
     steps = _blur_steps(*ends) if half_ns else 1
     times = [t_ns + round((2 * share - 1) * half_ns) for share in (np.arange(steps) + 0.5) / steps]
-    sharp = [radiance(scene, truth.at(at_ns), scene.camera_at(at_ns)) for at_ns in times]
+    sharp = [sharp_image(scene, truth, at_ns) for at_ns in times]
     light = sum(sharp[1:], start=sharp[0]) / np.float32(steps)
-    return _developed(light, scene.world.image, rng)
+    return _developed(light, scene.world.image, rng, exposure)
+
+
+def sharp_image(scene: Scene, truth: Trajectory, t_ns: int) -> Image:
+    """Return the image (H, W, 3) float32 RGB of a perfect lens and sensor whose stamped row is taken at a time.
+
+    The rows of a rolling shutter are taken in strips, each from one place. In a strip, every row is taken with the
+    heading that the camera has then.
+    """
+    shutter = scene.camera.shutter
+    if shutter is None:
+        return radiance(scene, truth.at(t_ns), scene.camera_at(t_ns))
+    rows = np.arange(scene.camera.height)
+    row_ns = t_ns + np.round(shutter.since_stamp_s(rows) * 1e9).astype(np.int64)
+    cameras = [scene.camera_at(int(at_ns)) for at_ns in row_ns]
+    poses = np.array([camera.pose_in_map(truth.at(int(at_ns))) for camera, at_ns in zip(cameras, row_ns, strict=True)])
+    strips = np.array_split(rows, _strips(poses, cameras))
+    return np.concatenate([_strip(scene, poses, cameras, strip) for strip in strips])
+
+
+def _strips(poses: Array, cameras: list[Camera]) -> int:
+    """Return in how many strips the rows are taken, by the camera's floor poses (H, 3) and how it is mounted then."""
+    moved_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    mounts = np.array([[one.mount.tilt_rad, one.mount.roll_rad, one.mount.height_m] for one in cameras])
+    swayed = float(np.abs(np.diff(mounts, axis=0)).sum())
+    return int(np.clip(np.ceil(moved_m / _STRIP_M + swayed * cameras[0].focal_px / _STRIP_PX), 1, len(poses)))
+
+
+def _strip(scene: Scene, poses: Array, cameras: list[Camera], rows: NDArray[np.intp]) -> Image:
+    """Return some rows (R, W, 3) of the image, all from where the camera is at the middle one."""
+    middle = rows[len(rows) // 2]
+    camera, pose = cameras[middle], poses[middle]
+    turned_rad = geometry.wrap_angle(poses[rows, 2] - pose[2])
+    view = strip_view_of(camera, slice(int(rows[0]), int(rows[-1]) + 1), turned_rad)
+    return _seen_from(scene.seen_by(camera, view), pose)
 
 
 def radiance(scene: Scene, robot_pose: Array, camera: Camera | None = None) -> Image:
     """Return the image (H, W, 3) float32 RGB of a perfect lens and sensor; camera: the scene's, as it is mounted."""
     scene = scene if camera is None or camera is scene.camera else scene.seen_by(camera)
-    pose = scene.camera.pose_in_map(robot_pose)
+    return _seen_from(scene, scene.camera.pose_in_map(robot_pose))
+
+
+def _seen_from(scene: Scene, pose: Array) -> Image:
+    """Return the image that the camera has at a floor pose (3,) of its own."""
     columns = columns_of(scene.view, pose, scene.structure.edges.points)
     eye = scene.camera.mount.height_m
     hits = cast(scene.structure.solids, pose, columns.tangent)
@@ -112,19 +177,41 @@ def _blur_steps(first: tuple[Array, Camera], last: tuple[Array, Camera]) -> int:
     return int(np.clip(np.ceil(moved_px / _BLUR_STEP_PX), 1, _BLUR_STEPS_MOST))
 
 
-def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, vignette, gain, noise, rounding."""
+def _developed(
+    image: Image, spec: ImageSpec, rng: np.random.Generator, exposure: Exposure | None = None
+) -> NDArray[np.uint8]:
+    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, flare, vignette, gain, noise, rounding."""
+    exposure = exposure or Exposure(spec.exposure_s)
     if spec.blur_px > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), spec.blur_px), dtype=np.float32)
+    image = _flared(image, spec)
     height, width = image.shape[:2]
     if spec.vignette > 0:
         u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
         image = image * (1 - spec.vignette * (u**2 + v**2) / 2).astype(np.float32)[..., None]
-    image = image * np.float32(spec.gain)
+    image = image * np.float32(spec.gain * exposure.amount)
     code = cv2.COLOR_RGB2BGR if spec.colour else cv2.COLOR_RGB2GRAY
     image = np.asarray(cv2.cvtColor(image, code), dtype=np.float32)
-    noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma)
+    noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma * exposure.gain)
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
+def _flared(image: Image, spec: ImageSpec) -> Image:
+    """Return the image (H, W, 3) with the light that the lens scatters widely, and mirrors about its centre."""
+    width = image.shape[1]
+    if spec.glare > 0:
+        image = np.float32(1 - spec.glare) * image + np.float32(spec.glare) * _soft(image, width / 4)
+    if spec.ghost > 0:
+        image = image + np.float32(spec.ghost) * _soft(image, width / 40)[::-1, ::-1]
+    return image
+
+
+def _soft(image: Image, sigma_px: float) -> Image:
+    """Return an image blurred by many pixels, by way of a small one."""
+    step = max(int(sigma_px / 4), 1)
+    size = (max(image.shape[1] // step, 1), max(image.shape[0] // step, 1))
+    small = cv2.GaussianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), (0, 0), sigma_px / step)
+    return np.asarray(cv2.resize(small, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
 # -- colouring the level view ------------------------------------------------------------------------------------------
@@ -149,7 +236,8 @@ def _level_image(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> I
     flat = rays.reshape(-1, 3)
     for colour in (_upright, _level):
         place, brightness, material, across, up, footprint = colour(scene, pose, columns, spans)
-        flat[place] = scene.atlas.sample(material, across, up, footprint) * brightness[:, None]
+        bright = brightness + scene.glow[material]
+        flat[place] = scene.atlas.sample(material, across, up, footprint) * bright[:, None]
     first = np.searchsorted(columns.owner, np.arange(scene.view.columns))
     image = rays[first]
     stop = np.append(first[1:], len(columns.owner))

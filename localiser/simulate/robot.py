@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from localiser import geometry
-from localiser.camera import DISTORTION_COUNTS, Camera, Mount
+from localiser.camera import DISTORTION_COUNTS, Camera, Mount, RollingShutter
 from localiser.geometry import Array
 
 # YAML knows lists, not tuples; the numbers inside stay strict.
@@ -55,6 +55,14 @@ class MountMotionSpec(Model):
     stated_sigma_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
 
 
+class ShutterSpec(Model):
+    """A rolling shutter, as in a log's camera file. stated: whether the log says that the shutter rolls."""
+
+    row_time_us: Annotated[float, Field(ge=-1000, le=1000)]
+    stamp_row: Annotated[float, Field(ge=0, le=4096)] = 0.0
+    stated: bool = True
+
+
 class CameraSpec(Model):
     """Pinhole and lens; the principal point is the image centre when not given. motion: of the mount, none if fixed."""
 
@@ -67,6 +75,14 @@ class CameraSpec(Model):
     distortion: tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...] = Field(default=(), strict=False)
     mount: MountSpec
     motion: MountMotionSpec | None = None
+    rolling_shutter: ShutterSpec | None = None
+
+    @model_validator(mode="after")
+    def _stamp_row_is_in_the_image(self) -> CameraSpec:
+        if self.rolling_shutter is not None and self.rolling_shutter.stamp_row > self.height - 1:
+            found = self.rolling_shutter.stamp_row
+            raise ValueError(f"expected stamp_row to be a row of the image, 0 to {self.height - 1}, found {found:g}")
+        return self
 
     @model_validator(mode="after")
     def _distortion_is_complete(self) -> CameraSpec:
@@ -80,7 +96,7 @@ class CameraSpec(Model):
 
     def camera(self, name: str = "") -> Camera:
         """Return the camera in SI units and radians."""
-        mount = self.mount
+        mount, shutter = self.mount, self.rolling_shutter
         return Camera(
             width=self.width,
             height=self.height,
@@ -99,6 +115,7 @@ class CameraSpec(Model):
             distortion_model=self.distortion_model,
             distortion=self.distortion,
             name=name,
+            shutter=RollingShutter(shutter.row_time_us / 1e6, shutter.stamp_row) if shutter else None,
         )
 
 
@@ -173,16 +190,47 @@ class OdometrySpec(Model):
     slow_scale_time_s: Positive = 10.0
 
 
+class AutoExposureSpec(Model):
+    """Exposure and gain follow the mean of the images. mean_grey: what they are to reach.
+
+    delay_s: after which they have followed a change of light by 63 %. exposure_max_s: the longest exposure; beyond it,
+    gain makes up for the lack of light, and amplifies the noise.
+    """
+
+    mean_grey: Annotated[float, Field(ge=10, le=245)] = 110.0
+    delay_s: Positive = 0.5
+    exposure_max_s: Positive = 0.02
+
+
 class ImageSpec(Model):
-    """What lens, sensor and storage do to an image. exposure_s blurs it by the robot's own motion."""
+    """What lens, sensor and storage do to an image. exposure_s blurs it by the robot's own motion.
+
+    glare: part of the light that the lens scatters widely, so that bright windows veil what is about them. ghost: part
+    that it mirrors about the image's centre, out of focus.
+    """
 
     colour: bool = True
     noise_sigma: NotNegative = 1.0
     blur_px: NotNegative = 0.0
     exposure_s: NotNegative = 0.0
     gain: Positive = 1.0
+    auto_exposure: AutoExposureSpec | None = None
     vignette: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    glare: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    ghost: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 90
+
+    @property
+    def longest_exposure_s(self) -> float:
+        """The longest that an image may be exposed."""
+        automatic = self.auto_exposure
+        return self.exposure_s if automatic is None else max(self.exposure_s, automatic.exposure_max_s)
+
+    @model_validator(mode="after")
+    def _exposure_can_follow(self) -> ImageSpec:
+        if self.auto_exposure is not None and self.exposure_s == 0:
+            raise ValueError("auto_exposure changes exposure_s: expected it above 0")
+        return self
 
 
 class StartSpec(Model):

@@ -1,0 +1,109 @@
+"""A simulated rolling shutter: against one rendered image for every row; what the log states of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from localiser.camera import RollingShutter
+from localiser.geometry import Array, Trajectory, arc_motion, compose
+from localiser.simulate import simulated_log, world_of
+from localiser.simulate.render import Scene, expose, radiance, scene_of, sharp_image
+
+SHUTTER = {"row_time_us": 250.0, "stamp_row": 80.0}
+MIDDLE_NS = 100_000_000
+T_NS = np.arange(0, 201) * 1_000_000
+START = np.array([0.3, 2.0, 0.05])
+
+
+def world_data(shutter: dict[str, Any] | None, motion: dict[str, Any] | None = None, **image: Any) -> dict[str, Any]:
+    """Return a room of 8 m with two bright posts in it."""
+    corners = [[-4.0, 4.0], [-4.0, -4.0], [4.0, -4.0], [4.0, 4.0]]
+    mount = {"tilt_deg": 20.0, "height_m": 0.9, "back_m": -0.1, "yaw_deg": 2.0}
+    camera = {"width": 160, "height": 120, "focal_px": 140.0, "mount": mount}
+    camera |= {"rolling_shutter": shutter} if shutter else {}
+    return {
+        "format": "localiser-world/1",
+        "name": "room",
+        "materials": {
+            name: {"texture": "plain", "colour": [grey] * 3} for name, grey in (("dark", 60), ("light", 220))
+        },
+        "floor": {"material": "dark"},
+        "ceiling": {"material": "dark"},
+        "walls": [{"from": corners[k - 1], "to": corners[k], "material": "dark"} for k in range(4)],
+        "posts": [
+            {"x": 0.0, "z": -1.0, "width_m": 0.5, "rotation_deg": 20.0, "material": "light"},
+            {"x": 0.7, "z": 1.0, "width_m": 0.2, "material": "light", "top_m": 1.0},
+        ],
+        "camera": camera | ({"motion": motion} if motion else {}),
+        "drive": {"path": [{"to": [-1.5, 3.0]}, {"to": [-1.5, 1.0]}], "image_hz": 10.0},
+        "image": {"noise_sigma": 0.0, "colour": False, **image},
+    }
+
+
+def driven(turn_rad_s: float, speed_m_s: float) -> Trajectory:
+    velocity, since_s = np.array([0.0, -speed_m_s]), (T_NS - MIDDLE_NS) / 1e9
+    return Trajectory(T_NS, np.array([compose(START, arc_motion(velocity, turn_rad_s * s, s)) for s in since_s]))
+
+
+def row_by_row(scene: Scene, truth: Trajectory) -> Array:
+    """Return every third row, each of an image from where the robot was then."""
+    rows = []
+    for row in range(0, scene.camera.height, 3):
+        at_ns = MIDDLE_NS + round((row - SHUTTER["stamp_row"]) * SHUTTER["row_time_us"] * 1e3)
+        rows.append(radiance(scene, truth.at(at_ns), scene.camera_at(at_ns))[row])
+    return np.array(rows)
+
+
+def crossings(image: Array) -> Array:
+    """Return where the grey of each row above the low post is light, as a centroid: (R,) px."""
+    level = np.clip((image[:14, :, 0] - 80.0) / 100.0, 0.0, 1.0)
+    return np.asarray((level * np.arange(image.shape[1])).sum(axis=1) / level.sum(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("turn_rad_s", "speed_m_s", "motion"),
+    [(1.0, 0.5, None), (-2.0, 0.0, None), (0.3, 0.3, {"tilt_deg": {"amplitude": 6.0, "hz": 1.0}})],
+)
+def test_rows_are_those_of_images_from_where_the_robot_was_then(
+    turn_rad_s: float, speed_m_s: float, motion: dict[str, Any] | None
+) -> None:
+    scene, truth = scene_of(world_of(world_data(SHUTTER, motion))), driven(turn_rad_s, speed_m_s)
+    expected, found = row_by_row(scene, truth), sharp_image(scene, truth, MIDDLE_NS)[::3]
+    at_once = radiance(scene, truth.at(MIDDLE_NS), scene.camera_at(MIDDLE_NS))[::3]
+    assert found.shape == expected.shape
+    off, without = (np.abs(image - expected).mean() for image in (found, at_once))
+    assert off < 0.2 * without
+    assert np.quantile(np.abs(crossings(found) - crossings(expected)), 0.9) < 0.15
+
+
+def test_the_stamped_row_is_taken_at_the_time_stamp() -> None:
+    scene, truth = scene_of(world_of(world_data(SHUTTER))), driven(1.0, 0.0)
+    rolled, at_once = sharp_image(scene, truth, MIDDLE_NS), radiance(scene, truth.at(MIDDLE_NS))
+    difference = np.abs(rolled - at_once).mean(axis=(1, 2))
+    assert difference[80] < 0.05 * difference[0]
+
+
+def test_a_robot_that_stands_has_the_image_of_a_camera_that_takes_all_rows_at_once() -> None:
+    rolling, plain = (scene_of(world_of(world_data(shutter, exposure_s=0.01))) for shutter in (SHUTTER, None))
+    still = driven(0.0, 0.0)
+    images = [expose(scene, still, MIDDLE_NS, np.random.default_rng(3)) for scene in (rolling, plain)]
+    np.testing.assert_array_equal(*images)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_log_states_the_shutter_or_does_not(stated: bool) -> None:
+    log = simulated_log(world_of(world_data(SHUTTER | {"stated": stated})), 0)
+    assert log.camera.shutter == (RollingShutter(250e-6, 80.0) if stated else None)
+    assert log.scene.camera.shutter is not None
+    first_s, last_s = log.scene.camera.readout_s
+    assert log.drive.image_t_ns[0] >= round(-first_s * 1e9)
+    assert log.drive.image_t_ns[-1] + round(last_s * 1e9) <= log.drive.truth.t_ns[-1]
+
+
+def test_the_stamped_row_must_be_one_of_the_image() -> None:
+    with pytest.raises(ValidationError, match="0 to 119, found 120"):
+        world_of(world_data(SHUTTER | {"stamp_row": 120.0}))
