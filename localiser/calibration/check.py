@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from localiser.calibration.lean import mount_with_leans
 from localiser.calibration.lines import Lines, lines_of
-from localiser.calibration.log_mount import covariance_by_views, spread, views_of
+from localiser.calibration.log_mount import spread
 from localiser.calibration.plumb import fitted, voted
 from localiser.camera import Camera
 from localiser.edges import Edges
@@ -57,8 +58,8 @@ def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_si
     used = spread(len(frames), _MOST_IMAGES) if frames else []
     lines = Lines.together([lines_of(frames[image], camera, index) for index, image in enumerate(used)])
     plumb = fitted(lines, stated, voted(lines, stated))
-    cov = covariance_by_views(lines, views_of(poses[used]), plumb.mount, plumb.vertical, plumb.plumb_sigma)
-    off = plumb.mount - stated
-    sure = off @ np.linalg.solve(cov, off) > _SURE
-    beyond = off @ np.linalg.solve(cov + np.diag(stated_sigma_rad**2), off) > _BELIEVED
-    return MountCheck(stated, plumb.mount, cov, bool(sure and beyond))
+    found = mount_with_leans(lines, plumb, poses[used], camera, stated)
+    off = found.mount - stated
+    sure = off @ np.linalg.solve(found.cov, off) > _SURE
+    beyond = off @ np.linalg.solve(found.cov + np.diag(stated_sigma_rad**2), off) > _BELIEVED
+    return MountCheck(stated, found.mount, found.cov, bool(sure and beyond))

@@ -1,4 +1,4 @@
-"""Tilt and roll over a log: all lines of all images together, with a sigma that counts an edge seen often only once."""
+"""Tilt and roll over a log: all lines of all images together, with a sigma that counts what leans together once."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.calibration.lean import mount_with_leans
 from localiser.calibration.lines import Lines, lines_of
 from localiser.calibration.plumb import PRIOR_SIGMA_RAD, REACH_SIGMA, fitted, voted
 from localiser.camera import Camera
@@ -38,8 +39,8 @@ class LogMount:
 
     cov: (2, 2). image_mount, image_cov: (F, 2), (F, 2, 2) what each image says by itself, as certain as images prove to
     be; where it says nothing, the mean over all with the sigma of the prior. lines, vertical: how many lines there
-    were, and how many of them are vertical edges. plumb_sigma: rad, how far edges are from plumb. views: number of
-    views that count as independent.
+    were, and how many of them are vertical edges. plumb_sigma: rad, how far edges are from plumb. row_sigma: rad, how
+    far all that stands in one row is, one sigma for each direction. views: number of different views.
     """
 
     stated: Array
@@ -50,6 +51,7 @@ class LogMount:
     lines: int
     vertical: float
     plumb_sigma: float
+    row_sigma: float
     views: int
 
     @property
@@ -73,7 +75,7 @@ class LogMount:
 
 def mount_of_images(
     load: LoadImage,
-    views: NDArray[np.int64],
+    poses: Array,
     camera: Camera,
     parameters: EdgeParameters,
     progress: Callable[[], None] = lambda: None,
@@ -81,12 +83,13 @@ def mount_of_images(
 ) -> LogMount:
     """Return tilt and roll of `camera` over images 0 … F - 1, starting from a stated mount that may be degrees off.
 
-    views: (F,) which view each image belongs to; see `views_of`. The detector looks along the columns of an image from
-    which the stated mount is undone, so that is brought up to date on a few images first. `progress` is called once
-    per image of the last pass. twist_of: how the robot moved at an image, see `find_edges`.
+    poses: (F, 3) of the robot, as odometry has them: what is seen from one place shares its lean. The detector looks
+    along the columns of an image from which the stated mount is undone, so that is brought up to date on a few images
+    first. `progress` is called once per image of the last pass. twist_of: how the robot moved at an image, see
+    `find_edges`.
     """
     stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
-    few = spread(len(views), _COARSE_IMAGES)
+    few = spread(len(poses), _COARSE_IMAGES)
     wide = np.rad2deg(PRIOR_SIGMA_RAD)
     searching = replace(parameters, tilt_sigma_deg=float(wide[0]), roll_sigma_deg=float(wide[1]))
     present = stated
@@ -95,8 +98,8 @@ def mount_of_images(
         before, present = present, fitted(lines, stated, voted(lines, stated)).mount
         if np.abs(present - before).max() < _SETTLED_RAD:
             break
-    lines = _lines_at(present, load, range(len(views)), camera, parameters, progress, twist_of)
-    return mount_of_lines(lines, views, stated)
+    lines = _lines_at(present, load, range(len(poses)), camera, parameters, progress, twist_of)
+    return mount_of_lines(lines, poses, camera, stated)
 
 
 def _lines_at(
@@ -117,48 +120,30 @@ def _lines_at(
     return Lines.together(parts)
 
 
-def mount_of_lines(lines: Lines, views: NDArray[np.int64], stated: Array) -> LogMount:
-    """Return tilt and roll from the lines (K) of F images of the views (F,), around the stated (2,)."""
+def mount_of_lines(lines: Lines, poses: Array, camera: Camera, stated: Array) -> LogMount:
+    """Return tilt and roll from the lines (K) of F images, around the stated (2,).
+
+    poses: (F, 3) of the robot, as odometry has them. camera: where it sits on the robot counts, and not its mount's
+    tilt and roll.
+    """
     whole = fitted(lines, stated, voted(lines, stated))
-    count = len(views)
-    each = [fitted(lines.take(lines.frame == i), whole.mount, whole.mount, whole.plumb_sigma) for i in range(count)]
+    leaning = mount_with_leans(lines, whole, poses, camera, stated)
+    views, count = views_of(poses), len(poses)
+    each = [fitted(lines.take(lines.frame == i), leaning.mount, leaning.mount, whole.plumb_sigma) for i in range(count)]
     image_mount = np.array([image.mount for image in each]).reshape(-1, 2)
     image_cov = np.array([image.cov for image in each]).reshape(-1, 2, 2)
     return LogMount(
         stated=stated,
-        mount=whole.mount,
-        cov=covariance_by_views(lines, views, whole.mount, whole.vertical, whole.plumb_sigma),
+        mount=leaning.mount,
+        cov=leaning.cov,
         image_mount=image_mount,
-        image_cov=as_scattered(image_mount - whole.mount, image_cov, views),
+        image_cov=as_scattered(image_mount - leaning.mount, image_cov, views),
         lines=len(lines),
         vertical=float(whole.vertical.sum()),
         plumb_sigma=whole.plumb_sigma,
+        row_sigma=leaning.row,
         views=len(np.unique(views)),
     )
-
-
-def covariance_by_views(
-    lines: Lines, views: NDArray[np.int64], mount: Array, vertical: Array, plumb_sigma: float
-) -> Array:
-    """Return the covariance (2, 2) of tilt and roll when all images of a view show the same edges and errors.
-
-    A view then tells no more than one of its images does on average. Where views differ by more than that explains,
-    the covariance grows until it covers their scatter (sandwich estimator, one cluster per view).
-    """
-    miss, per_mount, sigma = lines.misses(mount)
-    view, images = np.unique(views, return_inverse=True)[1], len(views)
-    of_line = view[lines.frame] if images else lines.frame
-    size = np.bincount(view)
-    weight = vertical / (sigma**2 + plumb_sigma**2) / size[of_line]
-    information = np.diag(PRIOR_SIGMA_RAD**-2) + per_mount.T @ (weight[:, None] * per_mount)
-    cov = np.asarray(np.linalg.inv(information))
-    if len(size) < _FEWEST_VIEWS:
-        return cov
-    pulls = np.stack([np.bincount(of_line, weight * miss * by, len(size)) for by in per_mount.T], axis=-1)
-    scatter = cov @ (pulls.T @ pulls) @ cov * len(size) / (len(size) - 1)
-    root = np.linalg.inv(np.linalg.cholesky(cov))
-    excess = float(np.linalg.eigvalsh(root @ scatter @ root.T).max())
-    return cov * max(1.0, excess)
 
 
 def as_scattered(off: Array, cov: Array, views: NDArray[np.int64]) -> Array:

@@ -25,6 +25,7 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.storage import open_log
 
 TRUE = np.deg2rad([20.0, 1.0])
+CAMERA = camera_of(tilt_deg=20.0, roll_deg=1.0, k1=-0.2)
 angles = st.floats(-60.0, 60.0)
 
 
@@ -39,6 +40,11 @@ def edges_at(camera, bearings, low=-0.35, high=0.2, turn_rad=0.0, sigma_rad=1e-3
     ends = camera.pixels_from_upright(middle + half + turned)
     count = len(bearings)
     return Edges.from_columns(bearings, np.full(count, 1e-4), np.zeros(count), np.full(count, sigma_rad), ends_px=ends)
+
+
+def apart(images: int) -> np.ndarray:
+    """Return poses (F, 3) of images that have nothing in common: they were taken a building apart."""
+    return np.column_stack([30.0 * np.arange(images), np.zeros((images, 2))])
 
 
 def scene(rng, images=40, edges=8, clutter=3, sigma_rad=3e-3, sides_rad=0.45) -> Lines:
@@ -110,9 +116,8 @@ def test_fit_is_the_smallest_eigenvector_of_the_planes_normals():
 @pytest.mark.parametrize("off_deg", [(3.0, 0.0), (-3.0, 0.0), (0.0, 2.0), (6.0, -4.0)])
 def test_a_stated_mount_that_is_degrees_off_has_hardly_a_say(off_deg):
     lines = scene(np.random.default_rng(1))
-    views = np.arange(40)
-    right = mount_of_lines(lines, views, TRUE)
-    found = mount_of_lines(lines, views, TRUE + np.deg2rad(off_deg))
+    right = mount_of_lines(lines, apart(40), CAMERA, TRUE)
+    found = mount_of_lines(lines, apart(40), CAMERA, TRUE + np.deg2rad(off_deg))
     np.testing.assert_allclose(found.mount, right.mount, atol=np.deg2rad(0.01))
     np.testing.assert_allclose(found.mount, TRUE, atol=np.deg2rad(0.1))
 
@@ -120,7 +125,7 @@ def test_a_stated_mount_that_is_degrees_off_has_hardly_a_say(off_deg):
 def test_sigma_covers_the_error():
     normalised = []
     for seed in range(60):
-        found = mount_of_lines(scene(np.random.default_rng(seed), images=12, edges=6), np.arange(12), TRUE + 0.01)
+        found = mount_of_lines(scene(np.random.default_rng(seed), images=12, edges=6), apart(12), CAMERA, TRUE + 0.01)
         normalised.append((found.mount - TRUE) / found.sigma)
     spread = np.sqrt(np.mean(np.square(normalised), axis=0))
     assert np.all((spread > 0.7) & (spread < 1.25)), spread
@@ -143,7 +148,7 @@ def errors_over_sigma(found) -> np.ndarray:
 
 @pytest.mark.parametrize("lines_of_images", [sides_that_err_alike, lambda rng: scene(rng, images=80)])
 def test_each_image_is_as_certain_as_images_scatter(lines_of_images):
-    found = mount_of_lines(lines_of_images(np.random.default_rng(8)), np.arange(80), TRUE)
+    found = mount_of_lines(lines_of_images(np.random.default_rng(8)), apart(80), CAMERA, TRUE)
     spread = np.sqrt(np.mean(np.square(errors_over_sigma(found)), axis=0))
     assert np.all((spread > 0.75) & (spread < 1.25)), spread
 
@@ -151,7 +156,7 @@ def test_each_image_is_as_certain_as_images_scatter(lines_of_images):
 def test_one_view_does_not_tell_how_images_scatter():
     """Eighty images of one view hold one error: nothing says how it compares with those of other views."""
     lines = sides_that_err_alike(np.random.default_rng(8))
-    alone = errors_over_sigma(mount_of_lines(lines, np.zeros(80, dtype=int), TRUE))
+    alone = errors_over_sigma(mount_of_lines(lines, np.zeros((80, 3)), CAMERA, TRUE))
     assert np.all(np.sqrt(np.mean(np.square(alone), axis=0)) > 1.5)
 
 
@@ -168,17 +173,19 @@ def test_images_of_one_view_count_once():
     rng = np.random.default_rng(0)
     once = scene(rng, images=1, edges=12)
     still = Lines.together([Lines(once.normal, once.per_turn, once.sigma, once.frame + i) for i in range(20)])
-    one = mount_of_lines(once, np.zeros(1, dtype=int), TRUE)
-    twenty = mount_of_lines(still, np.zeros(20, dtype=int), TRUE)
+    one = mount_of_lines(once, np.zeros((1, 3)), CAMERA, TRUE)
+    twenty = mount_of_lines(still, np.zeros((20, 3)), CAMERA, TRUE)
     np.testing.assert_allclose(twenty.sigma, one.sigma, rtol=0.05)
     assert twenty.views == 1
 
 
 def test_edges_that_are_out_of_plumb_make_it_less_certain():
     rng = np.random.default_rng(5)
-    plumb = mount_of_lines(scene(rng, sigma_rad=1e-3), np.arange(40), TRUE)
+    plumb = mount_of_lines(scene(rng, sigma_rad=1e-3), apart(40), CAMERA, TRUE)
     lines = scene(rng, sigma_rad=1e-2)
-    crooked = mount_of_lines(Lines(lines.normal, lines.per_turn, lines.sigma / 10, lines.frame), np.arange(40), TRUE)
+    crooked = mount_of_lines(
+        Lines(lines.normal, lines.per_turn, lines.sigma / 10, lines.frame), apart(40), CAMERA, TRUE
+    )
     assert np.all(crooked.sigma > 3 * plumb.sigma)
     assert 0.4 < np.rad2deg(crooked.plumb_sigma) < 0.8  # 0.01 rad seen across a line that rises at some 70°
 
@@ -196,25 +203,25 @@ def test_seams_of_the_floor_do_not_pass_for_vertical_edges():
         unknown = np.zeros(len(ends_px))
         edges = Edges.from_columns(unknown, unknown + 1e-3, unknown, unknown + 1e-3, ends_px=ends_px)
         lines.append(lines_of(edges, camera, frame))
-    found = mount_of_lines(Lines.together(lines), np.arange(30), TRUE + np.deg2rad([3.0, -2.0]))
+    found = mount_of_lines(Lines.together(lines), apart(30), CAMERA, TRUE + np.deg2rad([3.0, -2.0]))
     np.testing.assert_allclose(np.rad2deg(found.mount - TRUE), 0.0, atol=0.1)
 
 
 def test_without_lines_the_stated_mount_stands_and_says_so():
-    found = mount_of_lines(Lines.together([]), np.zeros(5, dtype=int), TRUE)
+    found = mount_of_lines(Lines.together([]), np.zeros((5, 3)), CAMERA, TRUE)
     np.testing.assert_allclose(found.mount, TRUE)
     np.testing.assert_allclose(found.sigma, PRIOR_SIGMA_RAD)
     assert "hardly tell the tilt and the roll" in found.problem
 
 
 def test_edges_straight_ahead_tell_the_roll_only():
-    found = mount_of_lines(scene(np.random.default_rng(4), sides_rad=0.005, clutter=0), np.arange(40), TRUE)
+    found = mount_of_lines(scene(np.random.default_rng(4), sides_rad=0.005, clutter=0), apart(40), CAMERA, TRUE)
     assert found.sigma[1] < np.deg2rad(0.1) < np.deg2rad(1.0) < found.sigma[0]
     assert "hardly tell the tilt:" in found.problem
 
 
 def test_a_mount_beyond_the_search_is_doubted():
-    found = mount_of_lines(scene(np.random.default_rng(6)), np.arange(40), TRUE - np.deg2rad([12.2, 0.0]))
+    found = mount_of_lines(scene(np.random.default_rng(6)), apart(40), CAMERA, TRUE - np.deg2rad([12.2, 0.0]))
     assert "limit of the search" in found.problem
 
 
@@ -266,7 +273,7 @@ def test_images_of_walls_give_the_true_mount_from_one_that_is_degrees_off():
         greys = 110 + 50 * (-1.0) ** np.arange(8) + rng.uniform(-20, 20, 8)
         images.append(wall_image(camera, bearings, greys, wall_ahead_m=2.5, noise_sigma=3.0, seed=seed))
     stated = camera.with_mount(tilt_rad=np.deg2rad(17.0), roll_rad=np.deg2rad(2.5))
-    found = mount_of_images(images.__getitem__, np.arange(4), stated, EdgeParameters())
+    found = mount_of_images(images.__getitem__, apart(4), stated, EdgeParameters())
     np.testing.assert_allclose(np.rad2deg(found.mount), [20.0, 1.0], atol=0.1)
     assert np.all(np.abs(found.mount - TRUE) < 4 * found.sigma)
 
@@ -276,11 +283,11 @@ def found_in_log(folder, off_deg, images):
     log = open_log(folder)
     frames = [frame for frame in log.frames if log.odometry.covers(frame.t_ns)]
     frames = frames[:: max(1, len(frames) // images)]
-    views = views_of(log.odometry.sampled([frame.t_ns for frame in frames]).poses)
+    poses = log.odometry.sampled([frame.t_ns for frame in frames]).poses
     mount = np.array([log.camera.mount.tilt_rad, log.camera.mount.roll_rad])
     tilt, roll = mount + np.deg2rad(off_deg)
     camera = log.camera.with_mount(tilt_rad=tilt, roll_rad=roll)
-    found = mount_of_images(lambda i: frames[i].load(), views, camera, EdgeParameters())
+    found = mount_of_images(lambda i: frames[i].load(), poses, camera, EdgeParameters())
     return np.rad2deg(found.mount - mount), np.rad2deg(found.sigma)
 
 

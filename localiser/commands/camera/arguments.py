@@ -294,7 +294,7 @@ def _show_tilt(tilt: Tilt) -> None:
     share = found.vertical / found.lines if found.lines else 0.0
     typer.echo(
         f"{found.lines} lines in {len(tilt.seconds)} images, {share:.0%} of them vertical edges; "
-        f"the images show {found.views} different views."
+        f"the images show {found.views} different views. Rows of things lean by {np.rad2deg(found.row_sigma):.2f}°."
     )
     if problem := found.problem:
         typer.secho(problem, fg="yellow", err=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from localiser.calibration import LogMount, mount_of_images, save_mount_plot, spread, views_of
+from localiser.calibration import LogMount, mount_of_images, save_mount_plot, spread
 from localiser.config import Config
 from localiser.errors import InputError
 from localiser.geometry import Array
@@ -39,9 +39,9 @@ def usable_images(log: Log, most: int) -> list[ImageEvent]:
 def find_tilt(log: Log, images: list[ImageEvent], config: Config, progress: Callable[[], None]) -> Tilt:
     """Return tilt and roll that images of a log tell. Raises InputError when one of them cannot be read."""
     times = np.array([image.t_ns for image in images])
-    views = views_of(log.odometry.sampled(times).poses)
+    poses = log.odometry.sampled(times).poses
     found = mount_of_images(
-        lambda i: images[i].load(), views, log.camera, config.edges, progress, lambda i: log.twist_at(images[i].t_ns)
+        lambda i: images[i].load(), poses, log.camera, config.edges, progress, lambda i: log.twist_at(images[i].t_ns)
     )
     return Tilt(log, found, (times - log.start_ns) / 1e9)
 
