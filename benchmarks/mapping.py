@@ -4,6 +4,7 @@ python benchmarks/mapping.py known              # edges simulated on the drives 
 python benchmarks/mapping.py laps               # two laps with wheels 4 % wrong, nothing else known
 python benchmarks/mapping.py long               # time and memory, two to ten minutes through the office
 python benchmarks/mapping.py long --times 24 48 # half an hour, an hour
+python benchmarks/mapping.py nees LOG…          # covariances against exact edges, poses known
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
 python benchmarks/mapping.py coarse             # coarse bearings of a simulated robot, from a log alone
 python benchmarks/mapping.py bearings LOG…      # logs of coarse bearings with true poses, and a map to judge by
@@ -21,10 +22,10 @@ from time import process_time
 
 import numpy as np
 
-from localiser import mapping
+from localiser import documents, mapping, simulate
 from localiser.camera import Camera
 from localiser.config import read_config
-from localiser.geometry import Array
+from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import (
     Built,
@@ -33,6 +34,7 @@ from localiser.mapping import (
     Sightings,
     build_map,
     cache_folder,
+    direction_of,
     turn_drift,
     wheels_of,
 )
@@ -42,6 +44,8 @@ from localiser.storage import open_log
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
 PRIOR = Prior.of(MotionParameters())
+WORLDS = Path(__file__).resolve().parent.parent / "configs" / "worlds"
+_NEAR_M, _SEARCHED_M, _POINTED_PX = 0.05, 0.5, 2.0
 
 
 def known(seeds: range, clutter: float) -> None:
@@ -159,6 +163,74 @@ def ghosts(made: LandmarkMap, built: Built, edges: list) -> float:
     return float(np.triu(same, k=1).sum() / max(len(made), 1))
 
 
+def nees(logs: list[Path]) -> None:
+    """Print how far landmarks of logs with exact edges are off in units of their covariances, poses known.
+
+    Exact are the edges_exact.csv of a log, else those of the world in configs/worlds that has its name. Which edge a
+    landmark is of is told in two ways: the nearest within 0.05 m, or the likeliest of those that most of its sightings
+    point at to two pixels.
+    """
+    print("| log | landmarks | edge by | of an edge | error, median m | 95 % | NEES, mean | median | over 13.8 |")
+    for path in logs:
+        log = open_log(path)
+        config = read_config(None, [], log.settings)
+        built = build_map(log, "truth", config, cache=cache_folder())
+        exact = exact_edges(path, log.name)
+        for name, edge in (
+            ("place", nearest_edge(built, exact)),
+            ("sightings", edge_of_sightings(built, exact, log.camera)),
+        ):
+            known = edge >= 0
+            off = (built.landmark_map.points - exact[edge])[known]
+            error = np.linalg.norm(off, axis=1)
+            scaled = np.einsum("li,lij,lj->l", off, np.linalg.inv(built.landmark_map.cov[known]), off)
+            print(
+                f"| {log.name} | {len(edge)} | {name} | {known.sum()} | {np.median(error):.4f} | "
+                f"{np.quantile(error, 0.95):.4f} | {scaled.mean():.2f} | {np.median(scaled):.2f} | "
+                f"{(scaled > 13.8).mean():.3f} |",
+                flush=True,
+            )
+
+
+def exact_edges(log: Path, name: str) -> Array:
+    """Return the exact vertical edges (M, 2) of a log's world."""
+    if (log / "edges_exact.csv").exists():
+        columns = np.genfromtxt(log / "edges_exact.csv", delimiter=",", names=True)
+        return np.stack([columns["x"], columns["z"]], axis=-1)
+    world = documents.read_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
+    return simulate.structure_of(world).edges.points
+
+
+def nearest_edge(built: mapping.MapBuilt, exact: Array) -> Array:
+    """Return for each landmark (L,) the nearest of exact edges (M, 2), -1 where none is within 0.05 m."""
+    apart = np.linalg.norm(built.landmark_map.points[:, None] - exact[None], axis=-1)
+    return np.where(apart.min(axis=1) < _NEAR_M, apart.argmin(axis=1), -1)
+
+
+def edge_of_sightings(built: mapping.MapBuilt, exact: Array, camera: Camera) -> Array:
+    """Return for each landmark (L,) which of exact edges (M, 2) most of its sightings point at, -1 for none.
+
+    Of several that is the likeliest by the landmark's covariance.
+    """
+    landmarks, whole, sightings = built.landmark_map, built.built, built.sightings
+    cameras = sightings.camera_poses(camera, built.trajectory.poses)
+    heading, good = sightings.direction(cameras), whole.fit.weight > 0.5
+    number = np.linalg.norm(landmarks.points[:, None] - whole.fit.points[None], axis=-1).argmin(axis=1)
+    result = np.full(len(number), -1)
+    for landmark, own in enumerate(number):
+        seen = whole.used[(whole.of[whole.used] == own) & good]
+        near = np.flatnonzero(np.linalg.norm(exact - landmarks.points[landmark], axis=1) < _SEARCHED_M)
+        off = landmarks.points[landmark] - exact[near]
+        likeliest = np.einsum("mi,ij,mj->m", off, np.linalg.inv(landmarks.cov[landmark]), off).argsort()
+        for edge in near[likeliest]:
+            expected, _ = direction_of(np.tile(exact[edge], (len(seen), 1)), cameras[sightings.frame[seen]])
+            within = 3 * sightings.sigma[seen] + _POINTED_PX / camera.focal_px
+            if (np.abs(wrap_angle(heading[seen] - expected)) < within).mean() > 0.5:
+                result[landmark] = edge
+                break
+    return result
+
+
 def slam(logs: list[Path]) -> None:
     """Print how far the trajectory of logs alone is from the truth, after the best rotation and translation."""
     print("| log | wheels, RMSE m | alone, RMSE m | largest m | landmarks | seconds after edges |")
@@ -240,7 +312,7 @@ def rigid(found: Array, truth: Array, *, scaled: bool = False) -> Callable[[Arra
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("known", "laps", "long", "slam", "coarse", "bearings"))
+    parser.add_argument("what", choices=("known", "laps", "long", "nees", "slam", "coarse", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
@@ -252,6 +324,8 @@ if __name__ == "__main__":
         two_laps(range(arguments.seeds), arguments.clutter)
     elif arguments.what == "long":
         long(arguments.times)
+    elif arguments.what == "nees":
+        nees(arguments.logs)
     elif arguments.what == "slam":
         slam(arguments.logs)
     elif arguments.what == "coarse":

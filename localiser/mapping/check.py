@@ -90,17 +90,19 @@ def duplicates(landmark_map: LandmarkMap) -> Index:
 
 
 def _own_cov(cov: Array) -> Array:
-    """Return covariances (L, 2, 2) without the variance that all landmarks share, up to `_SHARED_M`².
+    """Return covariances (L, 2, 2) without the errors that images and poses share, up to `_SHARED_M`² across.
 
-    It stands for errors of images and poses that no number of images averages out, and says nothing of whether two
-    neighbours, such as the backs of two books, are one.
+    No number of images averages these out (`place_cov`), and they say nothing of whether two neighbours, such as the
+    backs of two books, are one. Across the line of sight they are as large as half of all landmarks are certain, and
+    they grow along it as the rest of the error does. So a covariance shrinks as a whole.
     """
     known = np.isfinite(cov).all(axis=(1, 2)) & (np.trace(cov, axis1=1, axis2=2) > 0)
     if not known.any():
         return cov
-    least = float(np.linalg.eigvalsh(cov[known])[:, 0].min())
+    across = np.maximum(np.linalg.eigvalsh(cov[known])[:, 0], 1e-30)
+    shared = np.clip(np.median(across), 0.0, _SHARED_M**2)
     own = cov.copy()
-    own[known] -= np.clip(least, 0.0, _SHARED_M**2) * np.eye(2)
+    own[known] *= np.maximum(1.0 - shared / across, 0.0)[:, None, None]
     return own
 
 

@@ -12,6 +12,7 @@ from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
 from localiser.mapping.landmarks import Built, medians
 from localiser.mapping.parameters import MappingParameters
+from localiser.mapping.place_error import place_cov
 from localiser.mapping.sightings import Index, Sightings, direction_of
 
 _END_SHARE = 0.1  # share of sightings that may reach beyond a landmark's stated end
@@ -150,7 +151,8 @@ def landmark_map_of(
     whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
     profile = medians(built.of[built.used], len(built), sightings.profile[built.used])
     quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
-    cov = built.cov + parameters.place_sigma_m**2 * np.eye(2)
+    places = place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
+    cov = built.cov + places
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
     kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters)))
     return replace(kept, ids=tuple(range(len(kept))))

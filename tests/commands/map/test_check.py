@@ -31,6 +31,15 @@ def test_doubles_are_near_and_alike() -> None:
     assert len(duplicates(LandmarkMap.from_points(points[[0, 2, 6]]))) == 0
 
 
+def test_neighbours_one_behind_the_other_are_not_doubles_for_a_distance_that_all_landmarks_know_badly() -> None:
+    """Seen from few degrees apart, the error that images share is larger along the line of sight than across it."""
+    points = np.array([[0.0, 0.0], [0.0, 0.03], [1.0, 0.0], [1.0, 0.03], [2.0, 0.0]])
+    across_m = np.array([0.006, 0.006, 0.012, 0.012, 0.006])
+    cov = across_m[:, None, None] ** 2 * np.diag([1.0, 9.0])
+    landmarks = replace(LandmarkMap.from_points(points), cov=cov)
+    assert duplicates(landmarks).tolist() == [[2, 3]]
+
+
 @pytest.mark.parametrize("shared_m", [0.006, 0.015])
 def test_neighbours_are_not_doubles_for_an_error_that_all_landmarks_share(shared_m: float) -> None:
     """Two books 3 cm apart, two that a few images show badly, and a surveyed corner."""

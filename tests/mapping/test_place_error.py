@@ -1,0 +1,98 @@
+"""Errors of places that images from one direction share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.geometry import Array, wrap_angle
+from localiser.mapping import Built, Sightings
+from localiser.mapping.landmarks import fitted
+from localiser.mapping.place_error import place_cov
+from localiser.mapping.sightings import direction_of, per_point
+
+CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9))
+POINTS = np.array([[0.0, -3.0], [0.4, -2.0]])
+SIGMA_RAD, PLACE_M, CORRELATED_RAD = 1e-4, 0.006, np.pi / 4
+
+
+def arc(reach_rad: float, frames: int = 30) -> Array:
+    """Return cameras (T, 3) around (0, -3), 3 m away, that look at it, over an angle."""
+    heading = np.linspace(-reach_rad / 2, reach_rad / 2, frames)
+    return np.column_stack([3 * np.sin(heading), -3 + 3 * np.cos(heading), heading])
+
+
+def wandering(heading: Array, rng: np.random.Generator) -> Array:
+    """Return errors (K,) m across the line of sight of edges that are seen along headings (K,)."""
+    apart = np.abs(wrap_angle(heading[:, None] - heading[None]))
+    return (
+        PLACE_M
+        * np.linalg.cholesky(np.exp(-apart / CORRELATED_RAD) + 1e-9 * np.eye(len(heading)))
+        @ rng.normal(size=len(heading))
+    )
+
+
+def built(cameras: Array, rng: np.random.Generator | None) -> tuple[Sightings, Built, Array]:
+    """Return landmarks that are seen from all cameras (T, 3), their places off by the direction of view."""
+    frames = []
+    off = np.zeros((len(POINTS), len(cameras)))
+    for landmark, point in enumerate(POINTS):
+        heading, range_m = direction_of(np.tile(point, (len(cameras), 1)), cameras)
+        if rng is not None:
+            off[landmark] = wandering(heading, rng) / range_m
+    for frame, camera in enumerate(cameras):
+        heading, _ = direction_of(POINTS, np.tile(camera, (len(POINTS), 1)))
+        bearing = wrap_angle(camera[2] - heading - off[:, frame])
+        known = np.full(len(POINTS), SIGMA_RAD)
+        frames.append(Edges.from_columns(bearing, known, np.zeros(len(POINTS)), known))
+    sightings = Sightings.from_edges(frames, CAMERA)
+    sigma = np.full(len(sightings), SIGMA_RAD)
+    return sightings, fitted(sightings, np.tile(np.arange(len(POINTS)), len(cameras)), cameras, sigma), sigma
+
+
+def test_it_is_the_double_sum_over_all_pairs_of_bearings() -> None:
+    cameras = arc(np.deg2rad(50))[np.random.default_rng(0).permutation(30)]
+    sightings, made, sigma = built(cameras, np.random.default_rng(1))
+    found = place_cov(sightings, made, cameras, sigma, PLACE_M)
+    for landmark in range(len(POINTS)):
+        own = made.of == landmark
+        seen_from = cameras[sightings.frame[own]]
+        at = np.tile(made.fit.points[landmark], (own.sum(), 1))
+        heading, range_m = direction_of(at, seen_from)
+        pull = per_point(at, seen_from) * (made.fit.weight[own] / sigma[own] ** 2 * PLACE_M / range_m)[:, None]
+        apart = np.abs(wrap_angle(heading[:, None] - heading[None]))
+        cov = made.fit.cov[landmark]
+        expected = cov @ pull.T @ np.exp(-apart / CORRELATED_RAD) @ pull @ cov
+        np.testing.assert_allclose(found[landmark], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("reach_deg", [10.0, 90.0])
+def test_landmarks_whose_edges_wander_err_as_it_says(reach_deg: float) -> None:
+    cameras, nees = arc(np.deg2rad(reach_deg)), []
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        sightings, made, sigma = built(cameras, rng)
+        cov = place_cov(sightings, made, cameras, sigma, PLACE_M) + made.fit.cov
+        off = made.fit.points - POINTS
+        nees.append(np.einsum("li,lij,lj->l", off, np.linalg.inv(cov), off))
+    assert 1.4 < np.mean(nees) < 2.8
+
+
+def test_across_the_line_of_sight_it_is_what_is_stated_however_many_images_there_are() -> None:
+    for frames in (10, 300):
+        cameras = arc(np.deg2rad(8), frames)
+        sightings, made, sigma = built(cameras, None)
+        cov = place_cov(sightings, made, cameras, sigma, PLACE_M)[0]
+        assert np.sqrt(cov[0, 0]) == pytest.approx(PLACE_M, rel=0.1)
+        assert np.sqrt(cov[1, 1]) > 4 * PLACE_M
+
+
+def test_many_directions_tell_more_than_one() -> None:
+    sizes = []
+    for reach_deg in (20.0, 120.0):
+        cameras = arc(np.deg2rad(reach_deg))
+        sightings, made, sigma = built(cameras, None)
+        sizes.append(np.linalg.eigvalsh(place_cov(sightings, made, cameras, sigma, PLACE_M)[0]))
+    assert np.all(sizes[1] < sizes[0])
