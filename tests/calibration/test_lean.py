@@ -37,12 +37,12 @@ def test_sigma_covers_the_error_where_rows_lean() -> None:
     assert np.sqrt((alone**2).mean()) > 5.0
 
 
-@pytest.mark.slow  # quick: ten worlds above
+@pytest.mark.slow  # quick: eight worlds above
 @pytest.mark.parametrize("along", ["any", "along", "back"])
 def test_sigma_covers_the_error_in_many_worlds(along: str) -> None:
     leaning, _ = scaled_errors(range(100, 140), row_deg=0.3, own_deg=0.15, along=along)
     assert np.all(np.sqrt((leaning**2).mean(axis=0)) < 1.5)
-    assert (np.abs(leaning) > 3.0).mean() < 0.03
+    assert (np.abs(leaning) > 3.0).mean() < 0.05
 
 
 def test_a_plumb_building_is_told_from_one_that_leans() -> None:

@@ -50,7 +50,7 @@ def test_tilt_prints_what_is_stated_and_what_is_found(localiser: Localiser, log:
     assert result.exit_code == 0
     rows = {line.split()[0]: line.split()[2:] for line in result.out.splitlines() if "°" in line}
     stated, found, sigma, difference = (float(text) for text in rows["tilt"])
-    assert stated == 17.0 and abs(found - 20.0) < 0.1 and sigma < 0.05
+    assert stated == 17.0 and abs(found - 20.0) < 0.1 and sigma < 0.1  # of six images
     assert difference == pytest.approx(found - stated, abs=0.001)
     assert (log / "camera.yaml").read_bytes() == before
 
