@@ -151,7 +151,7 @@ def _simulate(camera: Camera, view: _Rays, difficulty: Difficulty, rng: np.rando
     truth, counted = [], []
     for index, (left, right, bottom, top, *_) in enumerate(boxes):
         for side in (left, right):
-            for run in _visible_runs(camera, image, grey_at, index, (side, bottom, top)):
+            for run in _visible_runs(camera, image.clip(0, 255), grey_at, index, (side, bottom, top)):
                 truth.append(run[0])
                 counted.append(run[1])
     ends = np.array(truth).reshape(-1, 2, 2)
@@ -229,9 +229,9 @@ def _visible_runs(
 
 
 def _exposed(image: Array, difficulty: Difficulty) -> Array:
-    """Return the image as a lens with a vignette lets it through, exposed and clipped."""
+    """Return the light of the image as a lens with a vignette lets it through; what it blurs is clipped afterwards."""
     v, u = np.meshgrid(*(np.linspace(-1, 1, size) for size in image.shape), indexing="ij")
-    return np.clip(image * difficulty.gain * (1 - difficulty.vignette * (u**2 + v**2) / 2), 0, 255)
+    return image * difficulty.gain * (1 - difficulty.vignette * (u**2 + v**2) / 2)
 
 
 def _taken(image: Array, difficulty: Difficulty, rng: np.random.Generator) -> Array:
