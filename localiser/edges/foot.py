@@ -1,12 +1,14 @@
 """The foot of an edge: where it meets the floor, and how likely its lower end stands on the floor.
 
-A lower end determines a range only if it stands on the floor. If it is above the floor (a window, a pane over its rail)
-or hidden by something in front, it appears to be farther away. One image cannot decide this, but it has two hints:
+A lower end determines a range only if it stands on the floor. If it is above the floor (a window, a pane over its
+rail, a thing on a table) or hidden by something in front, it appears to be farther away. One image cannot decide this,
+but it has three hints:
 
 - At a foot, the border between wall and floor meets the edge, and below it there is only floor, down to the border of
   the image. If the end is above the floor, the foot of the wall is below it. If it is hidden, the foot of the thing in
   front is below it. Either is a stronger change of grey than that at the end itself.
 - Rooms are some metres wide. An end near the height of the camera appears to be far away.
+- A camera sees the tops of what is lower than itself, and what stands on them. One near the floor sees none of that.
 
 From these the probability that the end stands on the floor is computed. docs/notes/edges.md says how often it is right.
 """
@@ -38,8 +40,11 @@ _LEAST_DEPTH = 0.05
 _FAINT_GREY = 4.0
 """Steps that are smaller than this are as good as none."""
 _TYPICAL_RANGE_M = 4.0
-_LOG_ODDS = {"always": 3.6, "range": -0.8, "junction": -0.7, "near": -2.3, "far": -1.5}
-"""Logistic regression on images of two simulated worlds and a rendered one, all weighing alike."""
+_TYPICAL_HEIGHT_M = 0.75
+LOG_ODDS = {"always": 3.5, "height": -1.0, "range": -0.7, "junction": -0.7, "near": -2.4, "far": -1.5}
+"""Logistic regression on furnished rooms, two worlds and a rendered house: `benchmarks/edge_feet.py --fit`."""
+_MOST_PROBABLE = 0.85
+"""What was said to be likelier than this was not found to be, in buildings that the regression had not seen."""
 
 
 def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = None) -> tuple[Array, Array]:
@@ -66,13 +71,14 @@ def foot_probability(bottom_px: Array, range_m: Array, image: Image, camera: Cam
     seen = np.isfinite(range_m)
     probability = np.zeros(len(range_m))
     if seen.any():
-        evidence = _evidence(bottom_px[seen], range_m[seen], image, camera)
-        probability[seen] = 1 / (1 + np.exp(-sum(_LOG_ODDS[name] * value for name, value in evidence.items())))
+        evidence = foot_evidence(bottom_px[seen], range_m[seen], image, camera)
+        likely = 1 / (1 + np.exp(-sum(LOG_ODDS[name] * value for name, value in evidence.items())))
+        probability[seen] = np.minimum(likely, _MOST_PROBABLE)
     return probability
 
 
-def _evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) -> dict[str, Array]:
-    """Return what speaks for and against feet (E,) at pixels (E, 2), by the names of `_LOG_ODDS`."""
+def foot_evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) -> dict[str, Array]:
+    """Return what speaks for and against feet (E,) at pixels (E, 2), by name; range_m: (E,), all finite."""
     far_step = camera.height / _STEPS_DOWN
     far_px = np.arange(_PLACES_PX[-1], -float(camera.height), -far_step)
     grey = _sides(bottom_px, np.concatenate([_PLACES_PX, far_px]), image, camera)
@@ -81,6 +87,7 @@ def _evidence(bottom_px: Array, range_m: Array, image: Image, camera: Camera) ->
     junction = at_end.min(axis=1)
     return {
         "always": np.ones(len(range_m)),
+        "height": np.full(len(range_m), np.log(camera.mount.height_m / _TYPICAL_HEIGHT_M)),
         "range": np.log(range_m / _TYPICAL_RANGE_M) ** 2,
         "junction": junction,
         "near": np.maximum(below.max(axis=1) - at_end.max(axis=1), 0),
