@@ -9,18 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.clipping import AFTER_VARIANCE, PIXEL_VARIANCE
 from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, linked, peaks_of
-from localiser.edges.lines import (
-    LEAST_BLOCKS,
-    Cells,
-    Fitted,
-    cells_of,
-    corrected_for_clipping,
-    refined,
-    rough_lines,
-    sampled,
-)
+from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
 from localiser.edges.segments import Segments
@@ -65,9 +55,7 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
     kept, top, bottom = _significant(fitted, cells, field, min_contrast)
     if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
         return _found_in_half(image, camera, min_contrast)
-    width = _typical_width(fitted, kept, cells)
-    fit, offset, turned = corrected_for_clipping(fitted, cells, field, _blur_px(width))
-    fit, view = fit.take(kept), column_view(camera)
+    fit, view = fitted.fit.take(kept), column_view(camera)
     reach = np.sqrt(fit.spread / fit.weight)
     points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
     column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
@@ -78,8 +66,8 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
         ends_px=ideal_px[:, :2],
         support_px=ideal_px[:, 2:],
         sigma_px=to_px * np.sqrt(2 / fit.weight),
-        shift_sigma_px=to_px * np.sqrt((fitted.shift * _blur(width)) ** 2 + fitted.sampling**2 + turned**2)[kept],
-        offset_sigma_px=to_px * offset[kept],
+        shift_sigma_px=to_px * fitted.shift[kept] * _blur(fitted, kept, cells),
+        offset_sigma_px=to_px * fitted.offset[kept],
         polarity=rough.polarity[kept],
     )
 
@@ -120,31 +108,17 @@ def _significant(
     return np.flatnonzero(kept), top, bottom
 
 
-def _typical_width(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
-    """Return how wide (columns) the slopes of lines are, the median over their blocks.
-
-    Clipped ones are narrower, and are asked only where there are no others.
-    """
-    if len(kept) == 0:
-        return _IN_FOCUS_PX
-    is_whole = cells.mean(fitted.clipped)[kept] == 0
-    whole = kept[is_whole] if is_whole.any() else kept
-    order = np.argsort(fitted.width[whole])
-    blocks = np.cumsum(cells.blocks[whole][order])
-    return float(fitted.width[whole][order][np.searchsorted(blocks, blocks[-1] / 2)])
-
-
-def _blur(width: float) -> float:
+def _blur(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
     """Return by how much more than in focus something beside a line moves it, over what two scales tell: 1 in focus.
 
     In a blurred image both scales see wide slopes, so that they differ less. Slopes grow with the square of the width.
     """
-    return max(width / _IN_FOCUS_PX, 1.0) ** 2
-
-
-def _blur_px(width: float) -> float:
-    """Return the width (px) of the Gaussian that blurs edges before they are clipped, of slopes so wide (columns)."""
-    return float(np.sqrt(max(width**2 - AFTER_VARIANCE, PIXEL_VARIANCE)))
+    if len(kept) == 0:
+        return 1.0
+    order = np.argsort(fitted.width[kept])
+    blocks = np.cumsum(cells.blocks[kept][order])
+    median = float(fitted.width[kept][order][np.searchsorted(blocks, blocks[-1] / 2)])
+    return max(median / _IN_FOCUS_PX, 1.0) ** 2
 
 
 def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:

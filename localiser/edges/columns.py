@@ -31,8 +31,6 @@ PEAK_SIGMA = 3.0
 """Least height of a peak over the noise; the chain of peaks is judged as a whole afterwards."""
 _LEAST_NOISE_GREY = 1 / np.sqrt(12.0)
 """Rounding to 8 bits alone is as noisy as this."""
-WHITE_GREY = 250.0
-"""A block that is lighter than this is clipped, at least in part."""
 _CLUTTER_BLOCKS, _CLUTTER_COLUMNS = 5, 17
 """Size of the surroundings that tell how much texture an edge must stand out from."""
 _CLUTTER_WEIGHT = 4.0

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.clipping import PIXEL_SIGMA_PX, displacement, stops_above
-from localiser.edges.columns import ALONG, SCALE_PX, WHITE_GREY, GradientField, Peaks, gradient_kernel
+from localiser.edges.columns import ALONG, SCALE_PX, GradientField, Peaks, gradient_kernel
 from localiser.edges.columns_kernel import samples_loop
 from localiser.edges.groups import Groups, LineFit
 from localiser.geometry import Array
@@ -26,11 +25,10 @@ _TUKEY = 4.0
 _SAMPLING_SIGMA_PX = {1: 0.03, 2: 0.01}
 """Error by pixels and by the remap, at `SCALE_PX` and at twice that: tables hold 1/32 px, and an edge that is sharper
 than a pixel has none of its own scale to be interpolated."""
+_WHITE_GREY = 250.0
 _BESIDE_PX = 3.0
-_MOSTLY_CLIPPED = 0.5
-_EVERY = 17  # blocks of the image's distribution of brightness
-_PER_SUPPORT = 1 / np.sqrt(6.0)
-"""Error of each support point, 1/√12 of the length from the middle, where both ends differ by an error of 1."""
+_CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
+"""Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown."""
 _MARGIN_BLOCKS = 2
 _ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)
 """How far, in blocks squared, the average over neighbouring blocks reaches."""
@@ -70,7 +68,7 @@ class Cells:
     in_chain: NDArray[np.bool_]
     blocks: Array
 
-    def mean(self, values: Array | NDArray[np.bool_]) -> Array:
+    def mean(self, values: Array) -> Array:
         """Return the mean (G,) of values (K,) over the blocks of each chain."""
         return self.groups.sum(values * self.in_chain) / self.blocks
 
@@ -81,11 +79,9 @@ class Fitted:
 
     height: (K,) gradient at each of their blocks. on_line: (K,) whether its peak lies on the line. width, width_sigma:
     (G,) columns, of the Gaussian that would blur a step to this gradient; that of `SCALE_PX` is part of it. shift: (G,)
-    columns by which something on one side may have moved the line, one end more than the other; sampling: (G,) columns
-    by which pixels may have done so. clipped: (K,) whether
-    the lighter side of a block is at the camera's maximum. inlier: (K,) weight of each block in the fit. contrast: (G,)
-    by how much the sides differ, over their mean brightness; inf where the lighter one is clipped, because it may be
-    any brighter.
+    columns by which something on one side may have moved the line, one end more than the other. offset: (G,) columns by
+    which all of it may be off. contrast: (G,) by how much the sides differ, over their mean brightness; inf where the
+    lighter one is overexposed, because it may be any brighter.
     """
 
     fit: LineFit
@@ -94,9 +90,7 @@ class Fitted:
     width: Array
     width_sigma: Array
     shift: Array
-    sampling: Array
-    clipped: NDArray[np.bool_]
-    inlier: Array
+    offset: Array
     contrast: Array
 
 
@@ -158,7 +152,7 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         far = weight * residual**2 / np.maximum(_excess(weight * residual**2, robust, groups)[line], 1)
         inlier, robust = robust, cells.in_chain * np.clip(1 - far / _TUKEY**2, 0, None) ** 2
     width, width_sigma = _width(fit.slope, height, curvature, cells)
-    fit, shift, sampling = _of_both_scales(
+    fit, shift = _of_both_scales(
         _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
     )
     place = fit.at(line, cells.row)
@@ -170,46 +164,19 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         width=width,
         width_sigma=width_sigma,
         shift=shift,
-        sampling=sampling,
-        clipped=clipped,
-        inlier=inlier,
-        contrast=np.where(cells.mean(clipped) < _MOSTLY_CLIPPED, _contrast(place, width, height, cells, field), np.inf),
+        offset=_CLIPPED_SIGMA_PX * clipped,
+        contrast=np.where(clipped < 0.5, _contrast(place, width, height, cells, field), np.inf),
     )
 
 
-def corrected_for_clipping(
-    fitted: Fitted, cells: Cells, field: GradientField, blur_px: float
-) -> tuple[LineFit, Array, Array]:
-    """Return lines moved back from where clipping displaces them, by how many columns (G,) all of each may be off, and
-    by how many (G,) its ends against each other.
-
-    blur_px: see `displacement`. How much lighter the clipped side is may change along a line: from end to end by as
-    much as it is unknown.
-    """
-    groups, line, fit = cells.groups, cells.groups.of, fitted.fit
-    if not fitted.clipped.any():
-        return fit, np.zeros(groups.count), np.zeros(groups.count)
-    darker = _grey_beside(fit.at(line, cells.row), -cells.polarity, cells, field)
-    mean, sigma = displacement(darker, blur_px, stops_above(field.grey.ravel()[::_EVERY].astype(np.float64)))
-    moved = groups.line(cells.row, cells.polarity * mean * fitted.clipped, np.maximum(fitted.inlier, 1e-9))
-    at_middle = moved.y + moved.slope * (fit.x - moved.x)
-    unknown = cells.mean(sigma * fitted.clipped)
-    offset = np.hypot(unknown, PIXEL_SIGMA_PX * cells.mean(fitted.clipped))
-    return fit._replace(y=fit.y + at_middle), offset, unknown * _PER_SUPPORT
-
-
-def _clipped(place: Array, cells: Cells, field: GradientField) -> NDArray[np.bool_]:
-    """Return whether (K,) the lighter side of each line at each of its blocks is at the camera's maximum.
+def _clipped(place: Array, cells: Cells, field: GradientField) -> Array:
+    """Return the fraction (G,) of each line's blocks in which the lighter side is at the camera's maximum.
 
     place: (K,) column of the line at each of its blocks.
     """
-    return np.asarray(_grey_beside(place, cells.polarity, cells, field) > WHITE_GREY)
-
-
-def _grey_beside(place: Array, side: NDArray[np.int8], cells: Cells, field: GradientField) -> Array:
-    """Return the grey level (K,) right (side 1) or left (-1) of a line at each of its blocks."""
-    beside = np.rint(place + _BESIDE_PX * side).astype(np.int64).clip(0, field.grey.shape[1] - 1)
-    return np.asarray(field.grey[cells.row, beside], dtype=np.float64)
+    beside = np.rint(place + _BESIDE_PX * cells.polarity).astype(np.int64)
+    white = field.grey[cells.row, beside.clip(0, field.grey.shape[1] - 1)] > _WHITE_GREY
+    return cells.mean(white.astype(np.float64))
 
 
 def _coarse_fit(fit: LineFit, inlier: Array, cells: Cells, field: GradientField) -> LineFit:
@@ -242,8 +209,8 @@ def _excess(squares: Array, inlier: Array, groups: Groups) -> Array:
     return (_PRIOR_BLOCKS + groups.sum(inlier * squares)) / (_PRIOR_BLOCKS + used)
 
 
-def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array, Array]:
-    """Return the best lines of both scales, and by how much (G,) what is beside them, and pixels, may have moved them.
+def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array]:
+    """Return the best lines of both scales, and by how much (G,) something next to them may have moved them.
 
     A clean step is at the same place at every scale, and more certain at the coarser one. A shadow, a soft corner or a
     close neighbour on one side shifts it, in proportion to the square of the scale: by 4 instead of 1. The coarser
@@ -263,7 +230,7 @@ def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array, Arr
         spread=1 / (share / coarse.spread + (1 - share) / fine.spread),
     )
     sampling_px = share * _SAMPLING_SIGMA_PX[2] + (1 - share) * _SAMPLING_SIGMA_PX[1]
-    return fit, np.sqrt(1 - share) * np.abs(difference), sampling_px
+    return fit, np.hypot(np.sqrt(1 - share) * difference, sampling_px)
 
 
 def _correlation(normalised: Array, line: NDArray[np.int64]) -> float:
