@@ -107,7 +107,7 @@ def _check(odometry: Trajectory, marks: Sequence[Mark]) -> None:
                 f"expected a time after {marks[number - 2].t_ns} ns, found {mark.t_ns} ns", line=number, field="time"
             )
     places = np.array([mark.place for mark in marks])
-    apart = np.hypot(*(places[:, None, :2] - places[None, :, :2]).T).max()
+    apart = _apart(places)
     if apart < _APART_M and np.isnan(places[:, 2]).all():
         raise InputError(
             f"expected marks at least {_APART_M} m apart, or a heading at one of them, found all within {apart:.2f} m"
@@ -214,13 +214,18 @@ def _aligned(seen: Array, marks: Sequence[Mark]) -> Array:
     places = np.array([mark.place for mark in marks])
     known = np.isfinite(places[:, 2])
     one, other = seen[:, :2] - seen[:, :2].mean(axis=0), places[:, :2] - places[:, :2].mean(axis=0)
-    if np.hypot(*(places[:, None, :2] - places[None, :, :2]).T).max() >= _APART_M:
+    if _apart(places) >= _APART_M:
         # Our headings turn x towards -z.
         turn = np.arctan2((one[:, 1] * other[:, 0] - one[:, 0] * other[:, 1]).sum(), (one * other).sum())
     else:
         off = places[known, 2] - seen[known, 2]
         turn = np.arctan2(np.sin(off).sum(), np.cos(off).sum())
     return np.array([*places[0, :2], seen[0, 2] + turn])
+
+
+def _apart(places: Array) -> float:
+    """Return how far from the first of the places (M, 3) the farthest one is (m)."""
+    return float(np.hypot(*(places[:, :2] - places[0, :2]).T).max())
 
 
 def _path(move: Increment) -> float:

@@ -21,7 +21,16 @@ from localiser.storage.tables import (
 )
 from localiser.storage.trajectories import nanoseconds
 
-_TIMES = {"t_s": nanoseconds, "t_ns": integer}
+
+def _seconds(cell: str) -> int:
+    """Return seconds as nanoseconds that fit 62 bits."""
+    t_ns = nanoseconds(cell)
+    if abs(t_ns) >= 2**62:
+        raise ValueError("a time below 2^62 ns")
+    return t_ns
+
+
+_TIMES = {"t_s": _seconds, "t_ns": integer}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +59,7 @@ def read_marks(path: Path, first_ns: int) -> MarksTable:
     columns += [Column("heading_deg", number_or_unknown, required=False)]
     columns += [Column(name, positive_or_unknown, required=False) for name in ("sigma_m", "sigma_deg")]
     table = read_table(path, columns, rows_at_least=2)
-    times = table.integers(time) + (first_ns if time == "t_s" else 0)
+    times = [t_ns + (first_ns if time == "t_s" else 0) for t_ns in table.integers(time).tolist()]
     places = table.numbers("x", "z")
 
     def optional(name: str, otherwise: float) -> np.ndarray:
@@ -62,5 +71,5 @@ def read_marks(path: Path, first_ns: int) -> MarksTable:
         optional("sigma_m", MARK_SIGMA_M),
         np.radians(optional("sigma_deg", np.degrees(MARK_SIGMA_RAD))),
     )
-    rows = zip(times.tolist(), *places.T.tolist(), heading.tolist(), sigma_m.tolist(), sigma_rad.tolist(), strict=True)
+    rows = zip(times, *places.T.tolist(), heading.tolist(), sigma_m.tolist(), sigma_rad.tolist(), strict=True)
     return MarksTable(path, [Mark(*row) for row in rows], table.lines, time)

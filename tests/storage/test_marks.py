@@ -39,8 +39,16 @@ def test_times_count_from_the_first_odometry_and_the_rest_has_defaults(tmp_path:
         ("t_s,x,z\n0,0,0\n1,east,1\n", r"marks.csv:3: x: expected a number, found 'east'"),
         ("t_s,x,z,sigma_m\n0,0,0,-1\n1,1,1,\n", r"marks.csv:2: sigma_m: expected a number above 0"),
         ("t_s,x,z\n0,0,0\n", r"expected at least 2 rows"),
+        ("t_s,x,z\n0,0,0\n9.5e9,1,1\n", r"marks.csv:3: t_s: expected a time below 2\^62 ns"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(InputError, match=told):
         read_marks(written(tmp_path, text), 0)
+
+
+def test_a_time_long_after_the_odometry_does_not_wrap(tmp_path: Path) -> None:
+    first_ns = 1_700_000_000 * 10**9
+    assert (
+        read_marks(written(tmp_path, "t_s,x,z\n0,0,0\n4.6e9,1,1\n"), first_ns).marks[1].t_ns == first_ns + 46 * 10**17
+    )
