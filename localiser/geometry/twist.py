@@ -13,6 +13,8 @@ WHEELS_SHARE = 0.05
 """By which share wheels may misjudge a turn, 1 sigma."""
 USUAL_TURN_RAD_S = 0.5
 """Turn rate of a robot of which nothing is known, 1 sigma."""
+MOST_SPEED_M_S, MOST_TURN_RAD_S = 20.0, 20.0
+"""Wheels that say more have begun to count anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,8 @@ def twist_at(track: Trajectory, t_ns: int, span_s: tuple[float, float]) -> Twist
     """Return the mean twist during a span (begin, end) about a time, by poses up to the first one at or after the time.
 
     A running robot knows no later ones yet, so a span that ends later is moved to end there. The turn rate is as
-    uncertain as wheels are, and as it has changed since as long before.
+    uncertain as wheels are, and as it has changed since as long before. Unknown before the second pose, and where no
+    robot drives so fast.
     """
     last = min(int(np.searchsorted(track.t_ns, t_ns, side="left")), len(track) - 1)
     if last < 1:
@@ -44,10 +47,14 @@ def twist_at(track: Trajectory, t_ns: int, span_s: tuple[float, float]) -> Twist
     end_ns = min(t_ns + round(span_s[1] * 1e9), known_ns)
     length_ns = max(round((span_s[1] - span_s[0]) * 1e9), 1_000_000)
     begin_ns = max(end_ns - length_ns, first_ns)
+    if begin_ns >= end_ns:
+        return UNKNOWN_TWIST
     motion = between(track.at(begin_ns), track.at(end_ns))
     duration_s = (end_ns - begin_ns) / 1e9
     right, backward = arc_log(motion) / duration_s
     turn = float(motion[2]) / duration_s
+    if np.hypot(right, backward) > MOST_SPEED_M_S or abs(turn) > MOST_TURN_RAD_S:
+        return UNKNOWN_TWIST
     step_ns = max(length_ns, known_ns - int(track.t_ns[last - 1]))
     changed = turn - _turn_rate(track, max(begin_ns - step_ns, first_ns), begin_ns, turn)
     return Twist(float(right), float(backward), turn, float(np.hypot(WHEELS_SHARE * turn, changed / 2)))

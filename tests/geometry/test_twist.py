@@ -48,3 +48,14 @@ def test_nothing_is_known_before_the_second_pose() -> None:
     track = arc(1.0, 0.5)
     assert twist_at(track, 0, READOUT_S) == UNKNOWN_TWIST
     assert twist_at(Trajectory(T_NS[:1], track.poses[:1]), 10**9, READOUT_S) == UNKNOWN_TWIST
+
+
+def test_wheels_that_begin_to_count_anew_tell_nothing() -> None:
+    track = arc(0.2, 0.5)
+    poses = track.poses.copy()
+    poses[10:, 0] += 10.0
+    assert twist_at(Trajectory(T_NS, poses), int(T_NS[10]) - 1, READOUT_S) == UNKNOWN_TWIST
+
+
+def test_rows_before_the_first_pose_tell_nothing() -> None:
+    assert twist_at(arc(1.0, 0.5), 20_000_000, (-0.03, -0.02)) == UNKNOWN_TWIST

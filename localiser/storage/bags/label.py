@@ -83,12 +83,14 @@ def with_sigma(mounts: Sequence[Mount | None], label: Label) -> Sequence[Mount |
 
 def labelled(camera: Camera, label: Label) -> Camera:
     """Return the camera with what no message of ROS says of it: its name, and how its shutter rolls."""
-    shutter = label.rolling_shutter
-    return replace(
-        camera,
-        name=camera.name or label.camera_name,
-        shutter=shutter_of(shutter.row_time_us, shutter.stamp_row) if shutter else camera.shutter,
-    )
+    stated = label.rolling_shutter
+    if stated is not None and stated.stamp_row > camera.height - 1:
+        raise InputError(
+            f"expected a row of the image, 0 to {camera.height - 1}, found {stated.stamp_row:g}",
+            field="rolling_shutter.stamp_row",
+        )
+    shutter = shutter_of(stated.row_time_us, stated.stamp_row) if stated and stated.row_time_us else camera.shutter
+    return replace(camera, name=camera.name or label.camera_name, shutter=shutter)
 
 
 def live_label_text(name: str, settings: Mapping[str, Any], topics: Mapping[str, str]) -> str:

@@ -83,6 +83,10 @@ def test_a_rolling_shutter_survives(tmp_path: Path, kind: str) -> None:
     shutter = RollingShutter(62.5e-6, stamp_row=23.5)
     write_bag(tmp_path / NAMES[kind], replace(log, camera=replace(log.camera, shutter=shutter)), kind)
     assert open_log(tmp_path / NAMES[kind]).camera.shutter == shutter
+    beyond = replace(log.camera, shutter=RollingShutter(62.5e-6, stamp_row=log.camera.height))
+    write_bag(tmp_path / f"beyond{NAMES[kind]}", replace(log, camera=beyond), kind)
+    with pytest.raises(InputError, match="expected a row of the image"):
+        open_log(tmp_path / f"beyond{NAMES[kind]}")
 
 
 @KINDS
