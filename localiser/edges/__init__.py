@@ -10,5 +10,5 @@ from localiser.edges.mount import mount_error_of_edges
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.edges.segments import Segments
-from localiser.edges.types import CommonError, Edges
+from localiser.edges.types import TURN_RATE, CommonError, Edges
 from localiser.edges.undistort import Image

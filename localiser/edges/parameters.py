@@ -20,7 +20,7 @@ class EdgeParameters:
 
     detector: Annotated[DetectorName, Field(description="what looks for segments in the image")] = "columns"
     half_resolution: Annotated[
-        bool, Field(description="look for edges in the image at half its resolution, which takes a third of the time")
+        bool, Field(description="look for edges in the image at half its resolution, in half to two thirds of the time")
     ] = False
     min_length_px: Annotated[float, Field(gt=2, le=1000, description="shortest edge that counts (px)")] = 30.0
     min_contrast: Annotated[

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
-from localiser.edges import Edges, foot_of_edges
+from localiser.edges import TURN_RATE, Edges, foot_of_edges
 from localiser.geometry import Array
 
 Index = NDArray[np.int64]
@@ -71,7 +71,7 @@ class Sightings:
             first=first,
             frame=np.repeat(np.arange(len(frames)), count),
             bearing=column("bearing"),
-            sigma=column("bearing_sigma"),
+            sigma=_sigmas(frames),
             polarity=column("polarity").astype(np.int8),
             side=_sides(profile),
             length_px=column("length_px"),
@@ -127,6 +127,18 @@ def _mounts(frames: Sequence[Edges]) -> tuple[Mount | None, ...]:
     """Return the mount of each frame; empty where the camera always sits as it says."""
     mounts = tuple(edges.mount for edges in frames)
     return () if all(mount is None for mount in mounts) else mounts
+
+
+def _sigmas(frames: Sequence[Edges]) -> Array:
+    """Return the sigmas (S,) of all bearings; what a turn rate moves in an image counts as an error of each edge."""
+    parts = []
+    for edges in frames:
+        sigma, common = edges.bearing_sigma, edges.common
+        if TURN_RATE in common.names:
+            k = common.names.index(TURN_RATE)
+            sigma = np.hypot(sigma, common.bearing_from_line[:, k] * np.sqrt(common.cov[k, k]))
+        parts.append(sigma)
+    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _profiles(frames: Sequence[Edges]) -> Array:

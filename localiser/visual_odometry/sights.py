@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges import FOOT_SIGMA_PX, Edges
+from localiser.edges import FOOT_SIGMA_PX, TURN_RATE, Edges
 from localiser.geometry import Array
 
 FOOT_HEIGHT_SIGMA_M = 0.03
@@ -71,9 +71,10 @@ class Sights:
 
 
 def errs_apart(before: Edges, after: Edges) -> bool:
-    """Return whether errors of the mount differ between two images: those of a mount that was measured for each."""
+    """Return whether common errors differ between two images: of a mount measured for each, and of a turn rate."""
     measured = any(edges.mount is not None and edges.mount.sigma is not None for edges in (before, after))
-    return measured or before.common.names != after.common.names
+    turns = TURN_RATE in before.common.names
+    return measured or turns or before.common.names != after.common.names
 
 
 def with_errors_apart(one: Sights, two: Sights) -> tuple[Sights, Sights]:

@@ -10,17 +10,22 @@ from pathlib import Path
 from localiser import storage
 from localiser.camera import Camera
 from localiser.errors import InputError
+from localiser.geometry import Twist, twist_at
 from localiser.storage import FolderReader, Image, ImageEvent, read_image, safe_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taken:
-    """An image to find edges in. image: its file, as it was named. stem: the name of its outputs. t_ns: in a log."""
+    """An image to find edges in. image: its file, as it was named. stem: the name of its outputs.
+
+    t_ns, twist: its time and the robot's motion, in a log.
+    """
 
     image: str
     stem: str
     load: Callable[[], Image]
     t_ns: int | None = None
+    twist: Twist | None = None
 
 
 def inputs_of(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, list[Taken]]:
@@ -50,8 +55,10 @@ def _of_log(path: Path, camera: Camera | None) -> tuple[Camera, list[Taken]]:
             f"expected a camera of {log.camera.width}×{log.camera.height} pixels, found {found}", field="--camera"
         )
     stems = stems_of([Path(frame.name) for frame in frames])
-    return camera or log.camera, [
-        Taken(frame.name, stem, frame.load, frame.t_ns) for frame, stem in zip(frames, stems, strict=True)
+    camera = camera or log.camera
+    return camera, [
+        Taken(frame.name, stem, frame.load, frame.t_ns, twist_at(log.odometry, frame.t_ns, camera.readout_s))
+        for frame, stem in zip(frames, stems, strict=True)
     ]
 
 

@@ -17,6 +17,7 @@ from localiser.commands.edges.records import COLUMNS, PROFILE, csv_text, mount_b
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import Edges, find_edges
 from localiser.errors import LocaliserError, RunEndedEarlyError
+from localiser.geometry import Twist
 from localiser.replay import Stop, asked_to_stop
 from localiser.storage import Image, RunFolder, json_text, output_errors, require_new, write_camera, write_text
 
@@ -54,7 +55,7 @@ class EdgeRun:
         """
         first = self.images[0].load()  # a wrong camera is told before a folder is made
         self.comparison = Comparison(list(self.detectors))
-        self._found(first)  # detectors make what they keep for a camera, so that no image's time has it
+        self._found(first, None)  # detectors make what they keep for a camera, so that no image's time has it
         self.folder = self._new_folder()
         write_camera(self.camera, self.folder / "camera.yaml")
         write_text(self.folder / "config.yaml", to_yaml(in_force(self.config)))
@@ -86,19 +87,19 @@ class EdgeRun:
             self.out.mkdir(parents=True, exist_ok=True)
         return self.out
 
-    def _found(self, image: Image) -> dict[str, tuple[Edges, float]]:
+    def _found(self, image: Image, twist: Twist | None) -> dict[str, tuple[Edges, float]]:
         """Return what each detector finds in an image, from left to right, and in how many ms."""
         found = {}
         for name in self.detectors:
             parameters = replace(self.config.edges, detector=name)
             begin = perf_counter()
-            edges = find_edges(image, self.camera, parameters, with_probabilities=True)
+            edges = find_edges(image, self.camera, parameters, twist=twist, with_probabilities=True)
             ms = 1e3 * (perf_counter() - begin)
             found[name] = edges.take(np.argsort(edges.bearing, kind="stable")), ms
         return found
 
     def _one(self, taken: Taken, image: Image) -> None:
-        found = self._found(image)
+        found = self._found(image, taken.twist)
         self.last = {name: edges for name, (edges, _) in found.items()}
         self.mounts = {name: mount_by_edges(edges, self.camera, self.config.edges) for name, edges in self.last.items()}
         self.comparison.add(self.last, {name: ms for name, (_, ms) in found.items()}, self.camera)
