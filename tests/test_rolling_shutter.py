@@ -83,11 +83,7 @@ def bends(shutter: dict[str, Any] | None) -> Log:
 @pytest.mark.slow
 def test_a_drive_is_as_accurate_as_with_all_rows_at_once_if_the_shutter_is_stated() -> None:
     row_time = {"row_time_us": 30e3 / 239}
-    plain, stated, silent = (
-        replay_log(bends(shutter), seed=0).metrics
-        for shutter in (None, {**row_time, "stated": True}, {**row_time, "stated": False})
-    )
+    plain, stated = (replay_log(bends(shutter), seed=0).metrics for shutter in (None, {**row_time, "stated": True}))
     assert stated["position_rmse_m"] < 1.3 * plain["position_rmse_m"]
     assert stated["heading_rmse_deg"] < 1.3 * plain["heading_rmse_deg"]
     assert stated["nees_mean"] < 2.0 and stated["confidence"]["sure_and_wrong"] == 0.0
-    assert silent["heading_rmse_deg"] > 1.5 * stated["heading_rmse_deg"]
