@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plain_room import camera_data, plain_room
 from pydantic import ValidationError
 
 from localiser.geometry import Trajectory
@@ -18,26 +19,17 @@ AWAY, TOWARDS = np.array([0.0, 0.0, np.pi]), np.array([0.0, 0.0, 0.0])
 
 
 def world_data(glow: float = 0.0, **image: Any) -> dict[str, Any]:
-    """Return a dark room of 8 m with a pane on one wall, which is a window where it glows."""
-    corners = [[-4.0, 4.0], [-4.0, -4.0], [4.0, -4.0], [4.0, 4.0]]
-    walls: list[dict[str, Any]] = [{"from": corners[k - 1], "to": corners[k], "material": "wall"} for k in range(4)]
-    pane = {"at_m": 4.0, "width_m": 3.2, "bottom_m": 0.6, "top_m": 1.8, "side": "right", "material": "pane"}
-    walls[2]["posters"] = [pane]
+    """Return the room without its post and with a pane on one wall, which is a window where it glows."""
     plain = {"texture": "plain", "contrast": 0.0}
-    return {
-        "format": "localiser-world/1",
-        "name": "room",
-        "materials": {
-            "wall": {**plain, "colour": [60, 60, 60]},
-            "pane": {**plain, "colour": [200, 200, 200], "glow": glow},
-        },
-        "floor": {"material": "wall"},
-        "ceiling": {"material": "wall"},
-        "walls": walls,
-        "camera": {"width": 160, "height": 120, "focal_px": 140.0, "mount": {"tilt_deg": 5.0, "height_m": 0.9}},
-        "drive": {"path": [{"to": [0.0, 3.0]}, {"to": [0.0, 1.0]}]},
-        "image": {"noise_sigma": 0.0, "colour": False, "exposure_s": 0.005, **image},
+    room = plain_room(posts=[], camera=camera_data({"tilt_deg": 5.0, "height_m": 0.9}))
+    pane = {"at_m": 4.0, "width_m": 3.2, "bottom_m": 0.6, "top_m": 1.8, "side": "right", "material": "pane"}
+    room["walls"][2]["posters"] = [pane]
+    room["materials"] = {
+        "dark": {**plain, "colour": [60, 60, 60]},
+        "pane": {**plain, "colour": [200, 200, 200], "glow": glow},
     }
+    room["image"] |= {"exposure_s": 0.005, **image}
+    return room
 
 
 def scene(**changes: Any) -> Scene:

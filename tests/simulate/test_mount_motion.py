@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plain_room import camera_data, plain_room
 
 from localiser.camera import MountSigma
 from localiser.geometry import Trajectory
@@ -17,33 +18,9 @@ from localiser.simulate.render import expose, radiance, scene_of
 MOTION: dict[str, Any] = {"tilt_deg": {"amplitude": 6.0, "hz": 1.0}, "yaw_deg": {"amplitude": 20.0, "hz": 0.5}}
 
 
-def world_data(**changes: Any) -> dict[str, Any]:
-    """Return a room of 8 m with a bright post in it."""
-    corners = [[-4.0, 4.0], [-4.0, -4.0], [4.0, -4.0], [4.0, 4.0]]
-    return {
-        "format": "localiser-world/1",
-        "name": "room",
-        "materials": {
-            name: {"texture": "plain", "colour": [grey] * 3} for name, grey in (("dark", 60), ("light", 220))
-        },
-        "floor": {"material": "dark"},
-        "ceiling": {"material": "dark"},
-        "walls": [{"from": corners[k - 1], "to": corners[k], "material": "dark"} for k in range(4)],
-        "posts": [{"x": 0.0, "z": -1.0, "width_m": 0.5, "rotation_deg": 20.0, "material": "light"}],
-        "camera": camera_data(),
-        "drive": {"path": [{"to": [0.0, 3.0]}, {"to": [0.0, 1.0]}]},
-        "image": {"noise_sigma": 0.0, "colour": False},
-    } | changes
-
-
-def camera_data(**motion: Any) -> dict[str, Any]:
-    mount = {"tilt_deg": 20.0, "height_m": 0.9}
-    return {"width": 160, "height": 120, "focal_px": 140.0, "mount": mount} | ({"motion": motion} if motion else {})
-
-
 def test_the_mount_sways_about_the_usual_one() -> None:
     world = world_of(
-        world_data(camera=camera_data(**MOTION, height_m={"amplitude": 0.1, "hz": 1.0, "phase_deg": 90.0}))
+        plain_room(camera=camera_data(motion=MOTION | {"height_m": {"amplitude": 0.1, "hz": 1.0, "phase_deg": 90.0}}))
     )
     usual = world.camera.camera().mount
     at_start, later = (mount_at(usual, world.camera.motion, t_ns) for t_ns in (0, 250_000_000))
@@ -53,7 +30,7 @@ def test_the_mount_sways_about_the_usual_one() -> None:
 
 
 def test_an_image_is_that_of_a_camera_mounted_so_and_blurs_while_it_tilts() -> None:
-    world = world_of(world_data(camera=camera_data(**MOTION)))
+    world = world_of(plain_room(camera=camera_data(motion=MOTION)))
     scene, pose, t_ns = scene_of(world), np.array([0.0, 2.0, 0.1]), 250_000_000
     moved = scene.camera_at(t_ns)
     np.testing.assert_array_equal(radiance(scene, pose, moved), radiance(scene_of(world, moved), pose))
@@ -69,7 +46,7 @@ def test_an_image_is_that_of_a_camera_mounted_so_and_blurs_while_it_tilts() -> N
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 0.5])
 def test_the_log_states_the_mount_of_each_image(sigma_deg: float) -> None:
-    data = world_data(camera=camera_data(**MOTION, stated_sigma_deg=sigma_deg))
+    data = plain_room(camera=camera_data(motion=MOTION | {"stated_sigma_deg": sigma_deg}))
     log = simulated_log(world_of(data), 3)
     true = [log.scene.camera_at(int(t_ns)).mount for t_ns in log.drive.image_t_ns]
     assert len(log.mounts) == len(log) == len(true)
@@ -84,5 +61,5 @@ def test_the_log_states_the_mount_of_each_image(sigma_deg: float) -> None:
 
 
 def test_a_camera_that_does_not_move_states_none() -> None:
-    log = simulated_log(world_of(world_data()), 3)
+    log = simulated_log(world_of(plain_room()), 3)
     assert set(log.mounts) == {None}

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plain_room import camera_data, plain_room
 from pydantic import ValidationError
 
 from localiser.camera import RollingShutter
@@ -20,28 +21,13 @@ START = np.array([0.3, 2.0, 0.05])
 
 
 def world_data(shutter: dict[str, Any] | None, motion: dict[str, Any] | None = None, **image: Any) -> dict[str, Any]:
-    """Return a room of 8 m with two bright posts in it."""
-    corners = [[-4.0, 4.0], [-4.0, -4.0], [4.0, -4.0], [4.0, 4.0]]
+    """Return the room with another, lower post, and a camera whose shutter rolls."""
     mount = {"tilt_deg": 20.0, "height_m": 0.9, "back_m": -0.1, "yaw_deg": 2.0}
-    camera = {"width": 160, "height": 120, "focal_px": 140.0, "mount": mount}
-    camera |= {"rolling_shutter": shutter} if shutter else {}
-    return {
-        "format": "localiser-world/1",
-        "name": "room",
-        "materials": {
-            name: {"texture": "plain", "colour": [grey] * 3} for name, grey in (("dark", 60), ("light", 220))
-        },
-        "floor": {"material": "dark"},
-        "ceiling": {"material": "dark"},
-        "walls": [{"from": corners[k - 1], "to": corners[k], "material": "dark"} for k in range(4)],
-        "posts": [
-            {"x": 0.0, "z": -1.0, "width_m": 0.5, "rotation_deg": 20.0, "material": "light"},
-            {"x": 0.7, "z": 1.0, "width_m": 0.2, "material": "light", "top_m": 1.0},
-        ],
-        "camera": camera | ({"motion": motion} if motion else {}),
-        "drive": {"path": [{"to": [-1.5, 3.0]}, {"to": [-1.5, 1.0]}], "image_hz": 10.0},
-        "image": {"noise_sigma": 0.0, "colour": False, **image},
-    }
+    room = plain_room(camera=camera_data(mount, rolling_shutter=shutter, motion=motion))
+    room["posts"].append({"x": 0.7, "z": 1.0, "width_m": 0.2, "material": "light", "top_m": 1.0})
+    room["drive"] = {"path": [{"to": [-1.5, 3.0]}, {"to": [-1.5, 1.0]}], "image_hz": 10.0}
+    room["image"] |= image
+    return room
 
 
 def driven(turn_rad_s: float, speed_m_s: float) -> Trajectory:
