@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +13,7 @@ from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined
 from localiser.edges.parameters import EdgeParameters
 from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
 from localiser.edges.segments import Segments
-from localiser.edges.undistort import Image, half_camera, ideal_camera
+from localiser.edges.undistort import Image, half_camera, halved, ideal_camera
 from localiser.geometry import Array
 
 _SAME_EDGE_SHARE = 0.25
@@ -74,9 +73,7 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
 
 def _found_in_half(image: Image, camera: Camera, min_contrast: float) -> Segments:
     """Return the segments of an image of half the size, where a blurred edge is a sharp one, in pixels of the whole."""
-    half = half_camera(camera)
-    smaller = cv2.resize(image[: 2 * half.height, : 2 * half.width], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    found = _found(np.asarray(smaller, dtype=np.uint8), half, min_contrast)
+    found = _found(halved(image), half_camera(camera), min_contrast)
     sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px, 2 * found.offset_sigma_px
     return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
 

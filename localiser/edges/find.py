@@ -18,7 +18,7 @@ from localiser.edges.profile import polarity_of_profiles, profiles
 from localiser.edges.readout import Readout, readout_of
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
-from localiser.edges.undistort import Image, half_camera, ideal_camera
+from localiser.edges.undistort import Image, half_camera, halved, ideal_camera
 from localiser.edges.vertical import same_edge, vertical_segments
 from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
@@ -53,10 +53,14 @@ def find_edges(
     parameters, camera = parameters or EdgeParameters(), camera.at(mount)
     grey = grey_image(image, camera)
     if parameters.half_resolution:
-        least_px = parameters.min_length_px / 2
-        smaller = replace(parameters, half_resolution=False, min_length_px=least_px)
-        options = {"twist": twist, "detector": detector, "with_probabilities": with_probabilities}
-        edges = find_edges(halved(grey), half_camera(camera), smaller, **options)  # type: ignore[arg-type]
+        edges = find_edges(
+            halved(grey),
+            half_camera(camera),
+            replace(parameters, half_resolution=False, min_length_px=parameters.min_length_px / 2),
+            twist=twist,
+            detector=detector,
+            with_probabilities=with_probabilities,
+        )
         return _in_whole_pixels(edges, mount)
     found = (detector or detector_of(parameters))(grey, camera)
     taken = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
@@ -83,13 +87,6 @@ def find_edges(
         vertical_probability=vertical_probability(edges, others, camera, mount_sigma_rad, plumb_sigma_rad),
         foot_probability=foot_probability(_taken_px(edges, camera, readout)[:, 0], edges.foot_range_m, grey, camera),
     )
-
-
-def halved(grey: Image) -> Image:
-    """Return an image (H, W) with two rows and two columns averaged to one, (H // 2, W // 2), as `half_camera` sees."""
-    height, width = grey.shape[0] // 2, grey.shape[1] // 2
-    even = grey[: 2 * height, : 2 * width]
-    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _in_whole_pixels(edges: Edges, mount: Mount | None) -> Edges:

@@ -63,6 +63,13 @@ def half_camera(camera: Camera) -> Camera:
     )
 
 
+def halved(grey: Image) -> Image:
+    """Return an image (H, W) with two rows and two columns averaged to one, (H // 2, W // 2), as `half_camera` sees."""
+    height, width = grey.shape[0] // 2, grey.shape[1] // 2
+    even = grey[: 2 * height, : 2 * width]
+    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
+
+
 def bend_px(camera: Camera) -> float:
     """Return by how many pixels the lens bends a straight line across the image at most.
 
