@@ -151,8 +151,7 @@ def landmark_map_of(
     whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
     profile = medians(built.of[built.used], len(built), sightings.profile[built.used])
     quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
-    places = place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
-    cov = built.cov + places
+    cov = built.cov + place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
     kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters)))
     return replace(kept, ids=tuple(range(len(kept))))
