@@ -108,10 +108,9 @@ def _turned_alike(edges: Edges, camera: Camera) -> Array:
     tilt_rad = camera.mount.tilt_rad
     if tilt_rad == 0:
         return np.zeros(len(edges))
-    common = edges.common
-    k = common.names.index(TURN_RATE)
-    lean = common.bearing_from_lean[:, k] / geometry.bearing_per_lean(edges.bearing, tilt_rad)
-    return np.asarray(np.sqrt(len(edges) * common.cov[k, k]) * np.abs(lean))
+    by_lean = edges.common.bearing_from_lean[:, edges.common.names.index(TURN_RATE)]
+    lean = by_lean / geometry.bearing_per_lean(edges.bearing, tilt_rad)
+    return np.asarray(np.sqrt(len(edges)) * edges.common.sigma_of(TURN_RATE) * np.abs(lean))
 
 
 def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = False) -> MountError:

@@ -30,6 +30,13 @@ class CommonError:
     bearing_from_lean: Array
     bearing_from_line: Array
 
+    def sigma_of(self, name: str) -> float:
+        """Return the sigma of one error, 0 where it is none of these."""
+        if name not in self.names:
+            return 0.0
+        k = self.names.index(name)
+        return float(np.sqrt(self.cov[k, k]))
+
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> CommonError:
         """Return what is common to the edges at `index`."""
         return replace(

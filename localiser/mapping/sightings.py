@@ -135,8 +135,8 @@ def _sigmas(frames: Sequence[Edges]) -> Array:
     for edges in frames:
         sigma, common = edges.bearing_sigma, edges.common
         if TURN_RATE in common.names:
-            k = common.names.index(TURN_RATE)
-            sigma = np.hypot(sigma, common.bearing_from_line[:, k] * np.sqrt(common.cov[k, k]))
+            by_turn = common.bearing_from_line[:, common.names.index(TURN_RATE)]
+            sigma = np.hypot(sigma, by_turn * common.sigma_of(TURN_RATE))
         parts.append(sigma)
     return np.concatenate(parts) if parts else np.zeros(0)
 

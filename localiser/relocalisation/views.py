@@ -48,7 +48,7 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
     order = known[np.argsort(bearing[known], kind="stable")]
     ends, cut = ends_lower_first(edges.ends_px[order], camera)
     unknown = np.isnan(ends).any(axis=1)
-    known_sigma = np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, _tilt_sigma(edges))
+    known_sigma = np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, edges.common.sigma_of("tilt"))
     by_height = edges.height_sigma_m * end_per_height(ends, camera)[:, 0]
     foot = np.where(unknown, _height_at(camera, bearing[order], edges.foot_range_m[order]), ends[:, 0])
     return View(
@@ -60,12 +60,6 @@ def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line
         foot_sigma=float(np.hypot(known_sigma, np.median(by_height[~unknown]) if not unknown.all() else 0.0)),
         length_px=np.nan_to_num(edges.length_px[order], nan=1.0),
     )
-
-
-def _tilt_sigma(edges: Edges) -> float:
-    """Return the sigma (rad) of the camera's tilt, by which all ends move up or down."""
-    names = edges.common.names
-    return float(np.sqrt(edges.common.cov[names.index("tilt"), names.index("tilt")])) if "tilt" in names else 0.0
 
 
 def _height_at(camera: Camera, bearing: Array, floor_range_m: Array) -> Array:
