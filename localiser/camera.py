@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from localiser import geometry
-from localiser.geometry import Array
+from localiser.geometry import Array, Trajectory, Twist
 
 DISTORTION_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,), "none": (0,)}
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
@@ -141,6 +141,10 @@ class Camera:
             return 0.0, 0.0
         ends = self.shutter.since_stamp_s([0, self.height - 1])
         return float(ends.min()), float(ends.max())
+
+    def twist_at(self, track: Trajectory, t_ns: int) -> Twist | None:
+        """Return how a robot on this track moves while an image of that time is taken; None where that is at once."""
+        return geometry.twist_at(track, t_ns, self.readout_s) if self.shutter else None
 
     # -- pixels and rays ----------------------------------------------------------------------------------------
 

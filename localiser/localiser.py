@@ -42,9 +42,10 @@ from localiser.filter import (
     finish,
     matched,
     step,
+    track_of,
 )
 from localiser.filter import warm_up as warm_up_filter
-from localiser.geometry import Array, Trajectory, Twist, finite_numbers, twist_at
+from localiser.geometry import Array, Trajectory, Twist, finite_numbers
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel
 from localiser.observation import EdgeObservation, LocalisesGlobally, Observation, observation_of
@@ -215,11 +216,7 @@ class Localiser:
         """
         if self._camera is None or self._camera.shutter is None:
             return None
-        if track is None:
-            poses = self.state.odometry
-            times_ns = np.array([pose.t_ns for pose in poses], dtype=np.int64)
-            track = Trajectory(times_ns, np.array([pose.pose for pose in poses]).reshape(-1, 3))
-        return twist_at(track, t_ns, self._camera.readout_s)
+        return self._camera.twist_at(track_of(self.state.odometry) if track is None else track, t_ns)
 
     def measure(self, image: Image, mount: Mount | None = None, twist: Twist | None = None) -> MeasuredImage:
         """Return the edges of an image, for `edges` to take now or later. Changes nothing.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from localiser.edges import Edges
 from localiser.filter.attitude import Attitude
 from localiser.filter.confidence import MapWarning, Reason
 from localiser.filter.height import Height
-from localiser.geometry import Array, Increment
+from localiser.geometry import Array, Increment, Trajectory
 from localiser.observation import Sighting
 from localiser.particles import Clusters, Estimate, Particles
 
@@ -35,6 +38,13 @@ class Odometry:
 
     t_ns: int
     pose: Array
+
+
+def track_of(odometry: Iterable[Odometry]) -> Trajectory:
+    """Return poses of odometry as one trajectory; there may be none."""
+    poses = list(odometry)
+    times_ns = np.array([pose.t_ns for pose in poses], dtype=np.int64)
+    return Trajectory(times_ns, np.array([pose.pose for pose in poses]).reshape(-1, 3))
 
 
 Event = Start | Anywhere | Odometry | Sighting

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
-from localiser.filter.events import Odometry
+from localiser.filter.events import Odometry, track_of
 from localiser.geometry import Array, Increment, Trajectory
 
 MOVE_M, MOVE_RAD = 0.5, 0.3  # the longest way and turn that are taken as one step
@@ -25,8 +25,8 @@ def moves_between(
     """
     if not odometry:
         return [Increment.from_mean(np.zeros(3))], np.zeros(3)
-    times = np.array([event.t_ns for event in odometry])
-    track = Trajectory(times, np.array([event.pose for event in odometry]))
+    track = track_of(odometry)
+    times = track.t_ns
     inside = times[(times > start_ns) & (times < t_ns)]
     knots_ns = np.array([start_ns, *inside, t_ns])
     knots = track.sampled(knots_ns).poses

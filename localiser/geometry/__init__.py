@@ -47,4 +47,4 @@ from localiser.geometry.slopes import (
     slope_from_point,
 )
 from localiser.geometry.trajectory import Trajectory, without_pauses
-from localiser.geometry.twist import UNKNOWN_TWIST, Twist, twist_at
+from localiser.geometry.twist import MOST_SPEED_M_S, UNKNOWN_TWIST, Twist, twist_at

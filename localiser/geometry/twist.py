@@ -13,8 +13,8 @@ WHEELS_SHARE = 0.05
 """By which share wheels may misjudge a turn, 1 sigma."""
 USUAL_TURN_RAD_S = 0.5
 """Turn rate of a robot of which nothing is known, 1 sigma."""
-MOST_SPEED_M_S, MOST_TURN_RAD_S = 20.0, 20.0
-"""Wheels that say more have begun to count anew."""
+MOST_SPEED_M_S, MOST_TURN_RAD_S = 5.0, 20.0
+"""Faster than any robot indoors: wheels that say more have begun to count anew."""
 
 
 @dataclass(frozen=True, slots=True)

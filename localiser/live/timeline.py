@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from localiser.filter import Odometry
-from localiser.geometry import Array, Trajectory
+from localiser.filter import Odometry, track_of
+from localiser.geometry import MOST_SPEED_M_S, Array, Trajectory
 from localiser.localiser import MeasuredImage
 from localiser.storage.bags import image_decision, odometry_decision
 
@@ -22,10 +22,6 @@ MOST_ODOMETRY = 20_000
 
 PATIENCE_NS = 500_000_000
 """How long an image waits for wheels from which nothing comes, and what they may leave out between two poses."""
-
-
-MOST_SPEED_M_S = 5.0
-"""Faster than any robot indoors."""
 
 
 @dataclass(slots=True, eq=False)
@@ -121,9 +117,11 @@ class Timeline:
     @property
     def track(self) -> Trajectory:
         """The poses of the wheels about the last image and since."""
-        poses = [*self._released, *(Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
-        times_ns = np.array([pose.t_ns for pose in poses], dtype=np.int64)
-        return Trajectory(times_ns, np.array([pose.pose for pose in poses]).reshape(-1, 3))
+        return track_of(self._poses)
+
+    @property
+    def _poses(self) -> list[Odometry]:
+        return [*self._released, *(Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
 
     def release(self, frame: Frame) -> Iterator[Odometry]:
         """Yield the poses of the wheels up to the first at or after an image that is weighed now; they are settled."""
@@ -151,10 +149,9 @@ class Timeline:
             return False
         if t_ns - self.weighed_ns > 2 * PATIENCE_NS:
             return True  # edges tell less over so long a time than wheels that missed some of it
-        poses = [*self._released, *(Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
         return all(
             is_driven(sooner, later) and later.t_ns - sooner.t_ns <= PATIENCE_NS
-            for sooner, later in pairwise(poses)
+            for sooner, later in pairwise(self._poses)
             if later.t_ns > self.weighed_ns and sooner.t_ns < t_ns
         )
 

@@ -15,7 +15,7 @@ from localiser.documents import Place, shown
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import Anywhere, Odometry, Sighting, Start
-from localiser.geometry import Trajectory, Twist, twist_at
+from localiser.geometry import Trajectory, Twist
 from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent
 
@@ -104,7 +104,7 @@ class Log:
 
         None where that does not matter, because the camera takes all rows at once.
         """
-        return twist_at(self.odometry, t_ns, self.camera.readout_s) if self.camera.shutter else None
+        return self.camera.twist_at(self.odometry, t_ns)
 
     def events(self, start: Start | None = None, *, anywhere: bool = False) -> Iterator[Event]:
         """Yield everything in the order of time: the start first, odometry before an image of the same time.

@@ -23,7 +23,7 @@ from localiser.commands.edges.overlay import save_overlay
 from localiser.config import Config
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
-from localiser.geometry import Trajectory, twist_at
+from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.live import message_of, topic_for, type_of
 from localiser.live.sources import Arrival, CameraSource
@@ -190,9 +190,7 @@ def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Findin
     track = Trajectory(np.array(sorted(wheels)), np.array([wheels[t_ns] for t_ns in sorted(wheels)]))
     fits = (camera.height, camera.width)
     images = [(t_ns, image) for t_ns, image in _images(heard, camera) if image.shape == fits]
-    frames = [
-        find_edges(image, camera, config.edges, twist=twist_at(track, t_ns, camera.readout_s)) for t_ns, image in images
-    ]
+    frames = [find_edges(image, camera, config.edges, twist=camera.twist_at(track, t_ns)) for t_ns, image in images]
     if not any(len(edges) for edges in frames):
         yield Finding("edges", "warning", "no vertical edge in any image")
         return

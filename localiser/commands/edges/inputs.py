@@ -10,7 +10,7 @@ from pathlib import Path
 from localiser import storage
 from localiser.camera import Camera
 from localiser.errors import InputError
-from localiser.geometry import Twist, twist_at
+from localiser.geometry import Twist
 from localiser.storage import FolderReader, Image, ImageEvent, read_image, safe_name
 
 
@@ -57,7 +57,7 @@ def _of_log(path: Path, camera: Camera | None) -> tuple[Camera, list[Taken]]:
     stems = stems_of([Path(frame.name) for frame in frames])
     camera = camera or log.camera
     return camera, [
-        Taken(frame.name, stem, frame.load, frame.t_ns, twist_at(log.odometry, frame.t_ns, camera.readout_s))
+        Taken(frame.name, stem, frame.load, frame.t_ns, camera.twist_at(log.odometry, frame.t_ns))
         for frame, stem in zip(frames, stems, strict=True)
     ]
 
