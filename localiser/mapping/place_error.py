@@ -12,6 +12,7 @@ import numpy as np
 from localiser.geometry import Array, wrap_angle
 from localiser.mapping.landmarks import Built
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
+from localiser.mapping.triangulate import inverse_information, normal_matrix
 
 _ANOTHER_SIDE_RAD = np.pi / 4
 """The error is another one after half of a right angle: most things have four sides."""
@@ -22,15 +23,16 @@ def place_cov(sightings: Sightings, built: Built, cameras: Array, sigma: Array, 
 
     cameras: (T, 3). sigma: (S,) rad of each bearing. An edge is seen beside its place by an Ornstein-Uhlenbeck process
     of the direction of view, N(0, place_sigma_m²) across the line of sight. With the weights of `triangulate` that is
-    I⁻¹ (Σ Σ u_k u_lᵀ exp(-|φ_k - φ_l| / 45°)) I⁻¹, u being the pull of one bearing whose error is place_sigma_m.
+    I⁻¹ (Σ Σ u_k u_lᵀ exp(-|φ_k - φ_l| / 45°)) I⁻¹, u being the pull of one bearing whose error is place_sigma_m and I
+    the information of the bearings at known poses, whatever else the landmark's covariance holds.
     """
     landmark, seen_from = built.of[built.used], cameras[sightings.frame[built.used]]
     at = built.fit.points[landmark]
     heading, range_m = direction_of(at, seen_from)
-    weight = built.fit.weight * place_sigma_m / (np.maximum(range_m, 1e-6) * sigma[built.used] ** 2)
-    pull = weight[:, None] * per_point(at, seen_from)
+    jacobian, weight = per_point(at, seen_from), built.fit.weight / sigma[built.used] ** 2
+    pull = (weight * place_sigma_m / np.maximum(range_m, 1e-6))[:, None] * jacobian
     shared = _shared(landmark, len(built), heading, pull)
-    cov = built.fit.cov
+    cov = inverse_information(normal_matrix(landmark, len(built), jacobian, weight))
     return cov @ shared @ cov
 
 

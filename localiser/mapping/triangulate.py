@@ -38,8 +38,13 @@ class Triangulated:
     @property
     def cov(self) -> Array:
         """Covariance (L, 2, 2) m² of independent bearings; very large where bearings tell too little."""
-        trace = np.trace(self.information, axis1=1, axis2=2)[:, None, None]
-        return np.asarray(np.linalg.inv(self.information + (1e-12 * trace + 1e-6) * np.eye(2)))
+        return inverse_information(self.information)
+
+
+def inverse_information(information: Array) -> Array:
+    """Return the covariances (L, 2, 2) m² of information (L, 2, 2) 1/m²; very large where there is too little."""
+    trace = np.trace(information, axis1=1, axis2=2)[:, None, None]
+    return np.asarray(np.linalg.inv(information + (1e-12 * trace + 1e-6) * np.eye(2)))
 
 
 def triangulate(landmark: Index, count: int, cameras: Array, direction: Array, sigma: Array) -> Triangulated:
@@ -107,8 +112,13 @@ def _cost(landmark: Index, count: int, scaled: Array) -> Array:
 
 
 def _normal(landmark: Index, count: int, residual: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
-    normal = _sum_by(landmark, count, weight[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :])
+    normal = normal_matrix(landmark, count, jacobian, weight)
     return normal, _sum_by(landmark, count, (weight * residual)[:, None] * jacobian)
+
+
+def normal_matrix(landmark: Index, count: int, jacobian: Array, weight: Array) -> Array:
+    """Return Σ w j jᵀ (L, 2, 2) over the bearings (K) of each landmark, j (K, 2) and w (K,)."""
+    return _sum_by(landmark, count, weight[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :])
 
 
 def _solve(normal: Array, right: Array) -> Array:

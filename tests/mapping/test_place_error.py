@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -96,3 +98,13 @@ def test_many_directions_tell_more_than_one() -> None:
         sightings, made, sigma = built(cameras, None)
         sizes.append(np.linalg.eigvalsh(place_cov(sightings, made, cameras, sigma, PLACE_M)[0]))
     assert np.all(sizes[1] < sizes[0])
+
+
+def test_a_landmark_is_not_less_certain_for_poses_that_are_unknown() -> None:
+    """What the poses add to a landmark's covariance says nothing of how its bearings weigh against each other."""
+    cameras = arc(np.deg2rad(60))
+    sightings, made, sigma = built(cameras, None)
+    drifted = replace(made, fit=replace(made.fit, information=np.linalg.inv(made.fit.cov + 0.01 * np.eye(2))))
+    found, expected = (place_cov(sightings, one, cameras, sigma, PLACE_M) for one in (drifted, made))
+    np.testing.assert_array_equal(found, expected)
+    assert np.sqrt(np.linalg.eigvalsh(found).max()) < 5 * PLACE_M
