@@ -118,6 +118,7 @@ def _write_worlds(folder: Path) -> None:
     shutil.copy(ROOT / "configs" / "worlds" / "corridor.yaml", folder / "world.yaml")
     document = load_document(folder / "world.yaml").value
     document["drive"]["path"] = document["drive"]["path"][:2]
+    document["camera"] |= {"width": 160, "height": 120, "focal_px": document["camera"]["focal_px"] / 4}
     (folder / "small_world.yaml").write_text(dump(document))
     read_world(folder / "small_world.yaml")
     simulate_log(folder / "small_world.yaml")

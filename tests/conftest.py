@@ -19,6 +19,10 @@ from localiser.geometry import compiled
 
 compiled.folder()  # chosen before any test changes the environment: machine code is shared by all tests
 
+# Tests start many processes: without bytecode each of them, and pytest itself, reads all sources anew.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # The program reads its commands once a process; tests call it many times in one, and reading them takes 0.05 s.
 typer.main.get_command = cache(typer.main.get_command)
 

@@ -125,7 +125,7 @@ def command(log: Path, out: Path, *arguments: str) -> list[str]:
 
 @pytest.mark.slow
 def test_an_interrupted_batch_goes_on_from_there(localiser: Localiser, tmp_path: Path) -> None:
-    log, out, whole = cut_log(CORRIDOR, tmp_path / "drive", 40), tmp_path / "out", tmp_path / "whole"
+    log, out, whole = cut_log(CORRIDOR, tmp_path / "drive", 20), tmp_path / "out", tmp_path / "whole"
     options = ("--seeds", "0-5", "--jobs", "2", *FEW_PARTICLES)
     process = subprocess.Popen(command(log, out, *options), stderr=subprocess.PIPE, text=True, start_new_session=True)
     while process.poll() is None and len(list(out.glob("runs/*/*/row.json"))) < 2:

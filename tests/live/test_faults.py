@@ -32,6 +32,9 @@ SETTLED = 12
 """So many images, at the robot's rate, go before those that are judged: what a busy machine left out is made up for."""
 
 STOPPED_S = 10.0
+FOUND_IMAGES = 60
+"""After a stop the robot is sure of its place again within so many images."""
+
 WORST_M = 0.15
 NOTICED = {
     "duplicated": "came twice",
@@ -99,6 +102,9 @@ def test_a_source_that_stops_for_ten_seconds_and_comes_back(robot: Program, live
     live.rest()
     robot.process.send_signal(signal.SIGCONT)
     live.poses(3)  # what it sends late is left out by it
+    for _ in range(FOUND_IMAGES):  # five metres of the way are known by one step of the wheels
+        if live.poses(1)[0]["p_correct"] > 0.9:
+            break
     lines = live.poses_at(LEAST_HZ, SETTLED + IMAGES)
     assert_right(lines, robot)
 
