@@ -84,8 +84,8 @@ def bends() -> Log:
     world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
     way = [(0.1, 0.7, 0.0), (-0.3, -0.9, 0.5), (0.3, -2.5, 0.5), (0.0, -4.0, 0.0)]
     world["drive"]["path"] = [{"to": [x, z], "corner_radius_m": radius} for x, z, radius in way]
-    world["drive"] |= {"end_turn_deg": -90.0, "turn_deg_s": 57.3}
-    world["image"] |= {"colour": False}
+    world["drive"] |= {"end_turn_deg": -90.0, "turn_deg_s": 57.3, "image_hz": 3.0}
+    world["image"] |= {"colour": False, "exposure_s": 0.002}
     shutter = {"row_time_us": 30e3 / 239, "stated": True}
     world["camera"] |= {"width": 320, "height": 240, "focal_px": 277.0, "rolling_shutter": shutter}
     log = simulate_log(world_of(world), 0)
