@@ -126,19 +126,19 @@ def command(log: Path, out: Path, *arguments: str) -> list[str]:
 @pytest.mark.slow
 def test_an_interrupted_batch_goes_on_from_there(localiser: Localiser, tmp_path: Path) -> None:
     log, out, whole = cut_log(CORRIDOR, tmp_path / "drive", 20), tmp_path / "out", tmp_path / "whole"
-    options = ("--seeds", "0-5", "--jobs", "2", *FEW_PARTICLES)
+    options = ("--seeds", "0-3", "--jobs", "2", *FEW_PARTICLES)
     process = subprocess.Popen(command(log, out, *options), stderr=subprocess.PIPE, text=True, start_new_session=True)
-    while process.poll() is None and len(list(out.glob("runs/*/*/row.json"))) < 2:
+    while process.poll() is None and len(list(out.glob("runs/*/*/row.json"))) < 1:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: workers get it too
     _, told = process.communicate(timeout=60)
     done = {path: path.stat().st_mtime_ns for path in out.glob("runs/*/*/row.json")}
-    assert process.returncode == 130 and "the same command goes on from there" in told and 2 <= len(done) < 6
+    assert process.returncode == 130 and "the same command goes on from there" in told and 1 <= len(done) < 4
     assert "Traceback" not in told
     assert len(rows(out)) == len(done)
     assert subprocess.run(command(log, out, *options), check=False, capture_output=True).returncode == 0
     assert all(path.stat().st_mtime_ns == written for path, written in done.items())
-    assert batch(localiser, whole, log, "--seeds", "0-5").exit_code == 0
+    assert batch(localiser, whole, log, "--seeds", "0-3").exit_code == 0
     assert rows(out) == rows(whole)
 
 

@@ -27,7 +27,7 @@ pytestmark = [
 ]
 
 ROBOT = ROOT / "tests" / "support" / "live_faulty_robot.py"
-IMAGES = 24
+IMAGES = 16
 SETTLED = 12
 """So many images, at the robot's rate, go before those that are judged: what a busy machine left out is made up for."""
 

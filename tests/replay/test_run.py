@@ -458,7 +458,9 @@ main()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for one process")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, *(pytest.param(one, marks=pytest.mark.slow) for one in (signal.SIGHUP, signal.SIGTERM))]
+)
 def test_ctrl_c_leaves_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
     # Slower than it could be, so that it is not done before the signal comes.
     command = [sys.executable, "-c", HEARING, "replay", CORRIDOR, "--out", tmp_path, "--speed", "1", *FEW_PARTICLES]
