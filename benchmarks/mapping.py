@@ -25,7 +25,8 @@ import numpy as np
 from localiser import documents, mapping, simulate
 from localiser.camera import Camera
 from localiser.config import read_config
-from localiser.geometry import Array, wrap_angle
+from localiser.errors import InputError
+from localiser.geometry import Array, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import (
     Built,
@@ -38,8 +39,10 @@ from localiser.mapping import (
     turn_drift,
     wheels_of,
 )
+from localiser.mapping.landmarks import fitted
+from localiser.mapping.log_edges import edges_of_log
 from localiser.motion import MotionParameters
-from localiser.storage import open_log
+from localiser.storage import Log, open_log
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 
@@ -232,12 +235,15 @@ def edge_of_sightings(built: mapping.MapBuilt, exact: Array, camera: Camera) -> 
 
 
 def slam(logs: list[Path]) -> None:
-    """Print how far the trajectory of logs alone is from the truth, after the best rotation and translation."""
-    print("| log | wheels, RMSE m | alone, RMSE m | largest m | landmarks | seconds after edges |")
+    """Print how far the trajectory of logs alone is from the truth, after the best rotation and translation.
+
+    Landmarks are judged as they stand to the first pose, where the map begins: their NEES, by covariances of theirs.
+    """
+    print("| log | wheels, RMSE m | alone, RMSE m | largest m | landmarks | of an edge | NEES | seconds after edges |")
     for path in logs:
         log = open_log(path)
         config = read_config(None, [], log.settings)
-        build_map(log, "odometry", config, cache=cache_folder())  # so that edges are in the cache
+        edges_of_log(log, config.edges, cache=cache_folder())  # so that they are in the cache
         begin = process_time()
         built = build_map(log, "slam", config, cache=cache_folder())
         seconds = process_time() - begin
@@ -246,8 +252,32 @@ def slam(logs: list[Path]) -> None:
         wheels, alone = aligned(log.odometry.sampled(t_ns).poses, truth), aligned(built.trajectory.poses, truth)
         print(
             f"| {log.name} | {np.sqrt((wheels**2).mean()):.3f} | {np.sqrt((alone**2).mean()):.3f} | "
-            f"{alone.max():.3f} | {len(built.landmark_map)} | {seconds:.1f} |"
+            f"{alone.max():.3f} | {len(built.landmark_map)} | {nees_from_start(built, log, path)} | {seconds:.1f} |",
+            flush=True,
         )
+
+
+def nees_from_start(built: mapping.MapBuilt, log: Log, path: Path) -> str:
+    """Return two cells: how many landmarks are known to be of an edge, and their mean NEES, seen from the first pose.
+
+    A landmark is of the exact edge that is where its sightings meet at the true poses, within 0.05 m.
+    """
+    try:
+        exact = exact_edges(path, log.name)
+    except InputError:
+        return "– | –"
+    truth = log.groundtruth.sampled(built.trajectory.t_ns).poses
+    true_cameras = built.sightings.camera_poses(log.camera, truth)
+    met = fitted(built.sightings, built.built.of, true_cameras, built.sightings.sigma).fit.points
+    kept = built.landmark_map.points[:, None] - built.built.fit.points[None]
+    apart = np.linalg.norm(met[np.linalg.norm(kept, axis=-1).argmin(axis=1)][:, None] - exact[None], axis=-1)
+    known = apart.min(axis=1) < _NEAR_M
+    first, true_first = built.trajectory.poses[0], truth[0]
+    off = robot_from_map(first, built.landmark_map.points) - robot_from_map(true_first, exact[apart.argmin(axis=1)])
+    turn = robot_from_map(np.array([0.0, 0.0, first[2]]), np.eye(2))  # rows: the map's axes as the robot has them
+    cov = np.einsum("ki,lkm,mj->lij", turn, built.landmark_map.cov, turn)
+    scaled = np.einsum("li,lij,lj->l", off, np.linalg.inv(cov), off)[known]
+    return f"{known.sum()} | {scaled.mean():.2f}"
 
 
 def bearings(logs: list[Path]) -> None:
