@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-import pickle
 from array import array
 from collections.abc import Sequence
+from dataclasses import dataclass
 from tempfile import SpooledTemporaryFile
 from typing import overload
 
 from localiser.errors import OutputError
-from localiser.filter import LocatedFrame
+from localiser.filter import Located, LocatedFrame
+from localiser.geometry import Array
+from localiser.observation import Matches
+from localiser.storage import packing
 
 IN_MEMORY = 4_000_000  # bytes, beyond which the file is written to the disk: about 400 images
 
 
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What the file has of a located image: all but the image itself."""
+
+    located: Located
+    matches: Matches
+    truth: Array | None
+    stage_ms: dict[str, float]
+
+
 class KeptFrames(Sequence[LocatedFrame]):
-    """Located images in order. Each is read again when it is asked for, so it is a new object each time.
+    """Located images in order, without the images. Each is read again when it is asked for, as a new object.
 
     The file has no name, and goes with this object. Raises OutputError where it cannot be written.
     """
@@ -27,9 +40,10 @@ class KeptFrames(Sequence[LocatedFrame]):
 
     def append(self, frame: LocatedFrame) -> None:
         """Keep one more."""
+        kept = _Kept(frame.located, frame.matches, frame.truth, dict(frame.stage_ms))
         try:
             self._file.seek(self._begin(len(self)))
-            pickle.dump(frame, self._file, pickle.HIGHEST_PROTOCOL)
+            self._file.write(packing.encode(kept))
         except OSError as error:
             raise OutputError(f"the temporary file of located images cannot be written: {error}") from error
         self._ends.append(self._file.tell())
@@ -52,8 +66,8 @@ class KeptFrames(Sequence[LocatedFrame]):
         if index == len(self) - 1 and self._last is not None:
             return self._last
         self._file.seek(self._begin(index))
-        frame: LocatedFrame = pickle.loads(self._file.read(self._ends[index] - self._begin(index)))
-        return frame
+        kept: _Kept = packing.decode(_Kept, self._file.read(self._ends[index] - self._begin(index)))
+        return LocatedFrame(kept.located, kept.matches, None, kept.truth, kept.stage_ms)
 
     def _begin(self, index: int) -> int:
         return self._ends[index - 1] if index else 0
