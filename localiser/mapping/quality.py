@@ -129,6 +129,17 @@ def worth_keeping(built: Built, probability: Array, parameters: MappingParameter
     )
 
 
+def is_placed(sightings: Sightings, built: Built, cameras: Array, cov: Array) -> NDArray[np.bool_]:
+    """Return which landmarks (L,) are known better than by having been seen: sigma below the farthest range of it.
+
+    cameras: (T, 3). cov: (L, 2, 2) m².
+    """
+    landmark, farthest = built.of[built.used], np.zeros(len(built))
+    _, range_m = direction_of(built.fit.points[landmark], cameras[sightings.frame[built.used]])
+    np.maximum.at(farthest, landmark, range_m)
+    return np.asarray(np.linalg.eigvalsh(cov)[:, -1] < farthest**2)
+
+
 def landmark_map_of(
     sightings: Sightings,
     built: Built,
@@ -153,5 +164,6 @@ def landmark_map_of(
     quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
     cov = built.cov + place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
-    kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters)))
+    has_place = is_placed(sightings, built, cameras, cov)
+    kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters) & has_place))
     return replace(kept, ids=tuple(range(len(kept))))

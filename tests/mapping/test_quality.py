@@ -1,4 +1,4 @@
-"""What is known of landmarks survives being saved."""
+"""Quality of landmarks: it survives being saved; those that are too uncertain have no place on a map."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
+from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping.landmarks import fitted
+from localiser.mapping.quality import is_placed
+from localiser.mapping.sightings import Sightings, direction_of
 from localiser.storage import read_map, write_map
 
 
@@ -36,3 +42,18 @@ def test_taking_landmarks_takes_their_quality_along() -> None:
     assert part.points.tolist() == [[4.0, 5.0], [0.0, 1.0]]
     assert part.quality is not None
     assert part.quality.existence.tolist() == [0.3, 0.1]
+
+
+def test_a_landmark_whose_sigma_is_larger_than_any_distance_to_it_has_no_place() -> None:
+    cameras = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    points = np.array([[0.0, -2.0], [0.3, -4.0]])
+    frames = []
+    for camera in cameras:
+        heading, _ = direction_of(points, np.tile(camera, (2, 1)))
+        frames.append(Edges.from_bearings(wrap_angle(camera[2] - heading), 0.001))
+    sightings = Sightings.from_edges(frames, Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(0.35, 0.9)))
+    made = fitted(sightings, np.array([0, 1, 0, 1]), cameras, np.full(4, 0.001))
+    assert is_placed(sightings, made, cameras, made.fit.cov).all()
+    for sigma_m, expected in ((1.0, [True, True]), (3.0, [False, True]), (5.0, [False, False])):
+        cov = np.tile(np.diag([1e-6, sigma_m**2]), (2, 1, 1))
+        np.testing.assert_array_equal(is_placed(sightings, made, cameras, cov), expected)
