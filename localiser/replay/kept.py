@@ -12,7 +12,7 @@ from localiser.errors import OutputError
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.observation import Matches
-from localiser.storage import packing
+from localiser.storage import decode, encode
 
 IN_MEMORY = 4_000_000  # bytes, beyond which the file is written to the disk: about 400 images
 
@@ -43,7 +43,7 @@ class KeptFrames(Sequence[LocatedFrame]):
         kept = _Kept(frame.located, frame.matches, frame.truth, dict(frame.stage_ms))
         try:
             self._file.seek(self._begin(len(self)))
-            self._file.write(packing.encode(kept))
+            self._file.write(encode(kept))
         except OSError as error:
             raise OutputError(f"the temporary file of located images cannot be written: {error}") from error
         self._ends.append(self._file.tell())
@@ -66,7 +66,7 @@ class KeptFrames(Sequence[LocatedFrame]):
         if index == len(self) - 1 and self._last is not None:
             return self._last
         self._file.seek(self._begin(index))
-        kept: _Kept = packing.decode(_Kept, self._file.read(self._ends[index] - self._begin(index)))
+        kept: _Kept = decode(_Kept, self._file.read(self._ends[index] - self._begin(index)))
         return LocatedFrame(kept.located, kept.matches, None, kept.truth, kept.stage_ms)
 
     def _begin(self, index: int) -> int:
