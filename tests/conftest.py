@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # tests run on all cores; threads of their own only wait for these
+
 import subprocess
 import sys
 from contextlib import suppress
@@ -28,6 +31,13 @@ typer.main.get_command = cache(typer.main.get_command)
 
 WORKER_END_S = 1
 """What workers are given to end after Ctrl-C; the default is 10 s."""
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Return how many processes run tests: one more than processors, because tests that wait leave one idle."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return usable + 1
+
 
 # Without deadlines: how long an example takes depends on what else the machine does.
 settings.register_profile("usual", max_examples=50, deadline=None)
