@@ -88,7 +88,7 @@ def run_batch(
         contents = _contents(batch, logs)
         runs = [_run_of(batch, log, contents[log], own_map, choice) for log in logs for choice in batch.choices]
         _require_distinct(runs)
-        rows = {number: row for number, run in enumerate(runs) if (row := _done(batch.folder, run)) is not None}
+        rows = _rows_done(batch.folder, runs)
         tasks = _tasks(batch, runs, rows)
         advance = begun(sum(row["error"] is None for row in rows.values()), len(tasks))
         try:
@@ -96,6 +96,7 @@ def run_batch(
                 rows[outcome.number] = _finished(batch.folder, runs[outcome.number], outcome)
                 advance()
         except KeyboardInterrupt:
+            rows |= _rows_done(batch.folder, runs)  # one may have been written just before
             told = f"stopped after {len(rows)} of {len(runs)} runs; the same command goes on from there"
             raise BatchStoppedError(f"{told}. Results in {batch.folder}", SIGINT_EXIT_CODE) from None
         finally:
@@ -148,6 +149,11 @@ def _told(about: Row) -> str:
     chosen = [f"{name.removeprefix(CHOICE)}={value}" for name, value in about.items() if name.startswith(CHOICE)]
     config = [] if about["config"] is None else [str(about["config"])]
     return ", ".join([*config, *chosen, f"seed {about['seed']}"])
+
+
+def _rows_done(folder: Path, runs: Sequence[_Run]) -> dict[int, Row]:
+    """Return the rows of the runs that need no replay, by their numbers."""
+    return {number: row for number, run in enumerate(runs) if (row := _done(folder, run)) is not None}
 
 
 def _done(folder: Path, run: _Run) -> Row | None:

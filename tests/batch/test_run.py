@@ -17,7 +17,7 @@ from short_log import CORRIDOR, FEW_PARTICLES, Localiser, Result, cut_log
 
 from localiser.batch import run
 from localiser.evaluate import is_time
-from localiser.storage import read_runs, write_runs_csv, write_runs_parquet
+from localiser.storage import read_figures, read_runs, write_runs_csv, write_runs_parquet
 
 IMAGES = 4
 
@@ -140,6 +140,23 @@ def test_an_interrupted_batch_goes_on_from_there(localiser: Localiser, tmp_path:
     assert all(path.stat().st_mtime_ns == written for path, written in done.items())
     assert batch(localiser, whole, log, "--seeds", "0-3").exit_code == 0
     assert rows(out) == rows(whole)
+
+
+def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(
+    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Path] = []
+
+    def stopped_at_first(path: Path) -> dict[str, Any]:
+        asked.append(path)
+        if len(asked) == 1:
+            raise KeyboardInterrupt
+        return read_figures(path)
+
+    monkeypatch.setattr("localiser.batch.run.read_figures", stopped_at_first)
+    result = batch(localiser, tmp_path / "out", log, "--seeds", "0-1")
+    assert result.exit_code == 130 and "stopped after 1 of 2 runs" in result.err
+    assert len(rows(tmp_path / "out")) == 1
 
 
 @pytest.mark.slow
