@@ -26,7 +26,7 @@ from localiser import documents, mapping, simulate
 from localiser.camera import Camera
 from localiser.config import read_config
 from localiser.errors import InputError
-from localiser.geometry import Array, robot_from_map, wrap_angle
+from localiser.geometry import Array, map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import (
     Built,
@@ -272,11 +272,9 @@ def nees_from_start(built: mapping.MapBuilt, log: Log, path: Path) -> str:
     kept = built.landmark_map.points[:, None] - built.built.fit.points[None]
     apart = np.linalg.norm(met[np.linalg.norm(kept, axis=-1).argmin(axis=1)][:, None] - exact[None], axis=-1)
     known = apart.min(axis=1) < _NEAR_M
-    first, true_first = built.trajectory.poses[0], truth[0]
-    off = robot_from_map(first, built.landmark_map.points) - robot_from_map(true_first, exact[apart.argmin(axis=1)])
-    turn = robot_from_map(np.array([0.0, 0.0, first[2]]), np.eye(2))  # rows: the map's axes as the robot has them
-    cov = np.einsum("ki,lkm,mj->lij", turn, built.landmark_map.cov, turn)
-    scaled = np.einsum("li,lij,lj->l", off, np.linalg.inv(cov), off)[known]
+    of_start = robot_from_map(truth[0], exact[apart.argmin(axis=1)])
+    off = built.landmark_map.points - map_from_robot(built.trajectory.poses[0], of_start)
+    scaled = np.einsum("li,lij,lj->l", off, np.linalg.inv(built.landmark_map.cov), off)[known]
     return f"{known.sum()} | {scaled.mean():.2f}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # tests run on all cores; threads of their own only wait for these
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # workers take all processors: more threads would wait
 
 import subprocess
 import sys
