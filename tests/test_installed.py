@@ -54,12 +54,14 @@ def test_the_first_quarter_of_an_hour(localiser: Installed, tmp_path: Path) -> N
     assert re.search(r"20\.0", tilt)
 
 
-def test_a_video_of_ones_own(localiser: Installed, tmp_path: Path) -> None:
+@pytest.mark.parametrize("source", ["corridor", pytest.param("house", marks=pytest.mark.data)])
+def test_a_video_of_ones_own(source: str, localiser: Installed, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """As the tutorials say: log, clocks, tilt, map, replay, report.
 
     The video has half the images of the log; the odometry is `t,x,y,yaw` by a clock that is 0.3 s ahead.
     """
-    start_ns = film(CORRIDOR, tmp_path)
+    folder = CORRIDOR if source == "corridor" else request.getfixturevalue("data_dir") / source
+    start_ns = film(folder, tmp_path)
     given = ("--camera", "camera.yaml", "--odometry", "odometry.csv", "--start-ns", start_ns)
     localiser("convert", "phone.mp4", "logs/phone", *given, cwd=tmp_path)
 

@@ -21,7 +21,7 @@ CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(20.0), 1.
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("off_m", [0.1, 0.0])
+@pytest.mark.parametrize("off_m", [0.1, -0.1, 0.0])
 def test_a_height_that_is_stated_wrong_is_found(off_m: float) -> None:
     log, edges = corridor_with_edges()
     stated_m = log.camera.mount.height_m - off_m

@@ -189,14 +189,15 @@ def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows ends a process without asking it")
 @pytest.mark.slow
-def test_simulation_that_is_terminated_leaves_nothing_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_simulation_that_is_terminated_leaves_nothing_behind(tmp_path: Path, name: str) -> None:
     world = ROOT / "configs" / "worlds" / "corridor.yaml"
     process = subprocess.Popen([sys.executable, "-m", "localiser", "simulate", world, "-q", "-o", tmp_path / "log"])
     try:
         while process.poll() is None and not any(tmp_path.glob(".*.part/images/*")):
             time.sleep(0.01)
-        process.terminate()
-        assert process.wait(60) == 128 + signal.SIGTERM
+        process.send_signal(getattr(signal, name))
+        assert process.wait(60) == 128 + getattr(signal, name)
     finally:
         process.kill()
     assert list(tmp_path.iterdir()) == []
