@@ -115,6 +115,13 @@ def drawn(count: int, seed: int) -> list[Mutation]:
     return chosen
 
 
+def run_tests(copy: Path, tests: list[str]) -> int:
+    """Run tests in a copy of the repository until one fails; return the exit code of pytest."""
+    command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *tests]
+    environment = {**os.environ, "PYTHONPATH": str(copy)}
+    return subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False).returncode
+
+
 def is_noticed(mutation: Mutation, copy: Path) -> str:
     """Return which tests noticed the mutation, "" where none did."""
     target = copy / mutation.path
@@ -122,10 +129,7 @@ def is_noticed(mutation: Mutation, copy: Path) -> str:
     target.write_text(mutation.source)
     try:
         for tests in (FORMULAS[mutation.group][1], ["tests"]):
-            command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *tests]
-            environment = {**os.environ, "PYTHONPATH": str(copy)}
-            done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=False)
-            if done.returncode in (1, 2):  # tests failed, or could not be collected
+            if run_tests(copy, tests) in (1, 2, 3):  # tests failed, could not be collected, or their preparation failed
                 return " ".join(tests)
         return ""
     finally:
@@ -145,6 +149,8 @@ def main() -> None:
         copy = Path(folder) / "copy"
         left_out = shutil.ignore_patterns(".git", ".venv", "results", "__pycache__")
         shutil.copytree(ROOT, copy, ignore=left_out)
+        if not arguments.list and run_tests(copy, ["tests/geometry"]) != 0:
+            parser.error("tests/geometry fail without any mutation")
         for number, mutation in enumerate(drawn(arguments.count, arguments.seed), 1):
             noticed = "listed" if arguments.list else is_noticed(mutation, copy)
             survivors += not noticed
