@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from localiser import mapping
 from localiser.edges import Edges
 from localiser.geometry import Array, robot_from_map
 from localiser.mapping import Built, MappingParameters, Prior, Sightings
-from localiser.mapping.factors import State, linearise
+from localiser.mapping.factors import Problem, State, cost_of, linearise
 from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
 from localiser.mapping.landmarks import fitted
 from localiser.mapping.loop_closure import same_landmarks
@@ -24,21 +26,31 @@ from localiser.mapping.triangulate import triangulate
 from localiser.motion import MotionParameters
 
 
-def test_derivatives_agree_with_differences() -> None:
+def disturbed() -> tuple[Problem, State]:
     problem, poses, points = circle(0.0, frames=12)
     rng = np.random.default_rng(1)
-    state = State(
-        poses + 0.02 * rng.standard_normal(poses.shape),
-        points + 0.1 * rng.standard_normal(points.shape),
-        CONSTANTS,
-        points,
-    )
-    dense, step = linearise(problem, state).jacobian.toarray(), 1e-6
-    for column in range(dense.shape[1]):
-        change = np.zeros(dense.shape[1])
-        change[column] = step
-        ahead, behind = (linearise(problem, state.moved(sign * change)).residual for sign in (1, -1))
-        assert (behind - ahead) / (2 * step) == pytest.approx(dense[:, column], abs=1e-3, rel=1e-4)
+    poses, moved = (each + sigma * rng.standard_normal(each.shape) for each, sigma in ((poses, 0.02), (points, 0.1)))
+    return problem, State(poses, moved, CONSTANTS, points)
+
+
+def differences(value: Callable[[State], Any], state: State, count: int) -> Array:
+    """Return the derivatives (V, ...) of a value by the V variables of a state, from two values beside it."""
+    step = 1e-6 * np.eye(count)
+    return np.array([(value(state.moved(each)) - value(state.moved(-each))) / 2e-6 for each in step])
+
+
+def test_derivatives_agree_with_differences() -> None:
+    problem, state = disturbed()
+    dense = linearise(problem, state).jacobian.toarray()
+    by_differences = differences(lambda at: linearise(problem, at).residual, state, dense.shape[1])
+    np.testing.assert_allclose(-by_differences.T, dense, atol=1e-3, rtol=1e-4)
+
+
+def test_the_step_goes_down_the_slope_of_the_cost() -> None:
+    problem, state = disturbed()
+    gradient = -2 * linearise(problem, state).normal()[1]
+    by_differences = differences(lambda at: cost_of(problem, at), state, len(gradient))
+    np.testing.assert_allclose(by_differences, gradient, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
 
 
 def test_exact_measurements_give_the_exact_state() -> None:
