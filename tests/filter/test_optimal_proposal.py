@@ -49,11 +49,12 @@ def expected_angles(poses, kind):
     return Angle(CAMERA, kind).predicted(right / ahead)[0]
 
 
+@pytest.mark.parametrize("off_rad", [[0.01, 0.01, 0.01], [0.7, -1.2, 2.4]])
 @pytest.mark.parametrize("kind", ["line", "slope"])
-def test_the_loop_does_what_arrays_and_differences_do(kind):
+def test_the_loop_does_what_arrays_and_differences_do(kind, off_rad):
     step = expected_step(cloud(20), MOVE, MOTION)
     sigma = np.array([0.01, 0.02, 0.03])
-    angle = expected_angles(step.poses, kind).mean(axis=0) + 0.01
+    angle = expected_angles(step.poses, kind).mean(axis=0) + off_rad
     found = step_density(step, CAMERA, Targets(POINTS, angle, sigma**2, kind == "slope"), 0.5)
     shift = 1e-6
     gradient = np.stack(
