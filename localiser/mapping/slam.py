@@ -31,7 +31,7 @@ from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.smooth import CONVERGED, Smoothed, dead_reckoned, smooth
 from localiser.mapping.tracks import follow
 from localiser.mapping.triangulate import misfit
-from localiser.mapping.wheel_check import contradiction
+from localiser.mapping.wheel_check import contradicting_steps, contradiction
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
 _CLEAR = 3.0  # log-likelihood by which an association must be better than any other, to be clear
@@ -116,6 +116,11 @@ def _tracked(slam: _Solver) -> _Solver:
         slam.follow(np.maximum(narrowing * turn, _TRUE_TURN_RAD))
         slam.solve(numbered(long_enough(slam.track)), noise, converged=_ROUGHLY)
         noise = _POSE_BEARING_RAD
+    for _ in range(_PARTING_ROUNDS):
+        steps = contradicting_steps(slam.wheels, slam.poses, slam.constants)
+        if not len(steps):
+            break
+        slam.part_at(steps)
     return slam
 
 
@@ -180,6 +185,17 @@ class _Solver:
         self.places = np.full((len(self.sightings), 2), np.nan)
         self.places[self.built.used] = self.smoothed.points[self.built.of[self.built.used]]
         self.prior = self._prior_with_scale()
+
+    def part_at(self, steps: Index) -> None:
+        """Part every landmark that is seen both before and after one of the steps (K,) between images, and smooth.
+
+        Where the path contradicts the wheels from one image to the next, edges were taken for their neighbours. Those
+        that are one all the same are joined again as loops are.
+        """
+        after = np.searchsorted(steps, self.sightings.frame, side="left")
+        self.track = np.where(self.track >= 0, self.track * (len(steps) + 1) + after, -1)
+        of = np.where(self.built.of >= 0, self.built.of * (len(steps) + 1) + after, -1)
+        self.solve(numbered(long_enough(of)), _POSE_BEARING_RAD)
 
     def joined(self, number: Index) -> Index | None:
         """Return the landmarks (S,) of sightings when each landmark becomes `number` (L,); None if all stay."""

@@ -10,10 +10,16 @@ import numpy as np
 
 from localiser.geometry import Array
 from localiser.mapping.factors import CONSTANTS, Prior, Wheels, wheel_residuals
+from localiser.mapping.sightings import Index
 
 _CONSTANTS_CHI2 = 16.3  # 99.7 % of a Gaussian of four dimensions
 _STRETCHES = (1, 10, 30, 100)  # steps between images, over which the noise is compared
 _STRETCH_CHI2 = 24.0  # 99.7 % of the largest of a hundred Gaussians of three dimensions
+
+
+def contradicting_steps(wheels: Wheels, poses: Array, constants: Array) -> Index:
+    """Return the steps (K,), each from image k to k + 1, in which a path contradicts the wheels."""
+    return np.flatnonzero((wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1) > _STRETCH_CHI2)
 
 
 def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) -> str | None:

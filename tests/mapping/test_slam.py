@@ -14,6 +14,7 @@ from ring_world import CAMERA, CONSTANTS, circle
 from localiser import mapping
 from localiser.edges import Edges
 from localiser.geometry import Array, robot_from_map
+from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.factors import Problem, State, cost_of, linearise
 from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
@@ -221,6 +222,24 @@ def test_a_drive_with_wrong_wheels_is_put_right() -> None:
     wheels = aligned_error(drive.odometry.poses, drive.truth.poses)
     assert np.sqrt((error**2).mean()) < 0.05
     assert np.sqrt((wheels**2).mean()) > 0.2
+
+
+def with_fence(drive: World, spacing_m: float, count: int) -> World:
+    """Return the drive with a row of posts that look alike along a wall of the first corridor."""
+    posts = np.column_stack([np.full(count, -0.93), -1.5 - spacing_m * np.arange(count)])
+    known = drive.landmark_map
+    bottom, top = np.append(known.bottom_m, np.zeros(count)), np.append(known.top_m, np.ones(count))
+    whole = LandmarkMap.from_points(np.vstack([known.points, posts]), bottom_m=bottom, top_m=top)
+    shown = np.repeat((drive.truth.poses[:, 1] > -9.0)[:, None], count, axis=1)
+    return replace(drive, landmark_map=whole, visible=np.hstack([drive.visible, shown]))
+
+
+@pytest.mark.slow
+def test_posts_taken_for_their_neighbours_do_not_break_the_path() -> None:
+    drive = with_fence(world("corridor"), 0.1, 40)
+    found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))
+    assert found.loops_left_out is None
+    assert np.sqrt((aligned_error(found.poses, drive.truth.poses) ** 2).mean()) < 0.025
 
 
 # -- large loops ------------------------------------------------------------------------------------------------------

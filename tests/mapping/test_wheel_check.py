@@ -9,7 +9,7 @@ from localiser.geometry import Array
 from localiser.mapping import Prior
 from localiser.mapping.factors import Wheels
 from localiser.mapping.smooth import dead_reckoned
-from localiser.mapping.wheel_check import contradiction
+from localiser.mapping.wheel_check import contradicting_steps, contradiction
 
 PRIOR = Prior(np.zeros(4), np.array([0.02, 0.03, 0.01, 0.02]))
 SIGMA = np.array([0.01, 0.01, 0.003])
@@ -35,6 +35,15 @@ def test_a_path_that_a_wrong_loop_bent_contradicts_the_noise() -> None:
     bent = poses.copy()
     bent[:, 0] += 0.8 * np.clip((np.arange(len(poses)) - 90) / 20, 0, 1)  # 0.8 m to the side within two metres
     assert "from image" in str(contradiction(wheels, PRIOR, bent, np.zeros(4)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_steps_that_the_wheels_did_not_make_are_named(seed: int) -> None:
+    wheels, poses = driven(seed)
+    assert len(contradicting_steps(wheels, poses, np.zeros(4))) == 0
+    poses[43:, 0] += 0.1
+    poses[120:, 1] -= 0.1
+    assert contradicting_steps(wheels, poses, np.zeros(4)).tolist() == [42, 119]
 
 
 def test_a_scale_that_wheels_cannot_have_is_named() -> None:
