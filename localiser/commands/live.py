@@ -90,7 +90,8 @@ def live(
         typer.Option(
             "--topic",
             metavar="KIND=NAME",
-            help="Another topic for image, camera_info, odometry, transforms, initialpose, groundtruth, clock.",
+            help="Another topic for image, camera_info, odometry, transforms, moving_transforms, initialpose, "
+            "groundtruth, clock.",
         ),
     ] = None,
     publish: Annotated[

@@ -23,6 +23,7 @@ TOPICS = {
     "odometry": "/odom",
     "groundtruth": "/ground_truth/odom",
     "transforms": "/tf_static",
+    "moving_transforms": "/tf",
     "initialpose": "/initialpose",
     "clock": "/clock",
 }
@@ -33,6 +34,7 @@ _TYPES = {
     "odometry": ODOMETRY,
     "groundtruth": ODOMETRY,
     "transforms": TRANSFORMS,
+    "moving_transforms": TRANSFORMS,
     "initialpose": POSE,
     "clock": CLOCK,
 }
@@ -62,7 +64,7 @@ def message_of(arrival: Arrival) -> Any:
     msgtype = type_of(arrival.role, arrival.topic)
     try:
         message = typestore(ros1=False).deserialize_cdr(arrival.content, msgtype)
-        if arrival.role not in ("transforms", "clock"):
+        if arrival.role not in ("transforms", "moving_transforms", "clock"):
             _check_header(message)
     except Exception as error:  # whatever bytes that are no message make of a decoder
         reason = " ".join(str(error).split())[:100] or type(error).__name__

@@ -36,6 +36,7 @@ from localiser.storage import encode_image, read_camera, read_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
 _CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0), "plumb_bob", (-0.1,) * 5)
+_MOVING_KEPT = 2000  # times of each transform that changes: longer than images wait
 JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
 
 
@@ -114,7 +115,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         say("getting ready; the first run compiles its loops, which takes up to a minute", "INFO")
         warm_up(landmark_map, options.config)
         say("ready; waiting for the robot", "INFO")
-        finder = CameraFinder(given, topics["image"], topics["camera_info"])
+        finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
         run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
         run.publisher = _publisher(options, transport, outputs, recording)
         run.simulated = SimulatedTime() if options.use_sim_time else None

@@ -96,7 +96,7 @@ class LiveRun:
     _costs_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
 
     def __post_init__(self) -> None:
-        self.timeline = Timeline(self._decide)
+        self.timeline = Timeline(self._decide, lambda frame: self.finder.mount_reaches(frame.stamp_ns))
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Run until `ended` says so."""
@@ -159,7 +159,7 @@ class LiveRun:
         Where /clock begins anew, messages of other topics may come before it, which wait for it, or after it though
         they were sent before, which are left out. Neither tells of a jump of the robot's clock.
         """
-        if arrival.role in ("clock", "transforms", "camera_info"):
+        if arrival.role in ("clock", "transforms", "moving_transforms", "camera_info"):
             return True
         if not simulated.is_known:
             self.monitor.wait("no clock", "messages wait for the simulated time on /clock")
@@ -203,6 +203,7 @@ class LiveRun:
 
         A pose that was stated while driving was meant for a later time; a bag that is played again states it again.
         """
+        self.finder.forget_moving()
         if self.publisher is not None:
             self.publisher.clock_jumped()
             self.publisher.forget()
@@ -223,6 +224,13 @@ class LiveRun:
 
     def _take_transforms(self, arrival: Arrival, message: Any) -> None:
         self.finder.take_transforms(message)
+        self._record(arrival)
+
+    def _take_moving_transforms(self, arrival: Arrival, message: Any) -> None:
+        """Take transforms of the robot that change; our own, from the map, are on the same topic."""
+        if all(plain_frame(each.header.frame_id) == plain_frame(self.map_frame) for each in message.transforms):
+            return
+        self.finder.take_moving(message)
         self._record(arrival)
 
     def _take_image(self, arrival: Arrival, message: Any) -> None:
@@ -301,6 +309,7 @@ class LiveRun:
         if self.clock.jumps > jumps:
             self.monitor.warn("clock jumps", "the robot's clock has jumped; going on from where it was")
             self._decide(clock_decision(self.clock.offset_ns))
+            self.finder.forget_moving()
             if self.publisher is not None:
                 self.publisher.clock_jumped()
         return t_ns
@@ -421,7 +430,9 @@ class LiveRun:
             self._weigh(self.localiser, frame)
             return
         waiting = self.timeline.waiting
-        if waiting is not None and waiting.measured is None and self.localiser.camera.shutter is None:
+        if waiting is None or waiting.measured is not None or self.localiser.camera.shutter is not None:
+            return
+        if self.finder.mount_reaches(waiting.stamp_ns):
             self._find_edges(self.localiser, waiting)
 
     def _now_ns(self) -> int:
@@ -443,7 +454,8 @@ class LiveRun:
         try:
             pixels = grey_image(frame.message)
             image = image_file(frame.message) if pixels is None else pixels
-            frame.measured = localiser.measure(image, twist=localiser.twist_at(frame.t_ns, self.timeline.track))
+            mount, twist = self.finder.mount_at(frame.stamp_ns), localiser.twist_at(frame.t_ns, self.timeline.track)
+            frame.measured = localiser.measure(image, mount, twist)
         except (InputError, ValueError) as error:
             self.monitor.warn("bad image", f"left out an image: {error}")
             self.timeline.discard(frame, "damaged")

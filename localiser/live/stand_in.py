@@ -20,6 +20,7 @@ from localiser.storage.bags import CAMERA_INFO, COMPRESSED, MAP, ODOM, ODOMETRY,
 IMAGE, INFO = Topic("/camera/image_raw/compressed", COMPRESSED, depth=5), Topic("/camera/camera_info", CAMERA_INFO)
 WHEELS, TRUTH = Topic("/odom", ODOMETRY), Topic("/ground_truth/odom", ODOMETRY)
 FIXED = Topic("/tf_static", TRANSFORMS, latched=True, depth=1)
+MOVING = Topic("/tf", TRANSFORMS, depth=100)
 LONGEST_PAUSE_NS = 60_000_000_000  # in a log, such as where its clock jumps; what is longer is cut
 _FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
 _NS = 1_000_000_000
@@ -84,11 +85,12 @@ class StandIn:
         """
         self._transport, self._passage, self._make = transport, passage, Messages()
         self._named = {
-            topic: replace(topic, name=f"{prefix}{topic.name}") for topic in (IMAGE, INFO, WHEELS, TRUTH, FIXED)
+            topic: replace(topic, name=f"{prefix}{topic.name}") for topic in (IMAGE, INFO, WHEELS, TRUTH, FIXED, MOVING)
         }
         for topic in self._named:
             transport.advertise(self._named[topic])
-        self._publish(FIXED, self._make.encode(self._make.mount(time.time_ns(), passage.log.camera)))
+        if not passage.log.mount_moves:
+            self._publish(FIXED, self._make.encode(self._make.mount(time.time_ns(), passage.log.camera)))
 
     def wait_for_listener(self, stop: Event) -> None:
         """Stand still until someone wants images."""
@@ -115,6 +117,8 @@ class StandIn:
         if topic == IMAGE:
             frame = log.frames[index]
             assert isinstance(frame, ImageEvent)
+            if frame.mount is not None:
+                self._publish(MOVING, make.encode(make.mount(stamp_ns, log.camera.at(frame.mount))))
             self._publish(IMAGE, make.encode(make.compressed(stamp_ns, frame.encoded())))
             self._publish(INFO, make.encode(make.camera_info(stamp_ns, log.camera)))
         else:

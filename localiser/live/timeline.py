@@ -6,7 +6,7 @@ import bisect
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Any
 
 import numpy as np
@@ -50,11 +50,14 @@ def is_driven(sooner: Odometry, later: Odometry) -> bool:
 class Timeline:
     """What has arrived and is not settled. decided: is told of every image, and of every pose that is not used.
 
+    is_ready: whether all else than odometry is there that an image needs, its mount.
+
     A pose of the wheels is settled once an image was weighed with a later one: what comes after that cannot count,
     or a replay, which knows all poses from the start, would not give the same result.
     """
 
     decided: Callable[[str], None]
+    is_ready: Callable[[Frame], bool] = lambda _: True
     needs_wheels: bool = True
     settled_ns: int = -1
     weighed_ns: int = -1
@@ -99,7 +102,11 @@ class Timeline:
         """
         silent = self.heard_ns >= 0 and now_ns - self.heard_ns > PATIENCE_NS
         any_time = silent or not self.needs_wheels
+        for frame in [frame for frame in self._frames if now_ns - frame.at_ns > PATIENCE_NS]:
+            if not self.is_ready(frame):
+                self.discard(frame, "no transforms")
         reached = [frame for frame in self._frames if any_time or frame.t_ns <= self.newest_ns]
+        reached = list(takewhile(self.is_ready, reached))
         for frame in reached[: -max(most, 1)]:
             self._frames.remove(frame)
             self.skip(frame, "newer image")

@@ -31,9 +31,14 @@ def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str
 def check_outputs(topics: Mapping[str, str], outputs: Mapping[str, Output]) -> None:
     """Check that nothing goes out on a topic that comes in, nor two things on one topic. Raises InputError.
 
-    topics: of what comes in, by role.
+    topics: of what comes in, by role. All transforms that move are on one topic, those of the robot and our own.
     """
-    incoming = [(f"what comes in as {role}", "--topic", name) for role, name in topics.items()]
+    shared = outputs["tf"].topic if "tf" in outputs else None
+    incoming = [
+        (f"what comes in as {role}", "--topic", name)
+        for role, name in topics.items()
+        if not (role == "moving_transforms" and name == shared)
+    ]
     outgoing = [(f"what goes out as {kind}", "--publish", output.topic) for kind, output in outputs.items()]
     _check_apart(incoming + outgoing)
 

@@ -67,6 +67,11 @@ class Log:
         return (max([self.frames[-1].t_ns, *map(int, self.odometry.t_ns[-1:])]) - self.start_ns) / 1e9
 
     @property
+    def mount_moves(self) -> bool:
+        """Whether the camera moves on the robot: images have mounts of their own."""
+        return any(isinstance(frame, ImageEvent) and frame.mount is not None for frame in self.frames)
+
+    @property
     def landmark_ids(self) -> tuple[int | str, ...]:
         """The ids of the landmarks that `landmark_id` of an edge numbers."""
         return tuple(self.named) if self.landmark_map is None else self.landmark_map.ids

@@ -15,8 +15,9 @@ from small_log import write_edge_log, write_small_log
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory, between
-from localiser.live.stand_in import FIXED, IMAGE, INFO, LONGEST_PAUSE_NS, WHEELS, Passage, StandIn
+from localiser.live.stand_in import FIXED, IMAGE, INFO, LONGEST_PAUSE_NS, MOVING, WHEELS, Passage, StandIn
 from localiser.storage import open_log
+from localiser.storage.bags.frames import FrameTree, mount_of
 
 
 @pytest.mark.parametrize("rate", [None, 100.0])
@@ -69,3 +70,24 @@ def test_what_cannot_be_driven_is_refused(tmp_path: Path, localiser: Localiser) 
         Passage.of(open_log(write_edge_log(tmp_path / "log")))
     result = localiser("simulate", CORRIDOR)
     assert result.exit_code == 2 and "--serve" in result.err
+
+
+def test_a_mount_that_moves_is_sent_with_each_image(tmp_path: Path) -> None:
+    log = open_log(write_small_log(tmp_path / "log"))
+    usual = log.camera.mount
+    frames = [
+        replace(frame, mount=replace(usual, tilt_rad=usual.tilt_rad + 0.01 * k)) for k, frame in enumerate(log.frames)
+    ]
+    wire = KeepingTransport()
+    StandIn(wire, Passage.of(replace(log, frames=frames))).run(Event(), ways=1)
+    images, moving = wire.messages(IMAGE.name), wire.messages(MOVING.name)
+    assert not wire.messages(FIXED.name)
+    assert len(moving) == len(images) >= 2
+    tilts = []
+    for message, image in zip(moving, images, strict=True):
+        (stamped,) = message.transforms
+        assert stamped.header.stamp == image.header.stamp
+        tree = FrameTree()
+        tree.add_all(message.transforms)
+        tilts.append(mount_of(tree, stamped.header.frame_id, stamped.child_frame_id).tilt_rad)
+    np.testing.assert_allclose(tilts, [frame.mount.tilt_rad for frame in frames[: len(tilts)]], atol=1e-9)

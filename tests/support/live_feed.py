@@ -82,7 +82,7 @@ class Feed:
         self.recording = begun_recording(options, self.said.append)
         self.run = LiveRun(
             Inbox(),
-            CameraFinder(None, TOPICS["image"]),
+            CameraFinder(None, TOPICS["image"], moving_kept=2000),
             localiser_of,
             Monitor(lambda text, level: self.said.append(text)),
             [self.published.append],

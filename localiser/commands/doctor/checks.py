@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -139,7 +139,7 @@ class Heard:
 def topic_checks(heard: Heard) -> Iterator[Finding]:
     """Yield every topic with its rate, and which are missing."""
     for role, topic in heard.topics.items():
-        if topic not in heard.counts and role not in ("initialpose", "groundtruth", "clock"):
+        if topic not in heard.counts and role not in ("moving_transforms", "initialpose", "groundtruth", "clock"):
             state: State = "missing" if role in ("image", "odometry") else "warning"
             yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --topic {role}=NAME")
     roles = {topic: role for role, topic in heard.topics.items()}
@@ -171,12 +171,17 @@ def clock_checks(heard: Heard) -> Iterator[Finding]:
 def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
     """Return the camera that a file or the robot tells, or why it is not known."""
     finder = CameraFinder(given, heard.topics["image"])
-    take = {"transforms": finder.take_transforms, "odometry": finder.take_odometry}
-    take |= {"image": finder.take_image, "camera_info": finder.take_info}
+    take: dict[str, Callable[[Any], None]] = {
+        "transforms": finder.take_transforms,
+        "moving_transforms": finder.take_moving,
+        "odometry": finder.take_odometry,
+        "image": finder.take_image,
+        "camera_info": finder.take_info,
+    }
     try:
-        for role in take:
+        for role, take_message in take.items():
             for _, message in heard.messages(role):
-                take[role](message)
+                take_message(message)
     except ValueError as error:
         return None, str(error)
     return finder.camera, finder.problem

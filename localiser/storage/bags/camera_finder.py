@@ -26,11 +26,20 @@ class CameraFinder:
     camera: None until it is known. problem: why it is not known. size: (width, height) of images, once that is known.
     """
 
-    def __init__(self, given: Camera | None, image_topic: str, source: str = "", *, at_once: bool = True) -> None:
+    def __init__(
+        self,
+        given: Camera | None,
+        image_topic: str,
+        source: str = "",
+        *,
+        at_once: bool = True,
+        moving_kept: int | None = None,
+    ) -> None:
         """Begin. given: the camera from a file, which comes before anything that a robot says. source: for errors.
 
         at_once: whether the camera is what the messages until now say, as on a robot that drives. Otherwise it is what
-        all of them say, which `made` returns in the end.
+        all of them say, which `made` returns in the end. moving_kept: how many times of each transform that changes are
+        kept; None keeps all.
         """
         self.camera = given
         self.problem = "no camera_info"
@@ -38,10 +47,15 @@ class CameraFinder:
         self._source, self._at_once = source, at_once
         self._rectified = _IN_RECTIFIED in image_topic
         self._info: Any = None
-        self._tree, self._moving = FrameTree(), MovingFrames()
+        self.is_given = given is not None
+        self._tree, self._moving = FrameTree(), MovingFrames(moving_kept)
         self._inertial = Inertial()
         self._first_ns: int | None = None
         self._optical = self._base = ""
+
+    def take_camera(self, camera: Camera) -> None:
+        """Take the camera from a file, as the argument `given`."""
+        self.camera, self.is_given = camera, True
 
     def take_info(self, info: Any) -> None:
         """Take a CameraInfo. Raises ValueError when it differs from the one that the camera was made from."""
@@ -60,8 +74,13 @@ class CameraFinder:
         self._look()
 
     def take_moving(self, message: Any, offset_ns: int = 0) -> None:
-        """Take a TFMessage of transforms that change; offset_ns: what is added to their stamps."""
+        """Take a TFMessage of transforms that change; offset_ns: what is added to their stamps. Raises ValueError."""
         self._moving.add_all(message.transforms, offset_ns)
+        self._look()
+
+    def forget_moving(self) -> None:
+        """Forget the transforms that change: the clock of their stamps began anew."""
+        self._moving.forget_times()
 
     def take_inertial(self, message: Any, offset_ns: int = 0) -> None:
         """Take an Imu; offset_ns: what is added to its stamp. Raises ValueError."""
@@ -76,6 +95,9 @@ class CameraFinder:
         size = stated_size(image)
         if not self._optical:
             self._optical, self._first_ns = plain_frame(image.header.frame_id), stamp_of(image)
+            self._look()
+        elif self._at_once and self.camera is None:  # transforms may have come since the image before
+            self._first_ns = stamp_of(image)
             self._look()
         if self._at_once:
             self.size = None if self.camera is None else (self.camera.width, self.camera.height)
@@ -108,6 +130,15 @@ class CameraFinder:
         usual = self.made().mount
         return [self._levelled(mount or usual, t_ns) for mount, t_ns in zip(mounts, times_ns, strict=True)]
 
+    def mount_reaches(self, stamp_ns: int) -> bool:
+        """Whether all transforms of a mount that moves are known at a time or later; True where it does not move."""
+        return all(self._moving.reaches(link, stamp_ns) for link in self._moving_links())
+
+    def mount_at(self, stamp_ns: int) -> Mount | None:
+        """Return the mount at a time, None where it does not move. Raises ValueError."""
+        links = self._moving_links()
+        return self._mount_at(stamp_ns, links) if links else None
+
     def _levelled(self, mount: Mount, t_ns: int) -> Mount:
         """Return the mount at a time with tilt and roll by the inertial sensor."""
         frame, optical = self._inertial.frame, self._optical
@@ -116,7 +147,7 @@ class CameraFinder:
         return self._inertial.mount(mount, tree.between(optical, frame)[:3, :3], t_ns)
 
     def _moving_links(self) -> list[Link]:
-        return moving_links(self._tree, self._moving, self._base, self._optical)
+        return [] if self.is_given else moving_links(self._tree, self._moving, self._base, self._optical)
 
     def _mount_at(self, t_ns: int, links: list[Link]) -> Mount:
         if not links:

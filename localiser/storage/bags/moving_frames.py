@@ -16,6 +16,7 @@ from localiser.storage.bags.frames import FLOOR_FRAME, FrameTree, mount_of, plai
 
 MOST_APART_S = 0.5
 """How far from an image the transforms may be that its mount is from."""
+_MOST_LINKS = 1000
 _NS = 1e9
 Link = tuple[str, str]
 
@@ -23,20 +24,33 @@ Link = tuple[str, str]
 class MovingFrames:
     """Transforms between named frames at many times. They are checked when they are asked for."""
 
-    def __init__(self) -> None:
-        """Start with no frame."""
+    def __init__(self, most: int | None = None) -> None:
+        """Start with no frame. most: how many times of each transform are kept, the newest; None keeps all."""
+        self._most = most
         self._times: dict[Link, array[int]] = {}
         self._values: dict[Link, array[float]] = {}
         self._sorted: dict[Link, tuple[NDArray[np.int64], Array]] = {}
 
     def add_all(self, transforms: Iterable[Any], offset_ns: int = 0) -> None:
-        """Add the transforms of a tf2_msgs/TFMessage; offset_ns: what is added to their stamps."""
+        """Add the transforms of a tf2_msgs/TFMessage; offset_ns: what is added to their stamps.
+
+        Raises ValueError where there are too many frames, if not all is kept.
+        """
         for stamped in transforms:
             link = plain_frame(stamped.header.frame_id), plain_frame(stamped.child_frame_id)
+            if self._most is not None and link not in self._times and len(self._times) >= _MOST_LINKS:
+                raise ValueError(f"expected at most {_MOST_LINKS} transforms between frames, found more")
             stamp, moved, turned = stamped.header.stamp, stamped.transform.translation, stamped.transform.rotation
             self._times.setdefault(link, array("q")).append(int(stamp.sec) * 10**9 + int(stamp.nanosec) + offset_ns)
             numbers = (moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w)
             self._values.setdefault(link, array("d")).extend(numbers)
+            if self._most is not None and len(self._times[link]) > 2 * self._most:
+                del self._times[link][: -self._most], self._values[link][: -7 * self._most]
+        self._sorted.clear()
+
+    def forget_times(self) -> None:
+        """Forget how frames stood to each other, and not which of them do."""
+        self._times, self._values = {link: array("q") for link in self._times}, {}
         self._sorted.clear()
 
     @property
@@ -44,9 +58,15 @@ class MovingFrames:
         """Parent and child of each transform."""
         return self._times
 
+    def reaches(self, link: Link, t_ns: int) -> bool:
+        """Whether a transform is known at a time or later."""
+        return bool((self._of(link)[0][-1:] >= t_ns).any())
+
     def at(self, link: Link, t_ns: int) -> Array:
         """Return the transform (4, 4) at a time, between those before and after. Raises ValueError."""
         times, values = self._of(link)
+        if not len(times):
+            raise ValueError(f"expected transforms from {link[0]!r} to {link[1]!r}, found none")
         after = int(np.searchsorted(times, t_ns))
         first, last = max(after - 1, 0), min(after, len(times) - 1)
         apart_s = max(t_ns - times[first], times[last] - t_ns, key=abs) / _NS
@@ -66,7 +86,7 @@ class MovingFrames:
     def _of(self, link: Link) -> tuple[NDArray[np.int64], Array]:
         if link not in self._sorted:
             times = np.array(self._times[link], dtype=np.int64)
-            values = np.array(self._values[link]).reshape(-1, 7)
+            values = np.array(self._values.get(link, ())).reshape(-1, 7)
             order = np.argsort(times, kind="stable")
             self._sorted[link] = times[order], values[order]
         return self._sorted[link]

@@ -146,7 +146,7 @@ class _Content:
             self.finder.take_transforms(content)
         elif role == "imu":
             self.finder.take_inertial(content, offset_ns)
-        elif role == "moving transforms":
+        elif role == "moving_transforms":
             self.finder.take_moving(content, offset_ns)
         elif role == DECISIONS_TOPIC:
             self.decisions.take(content.data)
@@ -157,7 +157,7 @@ class _Content:
         elif role == MAP_TOPIC:
             self.landmark_map = map_from_document(_document(self.path, message))
         elif role == CAMERA_TOPIC and self.finder.camera is None:
-            self.finder.camera = camera_from_document(_document(self.path, message))
+            self.finder.take_camera(camera_from_document(_document(self.path, message)))
 
     def _take_image(self, message: Message, offset_ns: int) -> None:
         self.finder.take_image(message.content)
@@ -183,7 +183,7 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
     odometry = content.odometry.trajectory(path)
     label = content.label or Label(format=FORMAT, name=path.resolve().stem)
     mounts: Sequence[Mount | None] = [None] * len(places)
-    if given is None and content.finder.camera is None:
+    if given is None and not content.finder.is_given:
         mounts = _made(content, lambda: content.finder.mounts([place.stamp_ns for place in places]))
         mounts = with_sigma(mounts, label)
     camera = given or content.finder.camera or _made(content, content.finder.made)

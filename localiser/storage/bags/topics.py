@@ -80,7 +80,12 @@ def choose(
         if topic.msgtype == TRANSFORMS
         and (topic.name.rsplit("/", 1)[-1] == "tf_static" or topic.name == stated.get("transforms"))
     ]
-    moving = [topic for topic in topics if topic.msgtype == TRANSFORMS and topic.name.rsplit("/", 1)[-1] == "tf"]
+    moving = [
+        topic
+        for topic in topics
+        if topic.msgtype == TRANSFORMS
+        and (topic.name.rsplit("/", 1)[-1] == "tf" or topic.name == stated.get("moving_transforms"))
+    ]
     single = {
         "image": image,
         "odometry": odometry,
@@ -89,7 +94,7 @@ def choose(
         "imu": one("imu", [topic for topic in of_type["imu"] if topic.name == IMU_TOPIC]),
     }
     roles = {topic: role for role, topic in single.items() if topic is not None}
-    roles |= dict.fromkeys(moving, "moving transforms") | dict.fromkeys(fixed, "transforms")
+    roles |= dict.fromkeys(moving, "moving_transforms") | dict.fromkeys(fixed, "transforms")
     return roles | {topic: topic.name for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS}
 
 

@@ -136,7 +136,7 @@ def _writer(path: Path, kind: str) -> Iterator[Any]:
 def log_messages(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time and message of everything that the log holds, in the order of time."""
     first_ns = log.start_ns
-    if not _moves(log):
+    if not log.mount_moves:
         yield _MOUNT, first_ns, make.mount(first_ns, log.camera)
     yield LOG_TOPIC, first_ns, make.text(label_text(log))
     if log.landmark_map is not None:
@@ -152,7 +152,7 @@ def _measured(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
         if isinstance(event, Odometry):
             yield WHEELS_TOPIC, t_ns, make.odometry(t_ns, ODOM, event.pose)
         elif isinstance(event, ImageEvent):
-            if _moves(log):
+            if log.mount_moves:
                 camera = log.camera.at(event.mount)
                 yield _MOVING, t_ns, make.mount(t_ns, camera)
                 sigma = camera.mount.sigma
@@ -160,11 +160,6 @@ def _measured(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
                     yield IMU_TOPIC, t_ns, make.inertial(t_ns, camera)
             yield _INFO, t_ns, make.camera_info(t_ns, log.camera)
             yield _IMAGE, t_ns, make.compressed(t_ns, event.encoded())
-
-
-def _moves(log: Log) -> bool:
-    """Return whether the camera moves on the robot."""
-    return any(isinstance(frame, ImageEvent) and frame.mount is not None for frame in log.frames)
 
 
 def _kept(make: Messages) -> dict[str, Any]:
