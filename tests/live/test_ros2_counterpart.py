@@ -8,6 +8,7 @@ attachment.
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator
 from threading import Event, Thread
@@ -72,13 +73,13 @@ def wait_until(met: Callable[[], object]) -> None:
 
 
 class Robot:
-    """Sends the log that ships through the counterpart's publishers, as if it were driving now."""
+    """Sends the log that ships by the counterpart's publishers: it stands at its start until it is told to drive."""
 
     def __init__(self, at: dict[str, Any]) -> None:
         self.begin_ns = time.time_ns()
         names = {COMPRESSED: "/camera/image_raw/compressed", CAMERA_INFO: "/camera/camera_info", ODOMETRY: "/odom"}
         self._publishers = {kind: sdk.ROS2Publisher(name, **typed(kind), **at) for kind, name in names.items()}
-        self._stop = Event()
+        self._stop, self._go = Event(), Event()
         self._thread = Thread(target=self._drive, daemon=True)
 
     def latch_transforms(self, domain: int) -> Any:
@@ -95,9 +96,12 @@ class Robot:
         return publisher
 
     def __enter__(self) -> Robot:
-        self.begin_ns = time.time_ns()
         self._thread.start()
         return self
+
+    def drive_off(self) -> None:
+        """Drive from now on."""
+        self._go.set()
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
@@ -107,9 +111,17 @@ class Robot:
 
     def truth(self, stamp_ns: int) -> np.ndarray:
         assert LOG.groundtruth is not None
-        return LOG.groundtruth.at(stamp_ns - self.begin_ns)
+        return LOG.groundtruth.at(max(stamp_ns - self.begin_ns, LOG.frames[0].t_ns))
 
     def _drive(self) -> None:
+        image = next(event for event in LOG.events(None, anywhere=True) if isinstance(event, ImageEvent))
+        self.begin_ns = sys.maxsize
+        while not self._go.wait(0.1):
+            now_ns = time.time_ns()
+            self._send(ODOMETRY, MAKE.odometry(now_ns, ODOM, LOG.odometry.at(image.t_ns)))
+            self._send(CAMERA_INFO, MAKE.camera_info(now_ns, LOG.camera))
+            self._send(COMPRESSED, MAKE.compressed(now_ns, image.encoded()))
+        self.begin_ns = time.time_ns() + 10_000_000
         for event in LOG.events(None, anywhere=True):
             stamp_ns = self.begin_ns + event.t_ns
             if self._stop.wait(max((stamp_ns - time.time_ns()) / 1e9, 0.0)):
@@ -144,6 +156,8 @@ def test_a_live_run_and_the_counterpart_hear_each_other(endpoint: str) -> None:
     with program(*live, "--json", "--publish", "landmarks=/landmarks") as run:
         run.wait_to_say("ready")
         with robot:
+            run.wait_to_say("started at")  # the start that is stated is where the robot is now
+            robot.drive_off()
             lines = run.poses(8)
             wait_until(lambda: len(poses) >= 8 and len(transforms) >= 20)
             kept = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
