@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+
+from localiser.storage import csv_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +23,7 @@ class Sheet:
 
     def csv(self) -> str:
         """Return the table as CSV."""
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([_one_line(self.columns), *self.rows])
-        return text.getvalue()
+        return csv_of([_one_line(self.columns), *self.rows])
 
     def markdown(self) -> str:
         """Return title, table and note as Markdown."""

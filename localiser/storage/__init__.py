@@ -26,6 +26,7 @@ from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan
 from localiser.storage.restamp import images_table, move_images
 from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv, write_runs_parquet
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
+from localiser.storage.tables import csv_of
 from localiser.storage.tracks import TrackWriter, read_track
 from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum
 from localiser.storage.video import is_video, read_video

@@ -6,8 +6,6 @@ by the mount's yaw. It is converted here, both ways, and nowhere else.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -20,7 +18,7 @@ from localiser.documents import Place, write_text
 from localiser.edges import Edges, complete
 from localiser.filter import Sighting
 from localiser.geometry import Array, wrap_angle
-from localiser.storage.tables import Column, Table, integer, name_or_none, read_table, sign
+from localiser.storage.tables import Column, Table, csv_of, integer, name_or_none, read_table, sign
 from localiser.storage.tables import number_or_unknown as number
 from localiser.storage.tables import positive_or_unknown as positive
 
@@ -110,20 +108,18 @@ def write_edges(frames: Iterable[Sighting], camera: Camera, path: Path, ids: Seq
 
     ids: of the landmarks that `landmark_id` of an edge numbers; where there are none, that number is the id.
     """
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow([column.name for column in COLUMNS])
+    rows: list[list[object]] = [[column.name for column in COLUMNS]]
     for frame in frames:
         edges = frame.edges
         bearing = wrap_angle(edges.bearing - camera.at(edges.mount).mount.yaw_rad)
         measured = (bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, edges.length_px)
         for row in range(len(edges)):
-            cells = [str(frame.t_ns)]
+            cells: list[object] = [str(frame.t_ns)]
             cells += ["" if np.isnan(column[row]) else repr(float(column[row])) for column in measured]
             cells += [str(edges.polarity[row]) if edges.polarity[row] else ""]
             landmark = int(edges.landmark_id[row])
             cells += ["" if landmark < 0 else str(ids[landmark] if ids else landmark)]
-            table.writerow(cells)
+            rows.append(cells)
         if len(edges) == 0:
-            table.writerow([frame.t_ns, *[""] * (len(COLUMNS) - 1)])
-    write_text(path, text.getvalue())
+            rows.append([frame.t_ns, *[""] * (len(COLUMNS) - 1)])
+    write_text(path, csv_of(rows))

@@ -11,7 +11,7 @@ from localiser.errors import InputError
 from localiser.storage.cameras import named
 from localiser.storage.files import keep_beside
 from localiser.storage.folder import LOG_FILE
-from localiser.storage.tables import MAX_TABLE_BYTES, Column, integer, read_table
+from localiser.storage.tables import MAX_TABLE_BYTES, Column, csv_of, integer, read_table
 
 
 def images_table(log: Path) -> Path:
@@ -39,8 +39,6 @@ def move_images(path: Path, later_ns: int) -> Path:
     column = [name.strip() for name in header].index("t_ns")
     for row, time_ns in zip(rows, times, strict=True):
         row[column] = str(time_ns + later_ns)
-    written = io.StringIO()
-    csv.writer(written, lineterminator="\n").writerows([header, *rows])
     kept = keep_beside(path)
-    write_text(path, written.getvalue())
+    write_text(path, csv_of([header, *rows]))
     return kept

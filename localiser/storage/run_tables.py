@@ -6,7 +6,6 @@ is not known is an empty cell, or null.
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 from localiser.documents import encodable, field_name, read_bytes, shown, write_bytes, write_text
 from localiser.errors import InputError
 from localiser.storage.runs import read_json
-from localiser.storage.tables import MAX_TABLE_BYTES, MOST_CELLS, Column, read_table
+from localiser.storage.tables import MAX_TABLE_BYTES, MOST_CELLS, Column, csv_of, read_table
 
 Row = Mapping[str, Any]
 
@@ -35,11 +34,7 @@ _REQUIRED = ("log", "log_id", "seed")
 def csv_text(rows: Sequence[Row]) -> str:
     """Return the table of rows as CSV; its columns are in the order in which rows have them."""
     names = _columns(rows)
-    file = io.StringIO(newline="")
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([_cell(row.get(name)) for name in names] for row in rows)
-    return file.getvalue()
+    return csv_of([names, *([_cell(row.get(name)) for name in names] for row in rows)])
 
 
 def write_runs_csv(path: Path, rows: Sequence[Row]) -> None:

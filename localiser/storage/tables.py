@@ -131,6 +131,13 @@ def _within(value: Value, is_right: bool, expected: str) -> Value:
     return value
 
 
+def csv_of(rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows of cells as CSV; None is an empty cell."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
 # -- files ------------------------------------------------------------------------------------------------------------
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import PROFILE_OFFSETS_PX, EdgeParameters, Edges, mount_error_of_edges
+from localiser.storage import csv_of
 
 Row = dict[str, Any]
 
@@ -85,12 +84,8 @@ def mount_by_edges(edges: Edges, camera: Camera, parameters: EdgeParameters) -> 
 def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, header: bool = True) -> str:
     """Return rows as CSV; nan and None are empty cells, numbers read back to the same value."""
     names = list(columns)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    if header:
-        writer.writerow(names)
-    writer.writerows([_cell(row[name]) for name in names] for row in rows)
-    return text.getvalue()
+    head = [names] if header else []
+    return csv_of([*head, *([_cell(row[name]) for name in names] for row in rows)])
 
 
 def _cell(value: object) -> object:

@@ -31,12 +31,10 @@ def export(
 
 def table(landmark_map: LandmarkMap) -> str:
     """Return the map as CSV, one landmark a row, empty cells where something is not known."""
-    import csv
-    import io
-
     import numpy as np
 
     from localiser.landmarks import Quality
+    from localiser.storage import csv_of
 
     quality = landmark_map.quality or Quality.unknown(len(landmark_map))
     columns = {
@@ -52,10 +50,8 @@ def table(landmark_map: LandmarkMap) -> str:
         "parallax_deg": np.rad2deg(quality.parallax_rad),
         "existence": quality.existence,
     }
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["id", *columns, "source"])
+    rows: list[list[object]] = [["id", *columns, "source"]]
     for index, (name, source) in enumerate(zip(landmark_map.ids, landmark_map.source, strict=True)):
         cells = ("" if np.isnan(column[index]) else f"{column[index]:.9g}" for column in columns.values())
-        writer.writerow([name, *cells, source])
-    return text.getvalue()
+        rows.append([name, *cells, source])
+    return csv_of(rows)
