@@ -86,7 +86,7 @@ def _short(log: Log) -> Log:
 
 def _write(folder: Path, log: Log, *, as_edges: bool) -> None:
     """Write the log, with its images or with edges in their place, which are replayed in a tenth of the time."""
-    images = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
+    images = log.images
     write_log(
         folder,
         name="edges" if as_edges else log.name,

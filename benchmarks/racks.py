@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from localiser import ImageEvent, find_edges, read_config, simulate_log
+from localiser import find_edges, read_config, simulate_log
 from localiser.landmarks import sight
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -93,7 +93,7 @@ def drive_of(seed: int, folder: Path) -> Drive:
     path.write_text(yaml.safe_dump(world_of(seed)), encoding="utf-8")
     log = simulate_log(path, seed)
     parameters = read_config(None, (), log.settings).edges
-    images = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
+    images = log.images
     edges = [find_edges(image.load(), log.camera, parameters) for image in images]
     t_ns = np.array([image.t_ns for image in images])
     truth = log.groundtruth.sampled(t_ns).poses

@@ -86,7 +86,7 @@ def convert(
         log = thinned(log, every_s)
     with progress("Converting", len(log.frames), quiet) as advance:
         if target == FOLDER:
-            _to_folder(log, out, advance)
+            to_folder(log, out, advance)
         else:
             write_bag(out, log, target, advance)
     if not quiet:
@@ -117,16 +117,15 @@ def _target_of(out: Path, log: Log, asked: str | None) -> str:
     return asked or by_name or ("mcap" if (log.path / "log.yaml").exists() else FOLDER)
 
 
-def _to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
+def to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
     """Write a log folder; image files are copied as they are."""
     from localiser.filter import Sighting
-    from localiser.storage import ImageEvent, motion_settings, write_log
+    from localiser.storage import motion_settings, write_log
 
     def images() -> Iterator[tuple[int, bytes]]:
-        for frame in log.frames:
-            if isinstance(frame, ImageEvent):
-                yield frame.t_ns, frame.encoded()
-                advance()
+        for image in log.images:
+            yield image.t_ns, image.encoded()
+            advance()
 
     write_log(
         out,
@@ -134,7 +133,7 @@ def _to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
         camera=log.camera,
         odometry=log.odometry,
         images=images() if log.has_images else None,
-        mounts=[frame.mount for frame in log.frames if isinstance(frame, ImageEvent)],
+        mounts=[image.mount for image in log.images],
         sightings=None if log.has_images else [frame for frame in log.frames if isinstance(frame, Sighting)],
         landmark_map=log.landmark_map,
         landmark_ids=log.landmark_ids,

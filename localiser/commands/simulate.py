@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from localiser.commands.convert import to_folder
 from localiser.commands.options import (
     Connect,
     Dds,
@@ -72,33 +72,13 @@ def simulate(
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
-    from localiser.storage import ImageEvent, simulate_log, write_log
+    from localiser.storage import simulate_log
 
     log = simulate_log(world, seed)
     with progress("Rendering", len(log.frames), quiet) as advance:
-        write_log(
-            out,
-            name=log.name,
-            camera=log.camera,
-            odometry=log.odometry,
-            images=_rendered(log, advance),
-            mounts=[frame.mount for frame in log.frames if isinstance(frame, ImageEvent)],
-            landmark_map=log.landmark_map,
-            groundtruth=log.groundtruth,
-            start=log.start,
-        )
+        to_folder(log, out, advance)
     if not quiet:
         typer.echo(f"{len(log.frames)} images and {len(log.landmark_map or ())} landmarks in {out}")
-
-
-def _rendered(log: Log, progress: Callable[[], None]) -> Iterator[tuple[int, bytes]]:
-    """Yield time and file of every image, and call `progress` after each."""
-    from localiser.storage import ImageEvent
-
-    for frame in log.frames:
-        assert isinstance(frame, ImageEvent)
-        yield frame.t_ns, frame.encoded()
-        progress()
 
 
 def driven(world_or_log: Path, seed: int) -> Log:
@@ -111,8 +91,8 @@ def driven(world_or_log: Path, seed: int) -> Log:
     if world_or_log.suffix not in (".yaml", ".yml") or world_or_log.name == "log.yaml":
         return open_log(world_or_log)
     log = simulate_log(world_or_log, seed)
-    for _ in _rendered(log, lambda: None):
-        pass
+    for image in log.images:
+        image.encoded()
     return log
 
 

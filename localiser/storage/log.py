@@ -104,6 +104,11 @@ class Log:
         """Whether the frames are images, not edges."""
         return isinstance(self.frames[0], ImageEvent)
 
+    @property
+    def images(self) -> list[ImageEvent]:
+        """Those of the frames that are images."""
+        return [frame for frame in self.frames if isinstance(frame, ImageEvent)]
+
     def twist_at(self, t_ns: int) -> Twist | None:
         """Return how the robot moved while it took the image of a time, by its wheels.
 

@@ -20,10 +20,9 @@ WRITTEN_SIGMA_S = 0.05
 def images_of(log: Log) -> list[ImageEvent]:
     """Return the images of a log that has odometry. Raises InputError."""
     require_odometry(log, "comparing the clocks")
-    images = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
-    if not images:
+    if not log.has_images:
         raise InputError("expected a log with images, found edges that were measured already", path=log.path)
-    return images
+    return log.images
 
 
 def find_offset(log: Log, images: list[ImageEvent], config: Config, progress: Callable[[], None]) -> ClockOffset:

@@ -27,7 +27,7 @@ class Tilt:
 def usable_images(log: Log, most: int) -> list[ImageEvent]:
     """Return at most `most` images, evenly spread over the log, taken while there is odometry. Raises InputError."""
     require_odometry(log, "finding the tilt")
-    images = [frame for frame in log.frames if isinstance(frame, ImageEvent) and log.odometry.covers(frame.t_ns)]
+    images = [image for image in log.images if log.odometry.covers(image.t_ns)]
     if not images:
         raise InputError("expected a log with images, found edges that were measured already", path=log.path)
     if any(image.mount is not None for image in images):

@@ -11,7 +11,7 @@ from localiser import storage
 from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.geometry import Twist
-from localiser.storage import FolderReader, Image, ImageEvent, read_image, safe_name
+from localiser.storage import FolderReader, Image, read_image, safe_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,19 +46,18 @@ def inputs_of(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, 
 
 def _of_log(path: Path, camera: Camera | None) -> tuple[Camera, list[Taken]]:
     log = storage.open_log(path, format="folder")
-    frames = [frame for frame in log.frames if isinstance(frame, ImageEvent)]
-    if not frames:
+    if not log.has_images:
         raise InputError("expected a log with images, found one whose edges are measured already", path=path)
     if camera and (camera.width, camera.height) != (log.camera.width, log.camera.height):
         found = f"one of {camera.width}×{camera.height}"
         raise InputError(
             f"expected a camera of {log.camera.width}×{log.camera.height} pixels, found {found}", field="--camera"
         )
-    stems = stems_of([Path(frame.name) for frame in frames])
+    stems = stems_of([Path(image.name) for image in log.images])
     camera = camera or log.camera
     return camera, [
-        Taken(frame.name, stem, frame.load, frame.t_ns, camera.twist_at(log.odometry, frame.t_ns))
-        for frame, stem in zip(frames, stems, strict=True)
+        Taken(image.name, stem, image.load, image.t_ns, camera.twist_at(log.odometry, image.t_ns))
+        for image, stem in zip(log.images, stems, strict=True)
     ]
 
 

@@ -13,7 +13,6 @@ from localiser.documents import MAX_DOCUMENT_BYTES, Document, dump, parse
 from localiser.errors import InputError
 from localiser.storage.cameras import FileModel, ShutterFile, shutter_data, shutter_of
 from localiser.storage.folder import StartFile, start_data
-from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log
 
 FORMAT: Literal["localiser-bag/1"] = "localiser-bag/1"
@@ -62,7 +61,7 @@ def _mount_sigma(log: Log) -> dict[str, float]:
     Those of tilt and roll stand beside the orientation of an inertial sensor.
     """
     found = {}
-    mounts = [frame.mount for frame in log.frames if isinstance(frame, ImageEvent)]
+    mounts = [image.mount for image in log.images]
     for name in ("yaw_rad", "height_m", "right_m", "back_m"):
         stated: set[float | None] = {getattr(mount.sigma, name) if mount and mount.sigma else None for mount in mounts}
         if len(stated) > 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from localiser.camera import Mount
@@ -56,8 +56,9 @@ class Playback:
             return self._last[1]
 
         name = f"{self._topic.name}/{place.order:06d}"
-        event = image_event(place.stamp_ns, name, file, self._size, path=self._path, field=field, by_wheels=by_wheels)
-        return event if mount is None else replace(event, mount=mount)
+        return image_event(
+            place.stamp_ns, name, file, self._size, path=self._path, field=field, by_wheels=by_wheels, mount=mount
+        )
 
     def _fetch(self, place: ImagePlace) -> Message:
         if self._bag is None or place.order != self._next:
