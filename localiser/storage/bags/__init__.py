@@ -28,9 +28,7 @@ from localiser.storage.bags.decisions import (
 from localiser.storage.bags.frames import (
     FrameTree,
     check_start,
-    floor_cov,
     floor_pose,
-    mount_of,
     plain_frame,
     start_of_message,
 )

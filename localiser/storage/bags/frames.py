@@ -81,18 +81,14 @@ class FrameTree:
 
     def between(self, target: str, source: str) -> Array:
         """Return the transform (4, 4) from `source` to `target` along any chain of frames. Raises ValueError."""
-        reached = {target: np.eye(4)}
-        waiting = [target]
-        while waiting and source not in reached:
-            frame = waiting.pop(0)
-            for neighbour, transform in self._neighbours.get(frame, {}).items():
-                if neighbour not in reached:
-                    reached[neighbour] = reached[frame] @ transform
-                    waiting.append(neighbour)
-        if source not in reached:
+        steps = self.chain(target, source)
+        if steps is None:
             known = ", ".join(sorted(self._neighbours)) or "no frame at all"
             raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}")
-        return reached[source]
+        transform: Array = np.eye(4)
+        for frame, neighbour in steps:
+            transform = transform @ self._neighbours[frame][neighbour]
+        return transform
 
 
 def _require_near(parent: str, child: str, transform: Array) -> None:
@@ -148,16 +144,17 @@ def mount_of(tree: FrameTree, base: str, optical: str) -> Mount:
     if not abs(math.degrees(tilt)) < 89.9:
         raise ValueError("expected a camera that does not look straight up or down")
     return Mount(
-        tilt_rad=_rounded_angle(tilt),
-        roll_rad=_rounded_angle(math.atan2(-axes[1, 0], axes[1, 1])),
-        yaw_rad=_rounded_angle(math.atan2(axes[0, 2], axes[2, 2])),
+        tilt_rad=rounded_angle(tilt),
+        roll_rad=rounded_angle(math.atan2(-axes[1, 0], axes[1, 1])),
+        yaw_rad=rounded_angle(math.atan2(axes[0, 2], axes[2, 2])),
         height_m=round(float(height_m), 10),
         right_m=round(float(place[0]), 10) + 0.0,
         back_m=round(float(place[2]), 10) + 0.0,
     )
 
 
-def _rounded_angle(angle_rad: float) -> float:
+def rounded_angle(angle_rad: float) -> float:
+    """Return an angle, rounded to ten digits of a degree: one that was stated in degrees comes back as it was."""
     return math.radians(round(math.degrees(angle_rad), 10) + 0.0)  # + 0.0: no -0.0
 
 

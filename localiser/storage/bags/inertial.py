@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from localiser.camera import Mount, MountSigma
 from localiser.geometry import Array
 from localiser.motion import up_of
-from localiser.storage.bags.frames import plain_frame, rotation_from_quaternion
+from localiser.storage.bags.frames import plain_frame, rotation_from_quaternion, rounded_angle
 from localiser.storage.bags.moving_frames import MOST_APART_S
 
 _CAMERA_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
@@ -98,15 +98,11 @@ def _leaning(mount: Mount, up: Array, cov: Array) -> Mount:
     jacobian = by_up @ turns
     variance = np.maximum(np.diag(jacobian @ cov @ jacobian.T), 0.0)
     tilt, roll = (sigma if sigma > _LEAST_SIGMA_RAD else None for sigma in np.sqrt(variance).tolist())
-    known = {"tilt_rad": tilt and _rounded(tilt), "roll_rad": roll and _rounded(roll)}
+    known = {"tilt_rad": tilt and rounded_angle(tilt), "roll_rad": roll and rounded_angle(roll)}
     stated = replace(mount.sigma or MountSigma(), **known)
     return replace(
         mount,
-        tilt_rad=_rounded(math.atan2(up[2], level)),
-        roll_rad=_rounded(math.atan2(-up[0], up[1])),
+        tilt_rad=rounded_angle(math.atan2(up[2], level)),
+        roll_rad=rounded_angle(math.atan2(-up[0], up[1])),
         sigma=None if stated == MountSigma() else stated,
     )
-
-
-def _rounded(angle_rad: float) -> float:
-    return math.radians(round(math.degrees(angle_rad), 10) + 0.0)

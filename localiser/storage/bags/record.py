@@ -6,12 +6,14 @@ import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from localiser.documents import output_errors
 from localiser.errors import InputError, OutputError
 from localiser.storage.bags.bag import typestore
-from localiser.storage.bags.quality import latched_quality
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Qos
 
 SUFFIX = ".db3"
 
@@ -27,6 +29,15 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'humble');
 """
+
+
+def latched_quality() -> Qos:
+    """Return the quality of service of a topic that keeps its last message for late subscribers, and is reliable."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    keep, reliable, latched = QosHistory.KEEP_LAST, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
+    never = QosTime(9_223_372_036, 854_775_807)  # what ROS 2 writes for a duration without end
+    return Qos(keep, 1, reliable, latched, never, never, QosLiveliness.AUTOMATIC, never, False)
 
 
 class BagRecorder:

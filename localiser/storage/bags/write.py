@@ -16,7 +16,7 @@ from localiser.filter import Odometry
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, TEXT, TRANSFORMS
 from localiser.storage.bags.label import label_text
 from localiser.storage.bags.messages import MAP, ODOM, Messages
-from localiser.storage.bags.quality import latched_quality
+from localiser.storage.bags.record import latched_quality
 from localiser.storage.bags.topics import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log, require_odometry
