@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.documents import nearest
 from localiser.errors import InputError, LocaliserError
 from localiser.live.sources import Arrival, Inbox
-from localiser.live.transports import ServesRequests, Service, Transport
+from localiser.live.transports import ServesRequests, Transport
 from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, request_of, response_bytes, topic_in
 from localiser.storage import read_map
 
@@ -32,8 +32,7 @@ def serve(transport: Transport, inbox: Inbox, namespace: str = "", names: Mappin
     for kind, service in SERVICES.items():
         if name := topic_in(namespace, names.get(kind, service.name.removeprefix("/"))):
             take = _taker(inbox, kind, name)
-            served = Service(name, service.srvtype, service.type_hash, service.request, service.response)
-            transport.serve(served, take)
+            transport.serve(replace(service, name=name), take)
 
 
 def _taker(inbox: Inbox, kind: str, name: str) -> Callable[[bytes, Callable[[bytes], None]], None]:

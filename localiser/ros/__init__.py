@@ -7,7 +7,7 @@ from localiser.ros.services import (
     MAP_LOADED,
     MAP_NOT_THERE,
     SERVICES,
-    ServiceType,
+    Service,
     request_bytes,
     request_of,
     response_bytes,

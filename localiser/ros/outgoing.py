@@ -116,11 +116,9 @@ class Outgoing:
         message = self._make.map_from_odometry(stamp_ns, located.estimate.pose, located.odometry, frames)
         return [self._message("tf", stamp_ns, message)]
 
-    def forget(self, landmark_map: LandmarkMap | None = None) -> None:
-        """Begin anew, with another map if one is given: what was located before says nothing any more."""
+    def forget(self) -> None:
+        """Begin anew: what was located before says nothing any more."""
         self._located, self._path = None, DrivenPath()
-        if landmark_map is not None:
-            self.landmark_map, self._ends = landmark_map, landmark_ends(landmark_map, self.camera)
 
     def odometry_frame(self, name: str) -> None:
         """Take the name of the odometry's frame, as its messages have it."""

@@ -17,10 +17,12 @@ _NOTHING = "uint8 structure_needs_at_least_one_member"
 
 
 @dataclass(frozen=True, slots=True)
-class ServiceType:
-    """A service that a live run answers. request, response: the definitions of its messages."""
+class Service:
+    """A service. srvtype: `pkg/srv/Name`. type_hash: RIHS01 of the type, as ROS 2 has it from Iron on.
 
-    kind: str
+    request, response: what the two messages hold, as ROS writes definitions.
+    """
+
     name: str
     srvtype: str
     type_hash: str
@@ -28,32 +30,27 @@ class ServiceType:
     response: str = _NOTHING
 
 
-_ALL = (
-    ServiceType(
-        "look_everywhere",
+SERVICES = {
+    "look_everywhere": Service(
         "/reinitialize_global_localization",
         "std_srvs/srv/Empty",
         "RIHS01_5888399dedec5ccc85ea6451949fd2c9f97bfdf963f9a588821639fcd31b5d19",
     ),
-    ServiceType(
-        "load_map",
+    "load_map": Service(
         "/localiser/load_map",
         "nav2_msgs/srv/LoadMap",
         "RIHS01_eb875de5ea9bb394573effc3f239015b19869dd7a8988136768372c6ef907ec1",
         "string map_url",
         "nav_msgs/OccupancyGrid map\nuint8 result",
     ),
-    ServiceType(
-        "save_state",
+    "save_state": Service(
         "/localiser/save_state",
         "std_srvs/srv/Trigger",
         "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
         response="bool success\nstring message",
     ),
-)
-
-SERVICES: dict[str, ServiceType] = {service.kind: service for service in _ALL}
-"""Every service by its kind."""
+}
+"""Every service that a live run answers, by its kind."""
 
 MAP_LOADED, MAP_NOT_THERE, MAP_INVALID = 0, 1, 2
 """Results of nav2_msgs/srv/LoadMap."""

@@ -19,7 +19,7 @@ from short_log import CORRIDOR, Localiser
 from localiser.errors import InputError
 from localiser.live import NetworkOptions, open_transport
 from localiser.live.publishing import Publisher
-from localiser.live.transports import Reply, Service, Topic, Transport
+from localiser.live.transports import Reply, Topic, Transport
 from localiser.live.transports.dds_types import dds_name, dds_type
 from localiser.ros import SERVICES, outputs_named, request_bytes, response_bytes
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
@@ -143,8 +143,7 @@ def test_who_is_slow_gets_the_newest_messages_of_a_flood() -> None:
 
 def test_a_service_answers_who_asks() -> None:
     """As Cyclone's middleware of ROS 2 asks: who it is and which request stand before the message."""
-    kind = SERVICES["save_state"]
-    service = Service(kind.name, kind.srvtype, kind.type_hash, kind.request, kind.response)
+    service = SERVICES["save_state"]
     requests: list[bytes] = []
 
     def answer(content: bytes, reply: Reply) -> None:

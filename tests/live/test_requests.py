@@ -183,9 +183,9 @@ def test_hashes_are_those_of_another_implementation() -> None:
         head, _, text = part.partition("\n")
         package, name = head.removeprefix("MSG: ").split("/")[:: 1 if head.count("/") == 1 else 2]
         named[f"{package}/msg/{name}"] = text
-    for service in SERVICES.values():
+    for kind, service in SERVICES.items():
         found = utils.compute_service_type_hash(service.srvtype, service.request, service.response, named)
-        assert found == service.type_hash, service.kind
+        assert found == service.type_hash, kind
 
 
 def test_unknown_services_are_refused() -> None:

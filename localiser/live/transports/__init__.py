@@ -1,9 +1,8 @@
 """Networks of robots: one protocol; behind it zenoh, under the names of rmw_zenoh or of a bridge, or DDS."""
 
 from localiser.live.transports.bridge_names import BridgeNames
-from localiser.live.transports.dds_transport import LOOPBACK, DdsTransport
-from localiser.live.transports.link import ENDPOINT, ZenohLink
-from localiser.live.transports.opening import NameScheme, NetworkOptions, open_transport
+from localiser.live.transports.link import ENDPOINT
+from localiser.live.transports.opening import NetworkOptions, open_transport
 from localiser.live.transports.rmw_names import RmwNames
 from localiser.live.transports.transport import (
     HearsAll,

@@ -47,9 +47,9 @@ def checked_name(given: str, field: str) -> str:
 
 
 def dds_type(msgtype: str) -> str:
-    """Return the name of a type of messages as ROS 2 has it in DDS."""
-    package, _, name = msgtype.split("/")
-    return f"{package}::msg::dds_::{name}_"
+    """Return the name of a type of messages or services as DDS has it: `sensor_msgs::msg::dds_::Image_`."""
+    package, kind, name = msgtype.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
 
 
 def ros_type(name: str) -> str:
@@ -71,7 +71,7 @@ def raw_part(srvtype: str, part: str, definition: str) -> Any:
     package, _, name = srvtype.split("/")
     msgtype, store = f"{package}/msg/{name}_{part}", get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(f"{_ASKER}{definition}", msgtype))
-    return raw(store, msgtype, f"{package}::srv::dds_::{name}_{part}_")
+    return raw(store, msgtype, dds_type(f"{srvtype}_{part}"))
 
 
 def raw(store: Typestore, msgtype: str, name: str) -> Any:

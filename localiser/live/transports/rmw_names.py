@@ -11,6 +11,7 @@ import struct
 from dataclasses import dataclass
 from functools import cache
 
+from localiser.live.transports.dds_types import dds_type
 from localiser.live.transports.transport import Service, Topic
 from localiser.storage.bags import typestore
 
@@ -95,12 +96,6 @@ class RmwNames:
 def mangled(name: str) -> str:
     """Return a name as one part of a key: `%` stands for the slashes."""
     return "/".join(["", *name.strip("/").split("/")]).replace("/", "%")
-
-
-def dds_type(msgtype: str) -> str:
-    """Return a type's name as DDS has it: `sensor_msgs::msg::dds_::Image_`."""
-    package, kind, name = msgtype.split("/")
-    return f"{package}::{kind}::dds_::{name}_"
 
 
 @cache

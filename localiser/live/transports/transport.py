@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from localiser.ros import Service
+
 Take = Callable[[bytes, bytes], None]
 """Takes a message (CDR) and the identity of who sent it (empty where the transport does not tell), in any thread."""
 
@@ -26,24 +28,6 @@ class Topic:
     latched: bool = False
     reliable: bool = True
     depth: int = 10
-
-
-NOTHING = "uint8 structure_needs_at_least_one_member"
-"""The definition of a message that holds nothing, as ROS 2 writes it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Service:
-    """A service. srvtype: `pkg/srv/Name`. type_hash: RIHS01 of the type, as ROS 2 has it from Iron on.
-
-    request, response: what the two messages hold, as ROS writes definitions.
-    """
-
-    name: str
-    srvtype: str
-    type_hash: str
-    request: str = NOTHING
-    response: str = NOTHING
 
 
 class Transport(Protocol):
