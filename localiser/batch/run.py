@@ -39,10 +39,6 @@ FIRST_FIGURES = (
 """The columns that people read first; the others follow by their names, times last."""
 
 
-class BatchStoppedError(RunEndedEarlyError):
-    """A batch that broke off; what was done is in its tables."""
-
-
 @dataclass(frozen=True, slots=True)
 class Batch:
     """What is run: every choice for every log. folder: of all results. report: whether reports are drawn."""
@@ -78,7 +74,7 @@ def run_batch(
     in `runs.csv` and `runs.parquet` of the folder too, and what they came to in `table.md`; those of an interrupted
     batch as far as it got. A run that fails is a row with its reason, and is tried again by the next batch.
 
-    Raises BatchStoppedError, OutputError.
+    Raises RunEndedEarlyError, OutputError.
     """
     with output_errors(batch.folder):
         batch.folder.mkdir(parents=True, exist_ok=True)
@@ -98,7 +94,7 @@ def run_batch(
         except KeyboardInterrupt:
             rows |= _rows_done(batch.folder, runs)  # one may have been written just before
             told = f"stopped after {len(rows)} of {len(runs)} runs; the same command goes on from there"
-            raise BatchStoppedError(f"{told}. Results in {batch.folder}", SIGINT_EXIT_CODE) from None
+            raise RunEndedEarlyError(f"{told}. Results in {batch.folder}", SIGINT_EXIT_CODE) from None
         finally:
             _write_tables(batch.folder, rows)
     return [rows[number] for number in sorted(rows)]
