@@ -11,4 +11,3 @@ from localiser.edges.parameters import EdgeParameters
 from localiser.edges.profile import PROFILE_OFFSETS_PX
 from localiser.edges.segments import Segments
 from localiser.edges.types import TURN_RATE, CommonError, Edges
-from localiser.edges.undistort import Image

@@ -2,8 +2,8 @@
 
 from localiser.mapping.aliasing import Aliasing, find_aliasing
 from localiser.mapping.alignment import Alignment, align, matches
-from localiser.mapping.ambiguity import ALIKE, Ambiguity, Spot, best_spots, find_ambiguity
-from localiser.mapping.build import BuildParameters, BuildWatch, MapBuilt, build_map
+from localiser.mapping.ambiguity import ALIKE, Ambiguity, best_spots, find_ambiguity
+from localiser.mapping.build import BuildWatch, MapBuilt, build_map
 from localiser.mapping.build_together import build_map_together
 from localiser.mapping.check import (
     ENOUGH,
@@ -30,7 +30,7 @@ from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks
 from localiser.mapping.quality import landmark_map_of
-from localiser.mapping.recorded import RecordedLog, known_poses, wheels_of
+from localiser.mapping.recorded import known_poses, wheels_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow

@@ -1,7 +1,7 @@
 """Motion models: predict particles from odometry, with its noise and its constant errors."""
 
-from localiser.motion.constant_errors import CONSTANT_ERRORS, EXACT, ConstantErrorParameters
-from localiser.motion.inertial import GRAVITY_M_S2, InertialNoise, up_of
+from localiser.motion.constant_errors import EXACT
+from localiser.motion.inertial import GRAVITY_M_S2, up_of
 from localiser.motion.odometry_model import (
     SLIP,
     MotionParameters,
@@ -11,8 +11,6 @@ from localiser.motion.odometry_model import (
     linearised,
     noise_variances,
     predict,
-    step_noise,
-    stepped,
     wheel_cov,
 )
 from localiser.motion.protocols import (
