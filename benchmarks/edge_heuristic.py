@@ -96,7 +96,7 @@ def by_growing(segments: Segments, camera: Camera) -> Mask:
 
 def by_test(segments: Segments, camera: Camera) -> Mask:
     """Return (S,) which segments meet the nadir point within what noise allows."""
-    sigma = np.deg2rad([PARAMETERS.tilt_sigma_deg, PARAMETERS.roll_sigma_deg])
+    sigma = PARAMETERS.mount_sigma_rad
     plumb = float(np.deg2rad(PARAMETERS.plumb_sigma_deg))
     return vertical_segments(segments, camera, sigma, plumb, PARAMETERS.gate_sigma)[0]
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 from pydantic import AfterValidator, Field
 
 from localiser.edges.detectors import DETECTORS, registered
+from localiser.geometry import Array
 
 DetectorName = Annotated[
     str, AfterValidator(registered), Field(json_schema_extra=lambda schema: schema.update(enum=list(DETECTORS)))
@@ -38,3 +40,8 @@ class EdgeParameters:
     plumb_sigma_deg: Annotated[
         float, Field(ge=0, le=5, description="how far a building's vertical edges are from plumb (deg, 1 sigma)")
     ] = 0.3
+
+    @property
+    def mount_sigma_rad(self) -> Array:
+        """How certain the stated tilt and roll (2,) are (rad, 1 sigma)."""
+        return np.deg2rad([self.tilt_sigma_deg, self.roll_sigma_deg])

@@ -275,8 +275,7 @@ def _mount(run: Replay, edges: Sequence[Edges]) -> dict[str, Any]:
     log, parameters = run.log, run.localiser.config.edges
     if not log.has_images:
         return {"warnings": []}
-    stated_sigma_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
-    check = check_mount(edges, run.track.odometry, log.camera, stated_sigma_rad)
+    check = check_mount(edges, run.track.odometry, log.camera, parameters.mount_sigma_rad)
     warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.found, check.sigma])
     figures: dict[str, Any] = {"warnings": [] if warning is None else [warning]}
     for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):

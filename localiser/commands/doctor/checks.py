@@ -200,9 +200,8 @@ def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Findin
         yield Finding("edges", "warning", "no vertical edge in any image")
         return
     yield Finding("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
-    believed_rad = np.deg2rad([config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg])
     poses = track.sampled([t_ns for t_ns, _ in images]).poses
-    check = check_mount(frames, poses, camera, believed_rad)
+    check = check_mount(frames, poses, camera, config.edges.mount_sigma_rad)
     stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"

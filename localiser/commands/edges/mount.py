@@ -19,7 +19,7 @@ def mount_warnings(run: EdgeRun) -> Iterator[str]:
     """
     from localiser.calibration import check_mount
 
-    believed_rad = np.deg2rad([run.config.edges.tilt_sigma_deg, run.config.edges.roll_sigma_deg])
+    believed_rad = run.config.edges.mount_sigma_rad
     for name, frames in run.kept.items():
         check = check_mount(frames, np.zeros((len(frames), 3)), run.camera, believed_rad)
         off, cov = check.found - check.stated, check.cov + np.diag(believed_rad**2)

@@ -75,8 +75,8 @@ def rows_of(edges: Edges) -> list[Row]:
 def mount_by_edges(edges: Edges, camera: Camera, parameters: EdgeParameters) -> dict[str, float]:
     """Return the tilt and roll of the camera by the edges of one image, from what is stated and how certain that is."""
     stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
-    prior_rad = np.deg2rad([parameters.tilt_sigma_deg, parameters.roll_sigma_deg])
-    error = mount_error_of_edges(edges, camera, prior_rad, float(np.deg2rad(parameters.plumb_sigma_deg)))
+    plumb_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
+    error = mount_error_of_edges(edges, camera, parameters.mount_sigma_rad, plumb_rad)
     found = np.rad2deg([stated + error.mean, np.sqrt(np.diag(error.cov))])
     return dict(zip(("tilt_deg", "roll_deg", "tilt_sigma_deg", "roll_sigma_deg"), found.ravel().tolist(), strict=True))
 

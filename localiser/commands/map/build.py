@@ -123,8 +123,6 @@ def _warn(text: str | None) -> None:
 
 def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
     """Return the warning that the edges contradict the stated tilt and roll, with which the map was made."""
-    import numpy as np
-
     from localiser.calibration import check_mount
     from localiser.mapping import cache_folder, edges_of_log
 
@@ -132,8 +130,7 @@ def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
         return None
     edges = edges_of_log(log, config.edges, cache=cache_folder())  # kept by the build
     poses = built.trajectory.sampled([frame.t_ns for frame in log.frames]).poses
-    stated_sigma_rad = np.deg2rad([config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg])
-    return check_mount(edges, poses, log.camera, stated_sigma_rad).warning(log.path)
+    return check_mount(edges, poses, log.camera, config.edges.mount_sigma_rad).warning(log.path)
 
 
 def _clock_warning(log: Log, config: Config) -> str | None:
