@@ -293,7 +293,7 @@ class Localiser:
         """
         return identity_of(
             self.config.model_dump(exclude={"versions"}),
-            map=_without_remarks(self.landmark_map),
+            map=self.landmark_map.without_remarks(),
             camera=self._camera and replace(self._camera, name=""),
         ) | {f"own {part}": _name_of(own) for part, own in self._own.items() if own is not None}
 
@@ -377,12 +377,7 @@ class Localiser:
 
 def belongs_to(identity: Mapping[str, str], landmark_map: LandmarkMap) -> bool:
     """Return whether a state with this `Localiser.identity` belongs to a map."""
-    return identity.get("map") == identity_of({}, map=_without_remarks(landmark_map))["map"]
-
-
-def _without_remarks(landmark_map: LandmarkMap) -> LandmarkMap:
-    """Return a map without what nobody reads but people."""
-    return replace(landmark_map, frame={}, extra=(), header={})
+    return identity.get("map") == identity_of({}, map=landmark_map.without_remarks())["map"]
 
 
 def check_settings(

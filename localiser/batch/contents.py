@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -51,10 +51,11 @@ def contents_of(path: Path, opening: Opening) -> Contents:
     try:
         log = opening.open(path)
         frames = [_frame(frame) for frame in log.frames]
+        landmark_map = None if log.landmark_map is None else log.landmark_map.without_remarks()
         return Contents(
             log.name,
             fingerprint((log.odometry, frames)),
-            fingerprint((_map(log.landmark_map), log.camera, log.groundtruth, log.start, log.restarts, log.resumed)),
+            fingerprint((landmark_map, log.camera, log.groundtruth, log.start, log.restarts, log.resumed)),
             dict(log.settings),
             len(frames),
         )
@@ -76,15 +77,10 @@ def run_id(contents: Contents, config: Config, start: str | None, map_id: str) -
 
 def map_id(landmark_map: LandmarkMap | None) -> str:
     """Return the name of a map's content, "" where there is none."""
-    return "" if landmark_map is None else fingerprint(_map(landmark_map))
+    return "" if landmark_map is None else fingerprint(landmark_map.without_remarks())
 
 
 def _frame(frame: Any) -> Any:
     if isinstance(frame, ImageEvent):
         return frame.t_ns, frame.by_wheels, sha256(frame.encoded()).hexdigest()
     return frame
-
-
-def _map(landmark_map: LandmarkMap | None) -> Any:
-    """Return a map without what nobody reads but people."""
-    return landmark_map and replace(landmark_map, frame={}, extra=(), header={})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -26,11 +26,9 @@ class Workers:
     jobs: int | None = None
     cluster: str | None = None
 
-    @contextmanager
-    def ready(self) -> Iterator[None]:
+    def ready(self) -> AbstractContextManager[None]:
         """Have the workers at hand. Raises InputError, or WorkersError also when one of them is killed."""
-        with _processes(self.jobs) if self.cluster is None else _dask(self.cluster):
-            yield
+        return _processes(self.jobs) if self.cluster is None else _dask(self.cluster)
 
 
 def each(function: Callable[..., Result], tasks: Iterable[tuple[object, ...]]) -> Iterator[Result]:

@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -76,6 +76,13 @@ def remove(draft: Path) -> None:
         draft.unlink(missing_ok=True)
     except OSError:
         shutil.rmtree(draft, ignore_errors=True)
+
+
+def write_all(write: Callable[[memoryview], int], content: bytes) -> None:
+    """Hand all of the content to a call that may take a part of it at a time, and returns how much that was."""
+    rest = memoryview(content)
+    while rest:
+        rest = rest[write(rest) :]
 
 
 def write_text(path: Path, content: str) -> None:

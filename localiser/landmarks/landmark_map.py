@@ -89,6 +89,10 @@ class LandmarkMap:
             extra=({},) * count,
         )
 
+    def without_remarks(self) -> LandmarkMap:
+        """Return the map without what nobody reads but people."""
+        return replace(self, frame={}, extra=(), header={})
+
     def sigma_m(self, unknown_m: float) -> Array:
         """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
         trace = np.trace(self.cov, axis1=1, axis2=2)

@@ -6,12 +6,14 @@ import json
 import os
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from queue import Empty, Queue
 from threading import Thread
 
 import numpy as np
 
 from localiser import geometry
+from localiser.documents import write_all
 from localiser.filter import Located
 from localiser.geometry import Array
 
@@ -84,6 +86,4 @@ class JsonLines:
     def _work(self) -> None:
         with suppress(OSError):  # nobody reads any more
             while (line := self._queue.get()) is not None:
-                rest = f"{line}\n".encode()
-                while rest:
-                    rest = rest[os.write(self._descriptor, rest) :]
+                write_all(partial(os.write, self._descriptor), f"{line}\n".encode())

@@ -173,11 +173,16 @@ def write_camera(camera: Camera, path: Path | str, *, with_mount: bool = True, c
 
 def camera_file(log: Path) -> Path:
     """Return the path of the camera file that a log folder names. Raises InputError when it is no such folder."""
+    return named_file(log, "camera")
+
+
+def named_file(log: Path, key: str) -> Path:
+    """Return the path of the file that a log folder names at `key`. Raises InputError."""
     document = load(log / "log.yaml")
-    name = document.value.get("camera") if isinstance(document.value, dict) else None
+    name = document.value.get(key) if isinstance(document.value, dict) else None
     if not isinstance(name, str):
-        raise document.error(("camera",), f"expected the name of a file, found {shown(name)}")
-    return named(document, log, "camera", name)
+        raise document.error((key,), f"expected the name of a file, found {shown(name)}")
+    return named(document, log, key, name)
 
 
 def named(document: Document, folder: Path, key: str, name: str) -> Path:

@@ -6,9 +6,9 @@ import csv
 import io
 from pathlib import Path
 
-from localiser.documents import load, read_text, shown, write_text
+from localiser.documents import read_text, write_text
 from localiser.errors import InputError
-from localiser.storage.cameras import named
+from localiser.storage.cameras import named_file
 from localiser.storage.files import keep_beside
 from localiser.storage.folder import LOG_FILE
 from localiser.storage.tables import MAX_TABLE_BYTES, Column, csv_of, integer, read_table
@@ -21,11 +21,7 @@ def images_table(log: Path) -> Path:
         raise InputError(
             "expected a log folder, whose times can be written; `localiser convert` makes one of this", path=log
         )
-    document = load(folder / LOG_FILE)
-    name = document.value.get("images") if isinstance(document.value, dict) else None
-    if not isinstance(name, str):
-        raise document.error(("images",), f"expected the name of a file, found {shown(name)}")
-    return named(document, folder, "images", name)
+    return named_file(folder, "images")
 
 
 def move_images(path: Path, later_ns: int) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from localiser.documents import output_errors
+from localiser.documents import output_errors, write_all
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array
@@ -82,11 +82,10 @@ class TrackWriter:
         with output_errors(self._folder / name):
             if name not in self._files:
                 self._files[name] = (self._folder / name).open("wb", buffering=0)
-            file, rest = self._files[name], memoryview(text.encode())
+            file = self._files[name]
             whole = file.tell()
             try:
-                while rest:
-                    rest = rest[file.write(rest) :]
+                write_all(file.write, text.encode())
             except OSError:
                 file.seek(whole)
                 file.truncate()

@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING, Any
 
 from localiser.view import palette
-from localiser.view.aliasing import record_aliasing
 from localiser.view.context import Context
 from localiser.view.file import RrdFile
 from localiser.view.live import LiveView, check_kind
@@ -12,13 +11,13 @@ from localiser.view.palette import MATCHED, UNMATCHED, VISIBLE, Colour
 from localiser.view.recorded import RecordingViewer
 
 if TYPE_CHECKING:
-    from localiser.view.landmark_view import record_map
+    from localiser.view.landmark_view import record_aliasing, record_map
 
 
 def __getattr__(name: str) -> Any:
-    """Import what draws a map when it is asked for: Rerun takes most of a second."""
-    if name == "record_map":
-        from localiser.view.landmark_view import record_map
+    """Import what draws maps when it is asked for: Rerun takes most of a second."""
+    if name in ("record_aliasing", "record_map"):
+        from localiser.view import landmark_view
 
-        return record_map
+        return getattr(landmark_view, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

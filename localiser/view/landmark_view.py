@@ -1,8 +1,9 @@
-"""A map as it is, for Rerun: every landmark with what is known of it."""
+"""A map, for Rerun: every landmark with what is known of it; and what looks like another place."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -18,6 +19,10 @@ from localiser.view.paths import WORLD
 from localiser.view.recorder import new_stream
 from localiser.view.recording_file import RecordingFile
 
+if TYPE_CHECKING:
+    from localiser.mapping import Aliasing
+
+ALIKE = f"{WORLD}/building/alike"
 FEET = f"{WORLD}/building/feet"
 _NOBODY = Camera(1, 1, 1.0, 1.0, 0.0, 0.0, Mount(tilt_rad=0.0, height_m=0.5))
 """A map has no camera; landmarks of unknown height are drawn as those are that one so high looks at: a metre tall."""
@@ -59,6 +64,27 @@ def _labels(landmark_map: LandmarkMap, quality: Quality) -> list[str]:
         ", ".join([str(name), *(form.format(values[k]) for form, values in figures if np.isfinite(values[k]))])
         for k, name in enumerate(landmark_map.ids)
     ]
+
+
+def record_aliasing(path: Path, camera: Camera, landmark_map: LandmarkMap, look: Aliasing) -> None:
+    """Write to a `.rrd` file what looks like what, and where a landmark would help. Raises OutputError."""
+    context = Context(landmark_map.name, camera, landmark_map, images=False, application="localiser map check")
+    stream = new_stream(context)
+    file = RecordingFile(path, stream, layout(landmark_map))
+    stream.log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+    stream.log(f"{WORLD}/map/unseen", world.landmarks(context.landmark_ends, palette.UNSEEN, 1.2), static=True)
+    # Of weights, those near the largest are brightest; a place that looks like no other is dark.
+    colours = palette.of_weights(np.append(look.share, 1.0) ** 2)[:-1]
+    stream.log(ALIKE, rr.Points3D(world.at_height(look.places, 0.01), colors=colours, radii=0.08), static=True)
+    poses, twins = look.examples()
+    start = world.at_height(poses[:, :2], 0.05)
+    arrows = rr.Arrows3D(
+        origins=start, vectors=world.at_height(twins[:, :2], 0.05) - start, colors=palette.ESTIMATE, radii=0.015
+    )
+    stream.log(f"{ALIKE}/like", arrows, static=True)
+    upright = np.stack([world.at_height(look.spots_at, height) for height in (0.0, 2.0)], axis=1).astype(np.float32)
+    stream.log(f"{ALIKE}/spots", rr.LineStrips3D(upright, colors=palette.MATCHED, radii=0.03), static=True)
+    file.end()
 
 
 def layout(landmark_map: LandmarkMap) -> rrb.Blueprint:

@@ -17,9 +17,11 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from localiser.documents import write_all
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame
 from localiser.view.context import Context
@@ -120,7 +122,7 @@ class Feed(Generic[R]):
         try:
             while log := self._next():
                 log(recorder)
-                _write(self._viewer.stdin.fileno(), encoded.read() or b"")
+                write_all(partial(os.write, self._viewer.stdin.fileno()), encoded.read() or b"")
             self._viewer.stdin.close()
         except OSError:
             # The viewer was closed: nobody looks any more, and the queue drops what comes.
@@ -156,12 +158,6 @@ def _begun(stream: rr.RecordingStream, context: Context) -> Recorder:
 
     stream.send_blueprint(blueprint(context))
     return Recorder(stream, context)
-
-
-def _write(descriptor: int, content: bytes) -> None:
-    rest = memoryview(content)
-    while rest:
-        rest = rest[os.write(descriptor, rest) :]
 
 
 def check_kind(kind: Kind) -> None:

@@ -14,7 +14,7 @@ from threading import Thread
 import rerun as rr
 import rerun.blueprint as rrb
 
-from localiser.documents import output_errors
+from localiser.documents import output_errors, write_all
 
 _AT_ONCE = 1 << 16
 
@@ -53,10 +53,9 @@ class RecordingFile:
     def _work(self) -> None:
         with self._file as file:
             while content := os.read(self._source, _AT_ONCE):
-                rest = memoryview(content)
                 try:
-                    while rest and self._failure is None:
-                        rest = rest[file.write(rest) :]
+                    if self._failure is None:
+                        write_all(file.write, content)
                 except OSError as error:
                     self._failure = error
         os.close(self._source)
