@@ -15,11 +15,12 @@ from belief_run import Drive
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, shortest_path
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import Camera, Edges, LandmarkMap, Mount, Trajectory
 from localiser.geometry import Array
 from localiser.landmarks import in_camera
-from localiser.simulate import EdgeNoise, odometry_of, simulated_edges, truth_of
+from localiser.simulate import odometry_of, truth_of
 from localiser.simulate.robot import DriveSpec, OdometrySpec, WayPoint
 
 HZ = 5.0

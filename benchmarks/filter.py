@@ -31,6 +31,7 @@ import numpy as np
 import yaml
 from rich.console import Console
 from rich.table import Table
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser.camera import Camera, Mount
 from localiser.config import Config
@@ -44,7 +45,7 @@ from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
 from localiser.particles import Particles, estimate, from_gaussian, take
 from localiser.particles.resampling import systematic_resample
-from localiser.simulate import EdgeNoise, render, scene_of, simulated_edges, truth_of, world_of
+from localiser.simulate import render, scene_of, truth_of, world_of
 
 FOCAL = 554.0
 CAMERA = Camera(640, 480, FOCAL, FOCAL, 319.5, 239.5, Mount(np.radians(20), 0.9))

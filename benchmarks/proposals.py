@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from simulated_edges import EdgeNoise, simulated_edges, visible_mask
 
 from localiser import geometry
 from localiser.camera import Camera
@@ -29,7 +30,7 @@ from localiser.observation import EdgeObservation, ObservationParameters, Sighti
 from localiser.particles import POSE, Particles, effective_sample_size, normalised
 from localiser.particles.clusters import find_clusters
 from localiser.relocalisation import Places, propose, view_of, warm_up
-from localiser.simulate import EdgeNoise, simulated_edges, structure_of, truth_of, visible_mask, world_of
+from localiser.simulate import structure_of, truth_of, world_of
 
 WORLDS = Path(__file__).resolve().parents[1] / "configs" / "worlds"
 STRETCH = 5

@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 from belief_run import Drive
 from belief_worlds import hidden_behind
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import Camera, LandmarkMap, Mount, Trajectory
 from localiser.geometry import Array, between, compose, wrap_angle
 from localiser.landmarks import in_camera
-from localiser.simulate import EdgeNoise, simulated_edges
 
 ROOM_M, DEPTH_M, CORRIDOR_M, COURTYARD_M = 4.0, 5.0, 2.2, 14.0
 ROOMS_A_WING = 32  # 16 on either side of the corridor

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from simulated_edges import EdgeNoise, simulated_edges, visible_mask
 
 from localiser import geometry
 from localiser.camera import Camera
@@ -21,7 +22,7 @@ from localiser.edges import Edges
 from localiser.filter import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.simulate import EdgeNoise, odometry_of, simulated_edges, structure_of, truth_of, visible_mask, world_of
+from localiser.simulate import odometry_of, structure_of, truth_of, world_of
 from localiser.simulate.robot import OdometrySpec
 from localiser.simulate.structure import Structure, VerticalEdges
 from localiser.simulate.world import World

@@ -4,7 +4,6 @@ from localiser.evaluate.accuracy import Errors, Track, errors_against
 from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
 from localiser.evaluate.consistency import fraction_inside, nees, nees_band
 from localiser.evaluate.constants import learnt_constants
-from localiser.evaluate.efficiency import Efficiency, efficiency
 from localiser.evaluate.flat import figure_at, flat_figures, is_time
 from localiser.evaluate.metrics import ABOUT, metrics, timing_metrics
 from localiser.evaluate.moments import WorstMoments

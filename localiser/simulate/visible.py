@@ -58,14 +58,6 @@ def visible_landmarks(structure: Structure, camera: Camera, robot_pose: Array) -
     return _by_landmark(structure.landmark[edge], points, pixels, inside & (left | right), top - bottom)
 
 
-def visible_mask(structure: Structure, camera: Camera, robot_poses: Array) -> Mask:
-    """Return which landmarks (T, L) are seen at all from robots at (T, 3)."""
-    mask = np.zeros((len(robot_poses), len(structure.landmark_map)), dtype=bool)
-    for row, pose in zip(mask, robot_poses, strict=True):
-        row[visible_landmarks(structure, camera, pose).landmark] = True
-    return mask
-
-
 def _border_rays(camera: Camera) -> Array:
     """Return rays of the level frame (R, 3) through the rim of the image, scaled to one metre ahead."""
     rays = camera.level_rays(camera.border_px(33, 0.5).reshape(-1, 2))

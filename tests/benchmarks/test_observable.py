@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from folders import ROOT
 from grid_filter import GridFilter, headings
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
@@ -17,7 +18,6 @@ from localiser.geometry import Increment, Trajectory, between, compose, wrap_ang
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.simulate import EdgeNoise, simulated_edges
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20), 0.9))
 

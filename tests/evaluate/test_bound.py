@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from efficiency import efficiency
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import CommonError, Edges
-from localiser.evaluate import bearing_information, efficiency, posterior_bound, rms_position
+from localiser.evaluate import bearing_information, posterior_bound, rms_position
 from localiser.evaluate.bound import information, position_bound
 from localiser.geometry import Array, Increment
 from localiser.landmarks import bearing_jacobian

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges, mount_error_of_edges
@@ -18,7 +19,6 @@ from localiser.geometry import Array, Trajectory, lean_sigma_of_segment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.simulate import EdgeNoise, simulated_edges
 
 STATED = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))
 ERROR = np.radians([0.5, -0.3])

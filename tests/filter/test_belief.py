@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import Localiser, LocatedFrame, read_config
 from localiser.camera import Camera, Mount
@@ -13,7 +14,6 @@ from localiser.filter.belief import Belief
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.relocalisation import Candidates
-from localiser.simulate import EdgeNoise, simulated_edges
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
 STEP_M, STEP_NS, IMAGES = 0.1, 200_000_000, 60

@@ -10,6 +10,7 @@ import pytest
 from folders import ROOT
 from grid_filter import GridFilter, headings
 from numpy.typing import NDArray
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import geometry, particles
 from localiser.camera import Camera, Mount
@@ -20,7 +21,6 @@ from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters, linearised
 from localiser.observation import EdgeObservation, InlierRate, ObservationParameters, likelihood
 from localiser.particles import POSE, Particles
-from localiser.simulate import EdgeNoise, simulated_edges
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))
 POINTS = np.array([[-1.2, -4.0], [-0.4, -5.5], [0.5, -4.5], [1.3, -5.0], [-2.0, -6.5], [2.0, -7.0]])

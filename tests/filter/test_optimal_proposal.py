@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_edges import simulated_edges
 
 from localiser.camera import Camera, Mount
 from localiser.filter import optimal_proposal
@@ -20,7 +21,6 @@ from localiser.observation import (
     Targets,
 )
 from localiser.particles import effective_sample_size, estimate, from_gaussian, normalised, take
-from localiser.simulate import simulated_edges
 
 MOUNT = Mount(tilt_rad=np.radians(20), height_m=1.0, right_m=0.05, back_m=-0.1, yaw_rad=0.02)
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, mount=MOUNT)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mapping_worlds import world
 from numpy.typing import NDArray
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import mapping
 from localiser.camera import Camera, Mount
@@ -21,7 +22,6 @@ from localiser.mapping import Built, MappingParameters, Sightings
 from localiser.mapping.association import assign, looks_alike
 from localiser.mapping.sightings import direction_of, parallax, per_point
 from localiser.mapping.triangulate import triangulate
-from localiser.simulate import EdgeNoise, simulated_edges
 from localiser.storage import open_log
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
@@ -17,7 +18,6 @@ from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting, novelty_of
 from localiser.particles import POSE, Particles
-from localiser.simulate import EdgeNoise, simulated_edges
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, yaw_rad=0.03, back_m=-0.1))
 KINDS = ("line", "slope")

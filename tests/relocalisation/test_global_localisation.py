@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from proposal_room import CAMERA, room
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import geometry
 from localiser.edges import Edges
@@ -20,7 +21,6 @@ from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationP
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, find_clusters
 from localiser.relocalisation import Candidates
 from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
-from localiser.simulate import EdgeNoise, simulated_edges
 
 SECOND = 1_000_000_000
 ROOM = room(80)

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 import yaml
 from folders import ROOT
+from simulated_edges import visible_mask
 
 from localiser import geometry
 from localiser.errors import InputError
-from localiser.simulate import World, simulated_log, structure_of, visible_landmarks, visible_mask, world_of
+from localiser.simulate import World, simulated_log, structure_of, visible_landmarks, world_of
 
 PLAIN = {"texture": "plain", "colour": [200, 200, 200]}
 BOX = {"width_m": 0.3, "depth_m": 0.3, "material": "wall"}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import documents, simulate
 from localiser.camera import Camera
@@ -31,11 +32,9 @@ class World:
 
     def edges(self, seed: int, clutter: float = 3.0) -> list[Edges]:
         """Return the edges of every image: nine of ten landmarks are found, and some edges are of nothing."""
-        noise = simulate.EdgeNoise(detection_probability=0.9, clutter_per_frame=clutter)
+        noise = EdgeNoise(detection_probability=0.9, clutter_per_frame=clutter)
         rng = np.random.default_rng(seed)
-        return simulate.simulated_edges(
-            self.landmark_map, self.camera, self.truth, rng, noise=noise, visible=self.visible
-        )
+        return simulated_edges(self.landmark_map, self.camera, self.truth, rng, noise=noise, visible=self.visible)
 
     def seen_from_apart(self, edges: list[Edges], degrees: float, fewest: int = 5) -> NDArray[np.int64]:
         """Return the landmarks that the edges show in `fewest` images and from directions so far apart."""

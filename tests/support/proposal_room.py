@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.simulate import EdgeNoise, simulated_edges
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20.0), 0.9, yaw_rad=0.03, back_m=-0.1))
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from localiser.evaluate import efficiency
+from efficiency import efficiency
 
 
 def rayleigh(rng: np.random.Generator, seeds: int, bound_m: np.ndarray, factor: float = 1.0) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_edges import EdgeNoise, simulated_edges
 from vga_camera import vga_camera
 
 from localiser import geometry
@@ -14,7 +15,6 @@ from localiser.edges import Segments
 from localiser.edges.mount import nadir_miss
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.simulate import EdgeNoise, simulated_edges
 
 CAMERA = vga_camera(
     Mount(np.deg2rad(20), 0.9, roll_rad=np.deg2rad(1), yaw_rad=np.deg2rad(2), back_m=-0.1),

@@ -14,6 +14,8 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
+from localiser.simulate import visible_landmarks
+from localiser.simulate.structure import Structure
 
 MOST_CUT = 0.4  # of an edge, at either end
 
@@ -183,3 +185,11 @@ def _measured(segments: _Segments, camera: Camera, sigma_px: float, rng: np.rand
         ends_px=camera.pixels_from_upright(ends),
         landmark_id=segments.landmark,
     )
+
+
+def visible_mask(structure: Structure, camera: Camera, robot_poses: Array) -> NDArray[np.bool_]:
+    """Return which landmarks (T, L) are seen at all from robots at (T, 3)."""
+    mask = np.zeros((len(robot_poses), len(structure.landmark_map)), dtype=bool)
+    for row, pose in zip(mask, robot_poses, strict=True):
+        row[visible_landmarks(structure, camera, pose).landmark] = True
+    return mask
