@@ -217,7 +217,7 @@ def edge_of_sightings(built: mapping.MapBuilt, exact: Array, camera: Camera) -> 
     """
     landmarks, whole, sightings = built.landmark_map, built.built, built.sightings
     cameras = sightings.camera_poses(camera, built.trajectory.poses)
-    heading, good = sightings.direction(cameras), whole.fit.weight > 0.5
+    heading, good = cameras[sightings.frame, 2] - sightings.bearing, whole.fit.weight > 0.5
     number = np.linalg.norm(landmarks.points[:, None] - whole.fit.points[None], axis=-1).argmin(axis=1)
     result = np.full(len(number), -1)
     for landmark, own in enumerate(number):

@@ -9,7 +9,7 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
-from localiser.mapping.build import BuildParameters, BuildSettings, MapBuilt, built_along, sampled_at_images
+from localiser.mapping.build import BuildSettings, MapBuilt, built_along, sampled_at_images
 from localiser.mapping.far_images import are_far
 from localiser.mapping.landmarks import measured_sigma
 from localiser.mapping.log_edges import edges_of_log
@@ -22,7 +22,7 @@ from localiser.mapping.tracks import follow
 
 def build_map_together(
     logs: Sequence[RecordedLog],
-    config: BuildSettings | None = None,
+    config: BuildSettings,
     *,
     progress: Callable[[], None] | None = None,
     cache: Path | None = None,
@@ -32,7 +32,6 @@ def build_map_together(
     progress, cache: see `build_map`. The trajectory of the result is that of the first log. Raises InputError as
     `build_map` does.
     """
-    config = config or BuildParameters()
     parts, cameras, sigmas, first = [], [], [], None
     tracks: list[Index] = []
     count = 0

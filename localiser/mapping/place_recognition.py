@@ -8,8 +8,6 @@ group than any other move.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,14 +30,6 @@ _FEWEST, _SHARE, _CLEARLY = 5, 0.5, 1.4
 _OTHER_M = 0.4  # moves that differ by more are other moves
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Candidates:
-    """Pairs (P) of a landmark of the group and an older one that may be the same."""
-
-    new: Index
-    old: Index
-
-
 def recognised(points: Array, built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the older one that it is; its own where there is none.
 
@@ -56,16 +46,18 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
         group = np.unique(landmark[within])
         group = group[known[group] & (first[group] >= start - _OLDER)]
         older = np.flatnonzero(known & (last < start - _OLDER))
-        pairs = _same_by_move(points, group, older, built)
-        for new, old in zip(pairs.new, pairs.old, strict=True):
+        for new, old in zip(*_same_by_move(points, group, older, built), strict=True):
             if number[new] == new and number[old] == old:
                 number[new] = old
     return number
 
 
-def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _Candidates:
-    """Return the pairs that the best rigid move of a group explains; none where no move is clearly the best."""
-    nothing = _Candidates(group[:0], older[:0])
+def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Index, Index]:
+    """Return the pairs (P,), (P,) of a landmark of the group and an older one that may be the same.
+
+    They are those that the best rigid move of the group explains; none where no move is clearly the best.
+    """
+    nothing = group[:0], older[:0]
     if len(group) < _FEWEST:
         return nothing
     near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
@@ -93,7 +85,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> _C
         pose, _ = fitted_motion(points[older[match[new]]], points[group[new]])
         move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
     new = new[_unambiguous(points, group, older, row, column, move)[new]]
-    return _Candidates(group[new], older[match[new]])
+    return group[new], older[match[new]]
 
 
 def _unambiguous(

@@ -63,7 +63,7 @@ class Sightings:
             parts = [getattr(edges, name) for edges in frames if len(edges)]
             return np.concatenate(parts) if parts else np.zeros((0, *shape))
 
-        profile = _profiles(frames)
+        profile = _profiles([edges.profile for edges in frames if len(edges)])
         ends_px = column("ends_px", (2, 2))
         # Edges that were not measured in an image may know their ends, and not what follows from them.
         slope_up, cut, foot_m, foot_sigma_m = _by_mount(ends_px, frames, camera)
@@ -86,7 +86,6 @@ class Sightings:
     @classmethod
     def together(cls, parts: Sequence[Sightings], cameras: Sequence[Camera]) -> Sightings:
         """Return the tables of several logs as one, their frames one after the other; cameras: one for each log."""
-        width = max(part.profile.shape[1] for part in parts)
         mounts = [
             [part.camera_at(frame, camera).mount for frame in range(part.frames)]
             for part, camera in zip(parts, cameras, strict=True)
@@ -101,9 +100,7 @@ class Sightings:
         return cls(
             first=np.concatenate([[0], np.cumsum(sizes)]),
             frame=np.concatenate([part.frame + begin for part, begin in zip(parts, frames[:-1], strict=True)]),
-            profile=np.concatenate(
-                [p.profile if p.profile.shape[1] == width else np.full((len(p), width), np.nan) for p in parts]
-            ),
+            profile=_profiles([part.profile for part in parts]),
             mounts=tuple(mount for part in mounts for mount in part),
             **columns,
         )
@@ -117,10 +114,6 @@ class Sightings:
         if not self.mounts:
             return camera.pose_in_map(robot_poses)
         return np.array([self.camera_at(t, camera).pose_in_map(pose) for t, pose in enumerate(robot_poses)])
-
-    def direction(self, camera_poses: Array) -> Array:
-        """Return the heading (S,) rad in the map along which each edge was seen; camera_poses: (T, 3)."""
-        return np.asarray(camera_poses[self.frame, 2] - self.bearing)
 
 
 def _mounts(frames: Sequence[Edges]) -> tuple[Mount | None, ...]:
@@ -141,12 +134,11 @@ def _sigmas(frames: Sequence[Edges]) -> Array:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def _profiles(frames: Sequence[Edges]) -> Array:
-    """Return the profiles (S, P) of all edges; nan for those of frames that know none."""
-    parts = [edges.profile for edges in frames if len(edges)]
+def _profiles(parts: Sequence[Array]) -> Array:
+    """Return profiles (S, P) one after the other; nan for parts that know none."""
     width = max((part.shape[1] for part in parts), default=0)
-    parts = [part if part.shape[1] == width else np.full((len(part), width), np.nan) for part in parts]
-    return np.concatenate(parts) if parts else np.zeros((0, width))
+    padded = [part if part.shape[1] == width else np.full((len(part), width), np.nan) for part in parts]
+    return np.concatenate(padded) if padded else np.zeros((0, width))
 
 
 def _sides(profile: Array) -> Array:

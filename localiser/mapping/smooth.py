@@ -52,18 +52,16 @@ class Smoothed:
 
     def constants_cov(self) -> Array:
         """Return the covariance (4, 4) of the constants."""
-        from scipy.sparse import csc_array
-
-        count = len(CONSTANTS)
-        row = 3 * (len(self.poses) - 1) + np.arange(count)
-        size = int(landmark_columns(len(self.poses), np.array([len(self.points)]))[0, 0])
-        return self.factor.joint(csc_array((np.ones(count), (row, np.arange(count))), shape=(size, count)))
+        return self.factor.joint(self._picked(3 * (len(self.poses) - 1) + np.arange(len(CONSTANTS))))
 
     def _columns(self, landmark: Index) -> Any:
         """Return the sparse columns (V, 2 P) that pick x and z of landmarks (P,) out of the variables."""
+        return self._picked(landmark_columns(len(self.poses), landmark).ravel())
+
+    def _picked(self, row: Index) -> Any:
+        """Return the sparse columns (V, C) that pick the variables (C,) at `row`."""
         from scipy.sparse import csc_array
 
-        row = landmark_columns(len(self.poses), landmark).ravel()
         size = int(landmark_columns(len(self.poses), np.array([len(self.points)]))[0, 0])
         return csc_array((np.ones(len(row)), (row, np.arange(len(row)))), shape=(size, len(row)))
 
