@@ -204,10 +204,6 @@ class _Pairs:
         """Return some of the pairs."""
         return _Pairs(self.times[chosen], self.turns[chosen], self.way_m[chosen], self.wheels)
 
-    def wheel_turns(self, offsets_s: Array) -> Array:
-        """Return the turns (P, G) by the wheels if images were stamped later by G offsets."""
-        return wheel_turns(self.times, self.wheels, offsets_s)
-
     def offset(self) -> tuple[float, float]:
         """Return mean and sigma of the offset.
 
@@ -238,7 +234,7 @@ class _Pairs:
 
     def log_posterior(self, offsets_s: Array) -> Array:
         """Return log p(turns by edges | offset) (G,), averaged over how noisy the wheels may be, up to a constant."""
-        wheel, way_m = self.wheel_turns(offsets_s), self.way_m[:, None]
+        wheel, way_m = wheel_turns(self.times, self.wheels, offsets_s), self.way_m[:, None]
         turn, sigma = self.turns.T[:, :, None]
         each = []
         for noise in _WHEEL_NOISE:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,10 +55,6 @@ class SimulatedLog:
         rng = np.random.default_rng([self.seed, _IMAGES, index])
         exposed = self.exposures.of(index)
         return expose(self.scene, self.drive.truth, int(self.drive.image_t_ns[index]), rng, exposed)
-
-    def images(self) -> Iterator[NDArray[np.uint8]]:
-        """Yield all images in the order of time."""
-        return (self.image(index) for index in range(len(self)))
 
 
 def simulated_log(world: World, seed: int) -> SimulatedLog:

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.geometry import Array
 from localiser.mapping import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
 from localiser.simulate import Solids, World, solids_of
 
@@ -60,9 +59,5 @@ def _fill(occupied: np.ndarray, plan: FloorPlan, solids: Solids) -> None:
         (left, bottom), (right, top) = np.floor(cells.min(axis=0)).astype(int), np.ceil(cells.max(axis=0)).astype(int)
         column, row = np.meshgrid(np.arange(left, right), np.arange(bottom, top))
         points = map_from_cells(plan, np.stack([column.ravel(), row.ravel()], axis=-1) + 0.5)
-        inside = _is_inside(points, normal, offset).reshape(column.shape)
+        inside = (points @ normal.T <= offset).all(axis=1).reshape(column.shape)
         occupied[bottom:top, left:right] |= inside
-
-
-def _is_inside(points: Array, normals: Array, offsets: Array) -> np.ndarray:
-    return np.asarray((points @ normals.T <= offsets).all(axis=1))
