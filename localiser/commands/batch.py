@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import BagCamera, Quiet, Topics, progress, show, topics_by_role, working
+from localiser.commands.options import BagCamera, LogFormat, Quiet, Topics, progress, show, topics_by_role, working
 
 if TYPE_CHECKING:
     from localiser.batch import Verdict
@@ -43,9 +43,7 @@ def batch(
     start: Annotated[
         str | None, typer.Option(metavar="x,z,heading_deg|global|truth", help="Where all runs start; see replay.")
     ] = None,
-    log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
-    ] = None,
+    log_format: LogFormat = None,
     topics: Topics = None,
     camera: BagCamera = None,
     jobs: Annotated[

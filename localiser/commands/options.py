@@ -35,6 +35,9 @@ Topics = Annotated[
         help="Topic of a ROS bag where several fit: image, camera_info, odometry or groundtruth. May be repeated.",
     ),
 ]
+LogFormat = Annotated[
+    str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
+]
 BagCamera = Annotated[
     Path | None,
     typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),

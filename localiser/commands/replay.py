@@ -10,6 +10,7 @@ import typer
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
+    LogFormat,
     Overrides,
     Quiet,
     Seed,
@@ -68,9 +69,7 @@ def replay(
     ] = None,
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
     odometry: Annotated[Source | None, typer.Option(help="What says how the robot moved.")] = None,
-    log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
-    ] = None,
+    log_format: LogFormat = None,
     topics: Topics = None,
     camera: BagCamera = None,
     out: Annotated[

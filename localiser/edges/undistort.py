@@ -21,6 +21,8 @@ _GRID_PX = 8
 """Spacing of the grid on which lens models are computed; between, a cubic is off by less than tables round off."""
 _LARGEST_GROWTH = 2.0
 """Limit of the ideal image's size over the taken one's; a wide lens sees what no sensible flat image can hold."""
+_MARGIN_PX = 3
+"""Pixels of the ideal image that are closer than this to one without content are not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +30,7 @@ class IdealView:
     """A remap of the taken image into an ideal one that holds the whole field of view.
 
     camera: the pinhole camera of the ideal image. map_1, map_2: tables of `cv2.remap`. seen: (H, W) uint8, 0 where
-    the taken image has nothing to show, or within `margin_px` of there.
+    the taken image has nothing to show, or within 3 px of there.
     """
 
     camera: Camera
@@ -87,14 +89,14 @@ def bend_px(camera: Camera) -> float:
 
 
 @lru_cache(maxsize=8)
-def ideal_view(camera: Camera, margin_px: int = 3) -> IdealView | None:
+def ideal_view(camera: Camera) -> IdealView | None:
     """Return the cached remap that undoes the lens distortion of `camera`, or None where that is negligible."""
     if bend_px(camera) < NEGLIGIBLE_BEND_PX:
         return None
     left, top, width, height = _ideal_extent(camera)
     ideal = replace(camera.undistorted(), width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
     map_1, map_2, unseen = remap_tables(ideal.image_from_pixels, (width, height), camera)
-    around = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
+    around = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
     shown = (~unseen).astype(np.uint8)
     seen = np.asarray(cv2.erode(shown, around, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
     return IdealView(ideal, map_1, map_2, seen)

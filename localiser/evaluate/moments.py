@@ -49,8 +49,7 @@ def position_sigma_m(frame: LocatedFrame) -> float:
 
 def residuals_over(frame: LocatedFrame) -> float:
     """Return by how many standard deviations the squared residuals exceed what is expected."""
-    matches = frame.matches
-    found, expected, variance = residual_sums(matches.residual, matches.sigma, matches.gate)
+    found, expected, variance = residual_sums(frame.matches)
     return float((found - expected) / np.sqrt(variance))
 
 

@@ -119,7 +119,7 @@ def _caption(moment: Moment) -> str:
     frame, located = moment.frame, moment.frame.located
     matches = frame.matches
     matched = int((matches.landmark >= 0).sum())
-    found, expected, _ = residual_sums(matches.residual, matches.sigma, matches.gate)
+    found, expected, _ = residual_sums(matches)
     parts = [
         f"Probability of being right {located.p_correct:.3f}" + (f" ({located.reason})" if located.reason else ""),
         f"3σ {3 * position_sigma_m(frame):.3f} m and {np.degrees(3 * np.sqrt(located.estimate.pose_cov[2, 2])):.2f}°",

@@ -18,16 +18,17 @@ from typing import Any
 import numpy as np
 
 from localiser.geometry import Array
+from localiser.observation import Matches
 
 _LARGEST_GATE, _SMALLEST_GATE = 40.0, 1e-2  # beyond the one nothing is cut off; below the other rounding prevails
 
 
-def residual_sums(residual: Array, sigma: Array | None, gate: Array | None) -> Array:
+def residual_sums(matches: Matches) -> Array:
     """Return Σ z², its expectation and its variance (3,) over the matched edges of one image.
 
-    residual, sigma (E,) rad, nan for clutter. gate (E,): from how many sigmas on an edge counts as clutter. nan where
-    sigmas are not known, or nothing is matched.
+    nan where sigmas are not known, or nothing is matched.
     """
+    residual, sigma, gate = matches.residual, matches.sigma, matches.gate
     if sigma is None or gate is None:
         return np.full(3, np.nan)
     known = np.isfinite(residual) & (sigma > 0) & (gate > 0)

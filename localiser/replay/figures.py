@@ -16,7 +16,6 @@ from localiser.edges import DARK_GREY, WASHED_OUT, Edges
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array, Trajectory
-from localiser.observation import Matches
 from localiser.particles import Estimate
 from localiser.replay.about import about
 
@@ -57,7 +56,7 @@ class Summary:
             use[:, 0] += frame.matches.visible
             use[np.unique(landmark[landmark >= 0]), 1] += 1
             t_ns[i], poses[i], covs[i] = located.t_ns, located.estimate.pose, located.estimate.pose_cov
-            odometry[i], residuals[i] = located.odometry, _residual_sums(frame.matches)
+            odometry[i], residuals[i] = located.odometry, evaluate.residual_sums(frame.matches)
             numbers[i] = len(located.edges), (landmark >= 0).sum(), located.p_correct
             known[i], wrong[i] = (located.edges.landmark_id >= 0).any(), located.wheels_are_wrong
             warnings.append(sys.intern(located.warning))
@@ -137,10 +136,6 @@ def bound_of(run: Replay) -> Array | None:
         np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
         np.array(informations),
     )
-
-
-def _residual_sums(matches: Matches) -> Array:
-    return evaluate.residual_sums(matches.residual, matches.sigma, matches.gate)
 
 
 def _learnt(estimate: Estimate, name: str) -> float:

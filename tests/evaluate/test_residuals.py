@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2, truncnorm
 
 from localiser.evaluate.residuals import consistency, consistency_band, residual_figures, residual_sums
+from localiser.observation import Matches
 
 EDGES, IMAGES = 12, 400
+
+
+def matches_of(residual: np.ndarray, sigma: np.ndarray, gate: float) -> Matches:
+    return replace(Matches.none(len(residual), 0), residual=residual, sigma=sigma, gate=np.full(len(residual), gate))
 
 
 def sums_of(gate: float, too_small: float = 1.0) -> np.ndarray:
@@ -20,7 +27,7 @@ def sums_of(gate: float, too_small: float = 1.0) -> np.ndarray:
         residual = sigma * too_small * rng.normal(size=40)
         matched = np.flatnonzero(np.abs(residual) < gate * sigma)[:EDGES]
         residual[np.setdiff1d(np.arange(40), matched)] = np.nan  # the rest is clutter
-        rows.append(residual_sums(residual, sigma, np.full(40, gate)))
+        rows.append(residual_sums(matches_of(residual, sigma, gate)))
     return np.array(rows)
 
 
@@ -43,12 +50,12 @@ def test_wrong_sigmas_are_not(gate: float, too_small: float, low: float, high: f
 def test_moments_are_those_of_a_normal_variable_that_is_cut_off(gate: float) -> None:
     cut = truncnorm(-gate, gate)
     square, fourth = cut.moment(2), cut.moment(4)
-    found = residual_sums(np.array([0.02]), np.array([0.01]), np.array([gate]))
+    found = residual_sums(matches_of(np.array([0.02]), np.array([0.01]), gate))
     np.testing.assert_allclose(found, [4.0, square, fourth - square**2], rtol=1e-9)
 
 
 def test_band_without_a_gate_is_that_of_chi_squared() -> None:
-    sums = np.array([residual_sums(np.zeros(7), np.ones(7), np.full(7, np.inf))])
+    sums = np.array([residual_sums(matches_of(np.zeros(7), np.ones(7), np.inf))])
     low, high = consistency_band(sums)
     np.testing.assert_allclose([low[0], high[0]], chi2(7).ppf([0.025, 0.975]) / 7)
     assert consistency(sums)[0] == 0.0
@@ -56,6 +63,6 @@ def test_band_without_a_gate_is_that_of_chi_squared() -> None:
 
 def test_nothing_matched_or_no_sigma_is_unknown() -> None:
     clutter = np.array([np.nan, np.nan])
-    assert np.isnan(residual_sums(clutter, clutter, clutter)).all()
-    assert np.isnan(residual_sums(np.zeros(2), None, None)).all()
+    assert np.isnan(residual_sums(matches_of(clutter, clutter, np.nan))).all()
+    assert np.isnan(residual_sums(replace(Matches.none(2, 0), residual=np.zeros(2)))).all()
     assert residual_figures(np.full((3, 3), np.nan)) == {"consistency": None, "images_inside_95": None}

@@ -114,7 +114,7 @@ def test_matches_and_residuals_are_those_from_the_true_poses(
     observation = observation_of(known.log.camera, known.localiser.config.observation)
     matches = [observation.associate(truth.at(sighting.t_ns), sighting, landmark_map) for sighting in sightings.taken]
     matched, measured = sum((one.landmark >= 0).sum() for one in matches), sum(len(one.landmark) for one in matches)
-    by_truth = residual_figures(np.array([residual_sums(one.residual, one.sigma, one.gate) for one in matches]))
+    by_truth = residual_figures(np.array([residual_sums(one) for one in matches]))
     assert figures["edges_matched"] == pytest.approx(matched / measured, abs=0.01)
     assert figures["residuals"]["consistency"] == pytest.approx(by_truth["consistency"], rel=0.2)
     assert figures["residuals"]["consistency"] < 1.0, "the stated sigmas are on the safe side"

@@ -12,6 +12,7 @@ from localiser.commands.map.options import NewMap, require_writable
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
+    LogFormat,
     Overrides,
     Quiet,
     Topics,
@@ -68,9 +69,7 @@ def build(
     ] = "none",
     config: ConfigFile = None,
     overrides: Overrides = None,
-    log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
-    ] = None,
+    log_format: LogFormat = None,
     topics: Topics = None,
     camera: BagCamera = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing map.")] = False,

@@ -55,11 +55,6 @@ class ZenohLink:
             self._thread = Thread(target=self._try_again, name="zenoh", daemon=True)
             self._thread.start()
 
-    @property
-    def session(self) -> Any | None:
-        """The session of zenoh, None before it is open."""
-        return self._session
-
     def when_open(self, act: Callable[[Any], None]) -> None:
         """Call `act` with the session now, or in another thread as soon as it is open."""
         with self._lock:
