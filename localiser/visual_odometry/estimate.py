@@ -20,11 +20,10 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import field_of_view_rad
 from localiser.visual_odometry import pairs as pairing
-from localiser.visual_odometry.fuse import at_least, mixture
 from localiser.visual_odometry.pairs import Pairs, candidates
 from localiser.visual_odometry.search import likely_motions
 from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights, errs_apart, with_errors_apart
-from localiser.visual_odometry.twist import Gaussian, motion_gaussian
+from localiser.visual_odometry.twist import Gaussian, at_least, mixture, motion_gaussian
 
 if TYPE_CHECKING:
     from localiser.visual_odometry import twist_kernel as kernel

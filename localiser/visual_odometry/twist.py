@@ -1,15 +1,17 @@
-"""Motions as twists: the constant velocity (right, backward, turn) that makes a motion in one unit of time.
+"""Motions as Gaussians and as twists.
 
-A robot that steers goes along arcs, so that its sideways velocity is 0 although the chord of its way points sideways.
+A twist is the constant velocity (right, backward, turn) that makes a motion in one unit of time. A robot that steers
+goes along arcs, so that its sideways velocity is 0 although the chord of its way points sideways.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from localiser.geometry import Array, arc_log, arc_motion, map_from_robot
+from localiser.geometry import Array, arc_log, arc_motion, map_from_robot, wrap_angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +39,32 @@ class Gaussian:
         cov = by_way @ other.cov[:2, :2] @ by_way.T
         cov[2, 2] += self.cov[2, 2] - gain @ self.cov[:2, 2]
         return Gaussian(mean, cov)
+
+
+def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
+    """Return the Gaussian with mean and covariance of a mixture of K motions; log_weight: (K,), up to a constant."""
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    origin = parts[int(weight.argmax())].mean
+    offset = np.array([part.mean - origin for part in parts])
+    offset[:, 2] = wrap_angle(offset[:, 2])
+    mean = weight @ offset
+    spread = offset - mean
+    cov = np.einsum("k,kij->ij", weight, [part.cov for part in parts]) + np.einsum(
+        "k,ki,kj->ij", weight, spread, spread
+    )
+    total = origin + mean
+    total[2] = wrap_angle(total[2])
+    return Gaussian(total, cov)
+
+
+def at_least(cov: Array, other: Array) -> Array:
+    """Return the smallest covariance (3, 3) that is in no direction below either: both estimate the same spread."""
+    root = np.linalg.cholesky(cov)
+    inverse = np.linalg.inv(root)
+    ratio, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    grown = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(grown @ grown.T)
 
 
 def motion_of(twist: Array) -> Array:

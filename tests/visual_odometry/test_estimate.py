@@ -13,9 +13,16 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Increment
 from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, Odometer, VisualOdometryParameters, follow
 from localiser.visual_odometry import twist_kernel as loops
-from localiser.visual_odometry.fuse import at_least, mixture
 from localiser.visual_odometry.sights import Sights
-from localiser.visual_odometry.twist import motion_by_twist, motion_gaussian, motion_of, twist_gaussian, twist_of
+from localiser.visual_odometry.twist import (
+    at_least,
+    mixture,
+    motion_by_twist,
+    motion_gaussian,
+    motion_of,
+    twist_gaussian,
+    twist_of,
+)
 
 ANYTHING = VisualOdometryParameters().twist(None, 0.2)
 

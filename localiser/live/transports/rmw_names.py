@@ -53,7 +53,7 @@ class RmwNames:
 
     def node_token(self, zid: str) -> str:
         """Return the token by which others know the node. zid: of the zenoh session."""
-        return f"{self._node(zid, 0, 'NN')}"
+        return self._node(zid, 0, "NN")
 
     def publisher_token(self, zid: str, number: int, topic: Topic) -> str:
         """Return the token of a publisher. number: unique in the session, above 0, which is the node's."""
