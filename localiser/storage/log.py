@@ -69,7 +69,7 @@ class Log:
     @property
     def mount_moves(self) -> bool:
         """Whether the camera moves on the robot: images have mounts of their own."""
-        return any(isinstance(frame, ImageEvent) and frame.mount is not None for frame in self.frames)
+        return any(image.mount is not None for image in self.images)
 
     @property
     def landmark_ids(self) -> tuple[int | str, ...]:
