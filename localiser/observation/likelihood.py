@@ -34,7 +34,7 @@ _BINS = 512  # of the compared angle
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 _PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
 
-EdgeBins = tuple[NDArray[np.uint64], tuple[float, float, float]]
+EdgeBins = tuple[NDArray[np.int64], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,9 +194,9 @@ def bins_of(angle: Array) -> EdgeBins:
     Those from bin i on are angle[first[i]:]; the last bin is beyond all.
     """
     if len(angle) == 0:
-        return np.zeros(1, dtype=np.uint64), (0.0, 1.0, 0.0)
+        return np.zeros(1, dtype=np.int64), (0.0, 1.0, 0.0)
     step = max(float(angle[-1] - angle[0]) / (_BINS - 2), 1e-12)
-    first = np.searchsorted(angle, angle[0] + step * np.arange(_BINS)).astype(np.uint64)
+    first = np.searchsorted(angle, angle[0] + step * np.arange(_BINS))
     first[-1] = len(angle)
     return first, (float(angle[0]), 1.0 / step, _BINS - 1.0)
 

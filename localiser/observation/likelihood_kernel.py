@@ -1,10 +1,10 @@
 """The loops of `likelihood`, compiled by numba when this module is imported and its functions are first called.
 
 The particles of a cell share the list of landmarks that can be in view. A block of particles is processed one landmark
-at a time. Edges near the expected place of the landmark make pairs, and many pairs are weighed at once. The inner loops
-run along rows of one small array of constant shape. Only then does the compiler know that rows do not overlap, and uses
-vector instructions. The length of a row is always a multiple of `LANES`, so every particle goes through the same
-instructions, independent of its neighbours.
+at a time. Particles of one cell expect it at nearly the same angle, so the edges near it are nearly the same for all of
+them: each is weighed for the whole block at once. The inner loops run along rows of one small array of constant shape.
+Only then does the compiler know that rows do not overlap, and uses vector instructions. The length of a row is always a
+multiple of `LANES`, so every particle goes through the same instructions, independent of its neighbours.
 """
 
 from __future__ import annotations
@@ -19,14 +19,11 @@ from localiser.geometry.angle_kernel import cos_sin_near
 from localiser.geometry.compiled import entry, inlined
 
 Indices = NDArray[np.int64]
-Counts = NDArray[np.uint64]  # indices that are never negative, so that no loop has to look whether they are
 
 LANES = 8  # float64 in a vector register
 FEWEST = 2  # vectors, for which a vector loop is entered
-BLOCK = 64  # particles looked at together, a power of two
-ROOM = 512  # pairs weighed together; the buffers stay in the fastest cache
+BLOCK = 64  # particles looked at together
 UNKNOWN_M = 1e8  # heights beyond this are not known
-_BLOCK, _NEXT = np.uint64(BLOCK), np.uint64(1)
 SAFE = 1e150  # a product is put aside when it grows beyond
 
 # exp(y) = exp(y/16)^16, the inner one as a polynomial between the gate, y = -18 or 6 sigmas, and 0: 2e-6 of its value.
@@ -37,17 +34,14 @@ _GATE = -2.0 * 16 * _LEAST  # sigmas squared
 _HALF_PI, _LOG_TWO, _ROOT_TWO = np.pi / 2, float(np.log(2.0)), float(np.sqrt(2.0))
 _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 1.0
 
-# Rows of a block: camera poses; one landmark as it is seen from them; how many landmarks are. In one array, so that the
-# compiler knows that they do not overlap.
+# Rows of a block: camera poses; one landmark as it is seen from them; how many landmarks are; one edge beside that
+# landmark. In one array, so that the compiler knows that they do not overlap.
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN, _SCALE = range(6, 15)
+_RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _DENSITY, _RATIO = range(15, 21)
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _RARE = range(9, 13)
-# Rows of pairs.
-_RESIDUAL, _SPREAD, _COVERED, _LOWER, _UPPER, _SHORT_LOW, _SHORT_HIGH, _OF_PEAK_LOW, _OF_PEAK_HIGH, _ALIKE, _DENSITY = (
-    range(11)
-)
 
 
 # -- particles by cell ------------------------------------------------------------------------------------------------
@@ -188,85 +182,39 @@ def _look(
         reach = sigmas * np.sqrt(variance + largest_var)
         first, last = (angle - reach - bin_low) * per_bin, (angle + reach - bin_low) * per_bin + 2.0
         first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
-        first, last = (first if first < last_bin else last_bin), (last if last < last_bin else last_bin)
+        first, last = (first if first < last_bin and visible else last_bin), (last if last < last_bin else last_bin)
         block[_FIRST, m], block[_END, m] = first, last
         block[_SEEN, m] += visibility if visible else 0.0
-        block[_ANGLE, m], block[_VARIANCE, m] = angle, variance
+        block[_ANGLE, m], block[_VARIANCE, m] = (angle if visible else np.inf), variance
         block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
         block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
 
 
 @inlined
-def _edges_near(block: Array, size: int, first: Counts, near: Counts, begin: Counts, end: Counts) -> int:
-    """Turn bins into edges begin … end; return how many particles have some, in `near`."""
-    some = 0
-    for m in range(size):
-        e, beyond = first[np.uint64(block[_FIRST, m])], first[np.uint64(block[_END, m])]
-        begin[m], end[m] = e, beyond
-        near[some] = m
-        some += beyond > e
-    return some
+def _edges_near(block: Array, lanes: int, first: Indices) -> tuple[int, int]:
+    """Return begin … end of the edges that are near for any particle of a block, and perhaps some more."""
+    lowest, highest = np.int64(block[_FIRST, 0]), np.int64(block[_END, 0])
+    for m in range(lanes):
+        lowest, highest = min(lowest, np.int64(block[_FIRST, m])), max(highest, np.int64(block[_END, m]))
+    return first[lowest], first[highest]
 
 
 @inlined
-def _meet(
-    edges: Array,
-    block: Array,
-    near: Counts,
-    some: int,
-    begin: Counts,
-    end: Counts,
-    tolerance: float,
-    pairs: Array,
-    slot: Counts,
-    number: int,
-) -> tuple[int, int]:
-    """Let each of `some` particles in `near` meet one edge; return how many pairs, and particles with more edges.
+def _meet(edge: Any, block: Array, lanes: int, tolerance: float) -> int:
+    """Compare an edge with the landmark, seen by each particle; return of how many both are a pair.
 
-    Those within the gate that overlap become pairs; the others have no density.
+    Those within the gate that overlap are pairs; the others have no density.
     """
-    more = 0
-    for j in range(some):
-        m = near[j]
-        e = begin[m]
-        residual, spread = edges[e, _MEASURED] - block[_ANGLE, m], edges[e, _VAR] + block[_VARIANCE, m]
-        inside = min(block[_TOP, m], edges[e, _HIGH]) - max(block[_FOOT, m], edges[e, _LOW]) + 2 * tolerance
-        pairs[_RESIDUAL, number], pairs[_SPREAD, number] = residual, spread
-        pairs[_COVERED, number] = inside * edges[e, _PER_LENGTH]
-        slot[number] = e * _BLOCK + m
-        number += (residual * residual < _GATE * spread) & (inside > 0)
-        begin[m] = e + _NEXT
-        near[more] = m
-        more += e + _NEXT < end[m]
-    return number, more
-
-
-@inlined
-def _fill(
-    edges: Array,
-    block: Array,
-    ends: Any,
-    hidden: Any,
-    leaning: float,
-    visibility: float,
-    pairs: Array,
-    slot: Counts,
-    start: int,
-    stop: int,
-) -> None:
-    """Write what else is to be known of pairs start … stop, all of one landmark."""
-    missed = ends[1]
-    unknown_foot, unknown_top = hidden
-    for i in range(start, stop):
-        m, e = slot[i] % _BLOCK, slot[i] // _BLOCK
-        foot, top, per = block[_FOOT, m], block[_TOP, m], block[_PER_VISIBLE, m]
-        pairs[_LOWER, i] = (edges[e, _LOW] - foot) * edges[e, _PER_SIGMA_LOW]
-        pairs[_UPPER, i] = (edges[e, _HIGH] - top) * edges[e, _PER_SIGMA_HIGH]
-        short_low, short_high = min(edges[e, _ROOM_LOW] * per, 1.0), min(edges[e, _ROOM_HIGH] * per, 1.0)
-        pairs[_SHORT_LOW, i] = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
-        pairs[_SHORT_HIGH, i] = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
-        pairs[_OF_PEAK_LOW, i], pairs[_OF_PEAK_HIGH, i] = edges[e, _PEAK_LOW], edges[e, _PEAK_HIGH]
-        pairs[_ALIKE, i] = visibility * edges[e, _RARE] * (1.0 + edges[e, _POLARITY] * leaning)
+    pairs = 0
+    for m in range(lanes):
+        residual, spread = edge[_MEASURED] - block[_ANGLE, m], edge[_VAR] + block[_VARIANCE, m]
+        inside = min(block[_TOP, m], edge[_HIGH]) - max(block[_FOOT, m], edge[_LOW]) + 2 * tolerance
+        is_pair = (residual * residual < _GATE * spread) & (inside > 0)
+        block[_RESIDUAL, m], block[_SPREAD, m] = residual, spread
+        block[_COVERED, m] = inside * edge[_PER_LENGTH]
+        block[_IS_PAIR, m] = 1.0 if is_pair else 0.0
+        pairs += is_pair
+    return pairs
 
 
 @inlined
@@ -281,40 +229,74 @@ def _normal(y: float) -> float:
 
 
 @inlined
-def _add_up(pairs: Array, number: int, slot: Counts, density: Array, touched: Counts, count: int) -> int:
-    """Add √(2π) c_el N(q_e; q_l, σ_el²) of pairs to `density` at `slot`; return how many slots are not zero now."""
-    for i in range((number + LANES - 1) // LANES * LANES):
-        per = 1.0 / pairs[_SPREAD, i]
-        covered = min(pairs[_COVERED, i], 1.0)
-        lower, upper = pairs[_LOWER, i], pairs[_UPPER, i]
-        at_foot = pairs[_SHORT_LOW, i] + pairs[_OF_PEAK_LOW, i] * _normal(-0.5 / 16 * lower * lower)
-        at_top = pairs[_SHORT_HIGH, i] + pairs[_OF_PEAK_HIGH, i] * _normal(-0.5 / 16 * upper * upper)
-        agreement = _normal(-0.5 / 16 * pairs[_RESIDUAL, i] * pairs[_RESIDUAL, i] * per) * covered * covered
-        pairs[_DENSITY, i] = agreement * at_foot * at_top * pairs[_ALIKE, i] * np.sqrt(per)
-    for i in range(number):
-        touched[count] = slot[i]
-        count += (density[slot[i]] == 0.0) & (pairs[_DENSITY, i] > 0.0)
-        density[slot[i]] += pairs[_DENSITY, i]
-    return count
+def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: float) -> None:
+    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair."""
+    missed = ends[1]
+    unknown_foot, unknown_top = hidden
+    for m in range(lanes):
+        foot, top, per = block[_FOOT, m], block[_TOP, m], block[_PER_VISIBLE, m]
+        lower, upper = (edge[_LOW] - foot) * edge[_PER_SIGMA_LOW], (edge[_HIGH] - top) * edge[_PER_SIGMA_HIGH]
+        short_low, short_high = min(edge[_ROOM_LOW] * per, 1.0), min(edge[_ROOM_HIGH] * per, 1.0)
+        short_low = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
+        short_high = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
+        at_foot = short_low + edge[_PEAK_LOW] * _normal(-0.5 / 16 * lower * lower)
+        at_top = short_high + edge[_PEAK_HIGH] * _normal(-0.5 / 16 * upper * upper)
+        per = 1.0 / block[_SPREAD, m]
+        covered = min(block[_COVERED, m], 1.0)
+        agreement = _normal(-0.5 / 16 * block[_RESIDUAL, m] * block[_RESIDUAL, m] * per) * covered * covered
+        density = agreement * at_foot * at_top * alike * np.sqrt(per)
+        block[_DENSITY, m] = density if block[_IS_PAIR, m] > 0 else 0.0
 
 
 @inlined
-def _multiply(factor: Array, m: int, odds: Any, ratio: float) -> None:
-    """Multiply row m by 1 + odds · ratio; written out, so that it becomes one vector."""
-    f0, f1 = factor[m, 0] * (1.0 + odds[0] * ratio), factor[m, 1] * (1.0 + odds[1] * ratio)
-    f2, f3 = factor[m, 2] * (1.0 + odds[2] * ratio), factor[m, 3] * (1.0 + odds[3] * ratio)
-    f4, f5 = factor[m, 4] * (1.0 + odds[4] * ratio), factor[m, 5] * (1.0 + odds[5] * ratio)
-    f6, f7 = factor[m, 6] * (1.0 + odds[6] * ratio), factor[m, 7] * (1.0 + odds[7] * ratio)
-    factor[m, 0], factor[m, 1], factor[m, 2], factor[m, 3] = f0, f1, f2, f3
-    factor[m, 4], factor[m, 5], factor[m, 6], factor[m, 7] = f4, f5, f6, f7
+def _add_up(e: int, block: Array, lanes: int, density: Array, turn: Indices, count: int) -> bool:
+    """Add the densities of edge e to `density`; return whether some were zero until now.
+
+    For those, count is their `turn` to be multiplied.
+    """
+    new = 0
+    for m in range(lanes):
+        is_new = (density[e, m] == 0.0) & (block[_DENSITY, m] > 0.0)
+        turn[e, m] = count if is_new else turn[e, m]
+        density[e, m] += block[_DENSITY, m]
+        new += is_new
+    return new > 0
+
+
+@inlined
+def _multiply(
+    e: int,
+    count: int,
+    block: Array,
+    lanes: int,
+    density: Array,
+    turn: Indices,
+    odds: Any,
+    rates: int,
+    factor: Array,
+    log_factor: Array,
+) -> None:
+    """Multiply the factors by 1 + odds · ratio for those whose turn it is, and put large ones aside."""
+    for m in range(lanes):
+        block[_RATIO, m] = density[e, m] * block[_SCALE, m] if turn[e, m] == count else 0.0
+    for k in range(rates):
+        for m in range(lanes):
+            factor[k, m] *= 1.0 + odds[k] * block[_RATIO, m]
+    large = 0
+    for m in range(lanes):
+        large += factor[rates - 1, m] > SAFE
+    if large > 0:
+        for m in range(lanes):
+            if factor[rates - 1, m] > SAFE:
+                _put_aside(factor, m, log_factor)
 
 
 @inlined
 def _put_aside(factor: Array, m: int, log_factor: Array) -> None:
-    """Make row m 1, and add its logarithms to those put aside; an assignment of arrays takes 2 s more to compile."""
+    """Make column m 1, and add its logarithms to those put aside."""
     for k in range(LANES):
-        log_factor[m, k] += np.log(factor[m, k])
-        factor[m, k] = 1.0
+        log_factor[k, m] += np.log(factor[k, m])
+        factor[k, m] = 1.0
 
 
 @inlined
@@ -350,7 +332,7 @@ def log_products(
     rates: int,
     is_inlier_rate: bool,
     edges: Array,
-    first: Counts,
+    first: Indices,
     bins: tuple[float, float, float],
     view: tuple[float, ...],
     limits: tuple[float, float, float],
@@ -371,49 +353,47 @@ def log_products(
 
     odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.
     """
-    block, pairs = np.ones((15, BLOCK)), np.ones((11, ROOM))
-    near, slot = np.zeros(BLOCK + 1, np.uint64), np.zeros(ROOM, np.uint64)
-    near_begin, near_end = np.zeros(BLOCK, np.uint64), np.zeros(BLOCK, np.uint64)
-    density, touched = np.zeros(BLOCK * len(edges)), np.zeros(BLOCK * len(edges) + 1, np.uint64)
-    factor, log_factor, mantissa = np.ones((BLOCK, LANES)), np.zeros((BLOCK, LANES)), np.ones(BLOCK * LANES)
+    block = np.ones((21, BLOCK))
+    density, turn = np.zeros((len(edges), BLOCK)), np.zeros((len(edges), BLOCK), np.int64)
+    touched = np.zeros(BLOCK * len(edges) + 1, np.int64)  # edges by turn
+    factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
     result, per_density = np.empty((rates, len(poses))), span / np.sqrt(2 * np.pi)
+    log_unseen = np.empty(rates)  # at inlier rates
+    for k in range(rates):
+        log_unseen[k] = np.log1p(odds[k])
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
             size = min(BLOCK, run[c + 1] - n)
             lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
             _place(poses, order, n, size, lanes, offset, block)
             block[_SEEN] = 0.0
-            count = number = int(np.int64(0))  # no constant to the compiler, which compiles for each apart
+            count = int(np.int64(0))  # no constant to the compiler, which compiles for each apart
             for k in item[start[c] : start[c + 1]]:
                 at, heights = (landmarks[k, 0], landmarks[k, 1]), (landmarks[k, 2], landmarks[k, 3])
                 landmark = (at[0], at[1], heights[0], heights[1], landmarks[k, 4], visibility[k])
                 hidden, leaning = (heights[0] <= -UNKNOWN_M, heights[1] >= UNKNOWN_M), landmarks[k, 5]
                 _look(block, lanes, landmark, limits, view, gate, bins, is_slope)
-                some = _edges_near(block, size, first, near, near_begin, near_end)
-                filled = number
-                while some > 0:  # one edge of each particle, and again with those that have another near
-                    if number > ROOM - BLOCK:
-                        _fill(edges, block, ends, hidden, leaning, visibility[k], pairs, slot, filled, number)
-                        count = _add_up(pairs, number, slot, density, touched, count)
-                        filled = number = int(np.int64(0))
-                    number, some = _meet(edges, block, near, some, near_begin, near_end, ends[0], pairs, slot, number)
-                _fill(edges, block, ends, hidden, leaning, visibility[k], pairs, slot, filled, number)
-            count = _add_up(pairs, number, slot, density, touched, count)
+                begin, end = _edges_near(block, lanes, first)
+                for e in range(begin, end):
+                    edge = edges[e]
+                    if _meet(edge, block, lanes, ends[0]) > 0:
+                        alike = visibility[k] * edge[_RARE] * (1.0 + edge[_POLARITY] * leaning)
+                        _weigh(edge, block, lanes, ends, hidden, alike)
+                        touched[count] = e
+                        count += _add_up(e, block, lanes, density, turn, count)
 
             for m in range(BLOCK):
                 block[_SCALE, m] = per_density / (max(block[_SEEN, m], 1.0) if is_inlier_rate else 1.0)
             factor[:], log_factor[:] = 1.0, 0.0
             for t in range(count):
-                m = touched[t] % _BLOCK
-                ratio = density[touched[t]] * block[_SCALE, m]
-                density[touched[t]] = 0.0
-                _multiply(factor, m, odds, ratio)
-                if factor[m, rates - 1] > SAFE:
-                    _put_aside(factor, m, log_factor)
+                _multiply(touched[t], t, block, lanes, density, turn, odds, rates, factor, log_factor)
+            for t in range(count):
+                for m in range(lanes):
+                    density[touched[t], m] = 0.0
             values = factor.ravel()
             _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
             for k in range(rates):
                 for m in range(size):
-                    seen = 1.0 if is_inlier_rate else block[_SEEN, m]
-                    result[k, order[n + m]] = log_factor[m, k] - len(edges) * np.log1p(odds[k] * seen)
+                    log_clutter = log_unseen[k] if is_inlier_rate else np.log1p(odds[k] * block[_SEEN, m])
+                    result[k, order[n + m]] = log_factor[k, m] - len(edges) * log_clutter
     return result
