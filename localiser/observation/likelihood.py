@@ -28,6 +28,7 @@ GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: not
 _UNKNOWN_M = 1e9  # beyond every height
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
+_SMALLEST = 1e-6  # m, m, rad
 _LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
 _MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
 _BINS = 512  # of the compared angle
@@ -202,7 +203,10 @@ def bins_of(angle: Array) -> EdgeBins:
 
 
 def _cells(columns: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return the corner (3,) of the cells that cover poses (3, N), cells per unit (3,), and their number (3,)."""
+    """Return the corner (3,) of the cells that cover poses (3, N), cells per unit (3,), and their number (3,).
+
+    Cells are no larger than the cloud, so that fewer landmarks can be in view from them.
+    """
     low, extent = columns.min(axis=1), np.ptp(columns, axis=1)
     size = _CELL
     while True:
@@ -210,5 +214,5 @@ def _cells(columns: Array) -> tuple[Array, Array, NDArray[np.int64]]:
         cells = shape.prod()
         is_spread = size[0] >= _LARGEST_M and cells <= _MOST_CELLS
         if is_spread or cells <= max(columns.shape[1] // _PER_CELL, 1):
-            return low, 1.0 / size, shape.astype(np.int64)
+            return low, 1.0 / np.minimum(size, np.maximum(extent, _SMALLEST)), shape.astype(np.int64)
         size = size * 1.25
