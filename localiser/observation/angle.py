@@ -7,6 +7,7 @@ the sine of the tilt [Taylor06, eq. 7]. Leans are never divided by that sine, so
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Angle:
     """What edges measure, and landmarks are expected at: bearings (`line`) or leans (`slope`), rad."""
 
@@ -63,9 +64,9 @@ class Angle:
         """
         return self.span_rad / self.predicted(np.tan(bearing))[1]
 
-    @property
+    @cached_property
     def span_rad(self) -> float:
-        """Return the angle (rad) that clutter is spread over."""
+        """The angle (rad) that clutter is spread over."""
         a_left, a_right, _, _ = self.camera.upright_bounds
         predicted, _ = self.predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
         return float(abs(predicted[1] - predicted[0]))

@@ -20,7 +20,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from functools import cached_property, lru_cache
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ SETTLED = 0.9  # probability of belonging to its landmark from which on an edge 
 _FEW = 64  # particles that tell how wide the cloud is
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class EdgeObservation:
     """The observation of vertical edges, as `slope` or as `line`, seen by one camera.
 
@@ -59,9 +60,10 @@ class EdgeObservation:
     def at(self, edges: Edges) -> Self:
         """Return the observation by the camera as it was mounted when it took the image of these edges."""
         camera = self.camera.at(edges.mount)
-        return self if camera is self.camera else replace(self, camera=camera)
+        found: Self = self if camera is self.camera else _mounted(self, camera)
+        return found
 
-    @property
+    @cached_property
     def angle(self) -> Angle:
         """The angle that is compared."""
         return Angle(self.camera, self.parameters.kind)
@@ -331,6 +333,11 @@ class EdgeObservation:
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
         predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
         return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
+
+
+@lru_cache(maxsize=16)
+def _mounted(observation: Any, camera: Camera) -> Any:
+    return replace(observation, camera=camera)
 
 
 def _camera_motion(before: Camera, now: Camera, increment: Increment) -> Array:

@@ -24,7 +24,7 @@ from localiser.observation.protocols import Matches, Sighting, Targets
 from localiser.particles import POSE, Particles
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class IdentifiedObservation(EdgeObservation):
     """The observation of edges that trusts their `landmark_id`."""
 

@@ -11,14 +11,25 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, Reach, in_view_of_cells, kept_with, reach_of, sigmas_m, widest_tangent
+from localiser.landmarks import (
+    LandmarkMap,
+    Reach,
+    SightParameters,
+    in_view_of_cells,
+    kept_with,
+    reach_of,
+    sigmas_m,
+    widest_tangent,
+)
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import polarity
 from localiser.observation.angle import Angle
@@ -46,7 +57,7 @@ class Scene:
     m², mean polarity of its edges. visibility: (L,) probability that nothing hides it. edges: (E, 13) compared angle
     (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the lower and upper end (∓1e9
     where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and 1 / sigma, polarity,
-    1 / how dense clutter is there.
+    1 / how dense clutter is there. bins: of their angles, see `bins_of`.
     offset: right, back (m) and yaw (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
@@ -59,6 +70,7 @@ class Scene:
     visibility: Array
     reach: Reach
     edges: Array
+    bins: EdgeBins
     offset: tuple[float, float, float]
     view: tuple[float, ...]
     range_m: tuple[float, float]
@@ -83,30 +95,47 @@ def scene_of(
     None: none is.
     """
     camera, sight = angle.camera, parameters.sight
-    mount, focal = camera.mount, camera.focal_px
-    measured, variance = angle.measured(edges)
-    # Edges of which this observation knows nothing go to the end: no landmark comes near them.
-    known = np.isfinite(measured) & np.isfinite(variance)
-    measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
-    ends = endpoints.endpoints_of(edges, camera)
-    of_edges: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]
-    of_edges += [1.0 / ends.sigma, edges.polarity]
-    margin = sight.margin_px / focal * np.array([-1.0, 1.0, -1.0, 1.0])
-    sin_cos = float(np.sin(mount.tilt_rad)), float(np.cos(mount.tilt_rad))
+    mount = camera.mount
+    table, bins, largest_var, missed = _edges(angle, edges, blur_rad)
+    view, widest = _view(camera, sight)
     return Scene(
         landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m),
         visibility=np.ones(len(landmark_map)) if visibility is None else visibility,
         reach=reach_of(landmark_map, sight.range_max_m),
-        edges=np.column_stack([*of_edges, 1.0 / edges.clutter])[np.argsort(measured, kind="stable")],
+        edges=table,
+        bins=bins,
         offset=(mount.right_m, mount.back_m, mount.yaw_rad),
-        view=(*sin_cos, *(np.array(camera.upright_bounds) + margin).tolist(), max(sight.length_min_px, 1e-9) / focal),
-        ends=(endpoints.TOLERANCE_PX / focal, ends.missed),
+        view=view,
+        ends=(endpoints.TOLERANCE_PX / camera.focal_px, missed),
         range_m=(sight.range_min_m, sight.range_max_m),
-        widest=widest_tangent(camera, sight),
-        gate=(GATE_SIGMAS, float(variance[known].max(initial=0.0))),
+        widest=widest,
+        gate=(GATE_SIGMAS, largest_var),
         span=angle.span_rad,
         is_slope=angle.kind == "slope",
     )
+
+
+@lru_cache(maxsize=8)  # the same edges are weighed several times in a frame
+def _edges(angle: Angle, edges: Edges, blur_rad: float) -> tuple[Array, EdgeBins, float, float]:
+    """Return the edges of a scene (E, 13), their bins, the largest variance of those known, and p(missed)."""
+    measured, variance = angle.measured(edges)
+    # Edges of which this observation knows nothing go to the end: no landmark comes near them.
+    known = np.isfinite(measured) & np.isfinite(variance)
+    measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
+    ends = endpoints.endpoints_of(edges, angle.camera)
+    columns: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]
+    columns += [1.0 / ends.sigma, edges.polarity, 1.0 / edges.clutter]
+    table = np.column_stack(columns)[np.argsort(measured, kind="stable")]
+    return table, bins_of(table[: known.sum(), 0]), float(variance[known].max(initial=0.0)), ends.missed
+
+
+@lru_cache(maxsize=16)
+def _view(camera: Camera, sight: SightParameters) -> tuple[tuple[float, ...], float]:
+    """Return the view of a scene, and the bound on |tan(bearing)|."""
+    margin = sight.margin_px / camera.focal_px * np.array([-1.0, 1.0, -1.0, 1.0])
+    bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()
+    tilt_rad, shortest = camera.mount.tilt_rad, max(sight.length_min_px, 1e-9) / camera.focal_px
+    return (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest), widest_tangent(camera, sight)
 
 
 def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float) -> Array:
@@ -138,10 +167,9 @@ def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_
     """
     count = columns.shape[1]
     result = np.empty((len(rates), count))
-    bins = bins_of(scene.edges[:, 0][np.isfinite(scene.edges[:, 0])])
 
     def weigh(part: slice) -> None:
-        result[:, part] = _weighed(scene, columns[:, part], rates, bins, of_edges)
+        result[:, part] = _weighed(scene, columns[:, part], rates, of_edges)
 
     size = min(max(-(-count // threads), _PER_THREAD), _PART)
     parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -154,7 +182,7 @@ def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_
     return result
 
 
-def _weighed(scene: Scene, columns: Array, rates: Array, edge_bins: EdgeBins, of_edges: bool) -> Array:
+def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Array:
     """Return `by_rate` of so few particles that all about them stays in the cache."""
     from localiser.observation import likelihood_kernel as kernel
 
@@ -179,7 +207,7 @@ def _weighed(scene: Scene, columns: Array, rates: Array, edge_bins: EdgeBins, of
         len(rates),
         of_edges,
         scene.edges,
-        *edge_bins,
+        *scene.bins,
         scene.view,
         (scene.range_m[0] ** 2, scene.range_m[1] ** 2, scene.widest),
         scene.gate,
