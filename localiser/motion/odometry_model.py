@@ -177,6 +177,7 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
     return jac_pose, np.asarray(to_map @ step_noise(increment, parameters) @ to_map.T)
 
 
+@lru_cache(maxsize=64)  # of one motion asked for several times in a step
 def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
     """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
     to_robot = _map_from_step(np.zeros(3), increment)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -107,6 +108,7 @@ def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
     return density
 
 
+@lru_cache(maxsize=4)  # an image is compared with several earlier ones
 def _grouped(angle: Angle, edges: Edges) -> Array:
     """Return Λ (E,), relative to an even density."""
     bearing, sigma = angle.bearings(edges)
@@ -131,15 +133,15 @@ def _ends_alike(angle: Angle, edges: Edges, of_others: Angle, others: Edges, app
     earlier, slope = _ends_from(earlier_ends.e, then, camera)
     rise = (then.mount.height_m - camera.mount.height_m) / NEAR_M
     shift = (slope * approach[:, None] + rise) / (c - slope * s) ** 2
-    result = np.ones((len(edges), len(others)))
-    for end in (0, 1):
-        variance = shift[:, end] ** 2 / 12 + (sigma_px / camera.focal_px) ** 2
-        room = ends.room[:, end, None]
-        at = _normal(ends.e[:, end, None] - earlier[:, end] - shift[:, end] / 2, variance)
-        alike = SHORT * np.minimum(room * earlier_ends.per_length, 1.0) + (1.0 - SHORT) * room * at
-        # The border ends an edge wherever the thing itself does.
-        result *= np.where(ends.cut[:, end, None], np.where(earlier_ends.cut[:, end], 1.0, SHORT), alike)
-    return result
+    # From here on with both ends first: (2, E, 1) and (2, 1, B).
+    shift, room = shift.T[:, None], ends.room.T[..., None]
+    variance = shift**2 / 12 + (sigma_px / camera.focal_px) ** 2
+    at = _normal(ends.e.T[..., None] - earlier.T[:, None] - shift / 2, variance)
+    alike = SHORT * np.minimum(room * earlier_ends.per_length, 1.0) + (1.0 - SHORT) * room * at
+    # The border ends an edge wherever the thing itself does.
+    cut = np.where(earlier_ends.cut.T[:, None], 1.0, SHORT)
+    low, high = np.where(ends.cut.T[..., None], cut, alike)
+    return np.asarray(low * high)
 
 
 def _ends_from(e: Array, before: Camera, now: Camera) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ CAMERA_YAW = "camera_yaw"
 MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time whatever it shows
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Particles:
     """N weighted hypotheses.
 
@@ -51,10 +52,16 @@ class Particles:
         """Poses (N, 3) x, z, heading."""
         return np.stack([self[name] for name in POSE], axis=-1)
 
-    @property
+    @cached_property
     def weight(self) -> Array:
         """Normalised weights (N,); raises ValueError when no particle has any."""
         return normalised(self.log_weight)
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """See `estimate`."""
+        mean, residual, weight = centred(self)
+        return Estimate(self.names, mean, np.asarray((residual * weight) @ residual.T) + _within(self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,8 +172,7 @@ def estimate(particles: Particles) -> Estimate:
 
     The covariance is that between the particles and, of the constant errors, that within each.
     """
-    mean, residual, weight = centred(particles)
-    return Estimate(particles.names, mean, np.asarray((residual * weight) @ residual.T) + _within(particles))
+    return particles.estimate
 
 
 def centred(particles: Particles) -> tuple[Array, Array, Array]:
