@@ -44,7 +44,24 @@ from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
+_FAR_SIGMAS = 12.0  # beyond this a normal density is below 1e-31 of its peak: nothing beside clutter
 _FEW = 64  # particles that tell how wide the cloud is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Expected:
+    """The landmarks that are seen from poses: P pairs of both.
+
+    seen: the pairs. angle: (P,) at which each is expected (rad), variance: (P,) of it by the map (rad²). ends: (P, 2)
+    upright heights of its lower and upper end, known: (P, 2) whether the map knows them. leaning: (P,) mean polarity.
+    """
+
+    seen: Sight
+    angle: Array
+    variance: Array
+    ends: Array
+    known: NDArray[np.bool_]
+    leaning: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +157,7 @@ class EdgeObservation:
             return np.zeros((len(INLIER_RATES), count))
         self = self.at(edges)  # noqa: PLW0642
         seen = sight(self.camera, self.camera_poses(particles), landmark_map, self.parameters.sight)
-        pair, edge, density = self._near(edges, landmark_map, seen, blur_rad)
+        pair, edge, density = self._near(edges, self._expected(seen, landmark_map), blur_rad)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
         # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
@@ -171,7 +188,7 @@ class EdgeObservation:
         self = self.at(sighting.edges)  # noqa: PLW0642
         few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
         seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight)
-        predicted, position_var = self._predicted(seen, landmark_map)
+        expected = self._expected(seen, landmark_map)
         times = np.bincount(seen.landmark, minlength=len(landmark_map))
         often = times >= _FEW / 2
         variance = self.angle.measured(sighting.edges)[1]
@@ -179,9 +196,9 @@ class EdgeObservation:
             return 0.0, np.inf
         mean, square = (
             np.bincount(seen.landmark, power, minlength=len(times))[often] / times[often]
-            for power in (predicted, predicted**2)
+            for power in (expected.angle, expected.angle**2)
         )
-        sigma = np.sqrt(np.nanmedian(variance) + np.median(np.sqrt(position_var)) ** 2)
+        sigma = np.sqrt(np.nanmedian(variance) + np.median(np.sqrt(expected.variance)) ** 2)
         return float(np.sqrt(np.median(np.maximum(square - mean**2, 0.0)))), float(sigma)
 
     def targets(
@@ -196,21 +213,21 @@ class EdgeObservation:
         where s_k² is the variance of the particles' predictions of it. A landmark is certain from `SETTLED` on.
         """
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        mean = self.camera.pose_in_map(estimate(particles).pose_as_seen)
-        seen = sight(self.camera, mean[None], landmark_map, self.parameters.sight)
+        expected = self._expected_from(estimate(particles).pose_as_seen, landmark_map)
+        seen = expected.seen
         measured, measured_var = self.angle.measured(edges)
-        known, count = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var)), len(seen.landmark)
-        pair, edge = np.repeat(np.arange(count), len(known)), np.tile(known, count)
+        count = len(seen.landmark)
         spread_var = self._spread_var(particles, landmark_map.points[seen.landmark])
-        own = self._density(edges, landmark_map, seen, pair, edge, spread_var[pair]).reshape(count, len(known))
-        own *= inlier_rate / max(count, 1)
+        variance = (expected.variance + spread_var)[:, None] + measured_var
+        pair, edge = np.nonzero((measured - expected.angle[:, None]) ** 2 < _FAR_SIGMAS**2 * variance)
+        own = np.zeros((count, len(edges)))
+        own[pair, edge] = self._density(edges, expected, pair, edge, spread_var[pair]) * (inlier_rate / max(count, 1))
         beta = own / ((1 - inlier_rate) / self.angle.span_rad + own.sum(axis=0))
-        settled = beta.ravel() >= SETTLED
-        pair, edge = pair[settled], edge[settled]
+        pair, edge = np.nonzero(beta >= SETTLED)
         return Targets(
             points=landmark_map.points[seen.landmark[pair]],
             angle=measured[edge],
-            variance=measured_var[edge] + self._predicted(seen, landmark_map)[1][pair],
+            variance=measured_var[edge] + expected.variance[pair],
             is_slope=self.parameters.kind == "slope",
         )
 
@@ -240,21 +257,21 @@ class EdgeObservation:
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        seen = sight(self.camera, self.camera.pose_in_map(pose[None]), landmark_map, self.parameters.sight)
+        expected = self._expected_from(pose, landmark_map)
+        seen = expected.seen
         matches = Matches.none(len(edges), len(landmark_map))
         matches.visible[seen.landmark] = True
         if not len(edges) or not len(seen.pose):
             return matches
-        pair, edge, density = self._near(edges, landmark_map, seen)
+        pair, edge, density = self._near(edges, expected)
         odds = density * self.angle.span_rad / len(seen.pose)  # against clutter, at an inlier rate of ½
         # Ascending, so that the last write to an edge is its best landmark.
         likelier = np.flatnonzero(odds > 1.0)
         ascending = likelier[np.argsort(odds[likelier], kind="stable")]
         pair, edge, odds = pair[ascending], edge[ascending], odds[ascending]
 
-        predicted, position_var = self._predicted(seen, landmark_map)
         measured, measured_var = self.angle.measured(edges)
-        residual, sigma = measured[edge] - predicted[pair], np.sqrt(measured_var[edge] + position_var[pair])
+        residual, sigma = measured[edge] - expected.angle[pair], np.sqrt(measured_var[edge] + expected.variance[pair])
         # The odds fall as exp(-z²/2), and were 1 at the gate.
         gate = np.sqrt((residual / sigma) ** 2 + 2 * np.log(odds))
         matches.landmark[edge], matches.residual[edge] = seen.landmark[pair], residual
@@ -283,17 +300,28 @@ class EdgeObservation:
 
     # -- pairs of an edge and a landmark ----------------------------------------------------------------------------
 
-    def _predicted(self, seen: Sight, landmark_map: LandmarkMap) -> tuple[Array, Array]:
-        """Return the angle at which each of the landmarks seen (P,) is expected, and its variance by the map."""
+    def _expected(self, seen: Sight, landmark_map: LandmarkMap) -> _Expected:
+        """Return how the landmarks that are seen are expected."""
         predicted, per_bearing = self.angle.predicted(seen.tangent)
-        sigma_m = sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[seen.landmark]
-        return predicted, (per_bearing * sigma_m / seen.range_m) ** 2
+        landmark = seen.landmark
+        sigma_m = sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[landmark]
+        return _Expected(
+            seen=seen,
+            angle=predicted,
+            variance=(per_bearing * sigma_m / seen.range_m) ** 2,
+            ends=np.column_stack([seen.e_bottom, seen.e_top]),
+            known=np.isfinite(np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])),
+            leaning=polarity.mean_polarity(landmark_map.polarity[landmark]),
+        )
 
-    def _near(
-        self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, blur_rad: float = 0.0
-    ) -> tuple[Indices, Indices, Array]:
-        """Return every pair within the gate: indices into `seen` and `edges`, and its density."""
-        predicted, position_var = self._predicted(seen, landmark_map)
+    def _expected_from(self, pose: Array, landmark_map: LandmarkMap) -> _Expected:
+        """Return the landmarks that are seen from one robot pose (3,)."""
+        x, z, heading = pose.tolist()
+        return _expected_from(self, x, z, heading, landmark_map)
+
+    def _near(self, edges: Edges, expected: _Expected, blur_rad: float = 0.0) -> tuple[Indices, Indices, Array]:
+        """Return every pair within the gate: indices into `expected` and `edges`, and its density."""
+        predicted, position_var = expected.angle, expected.variance
         measured, measured_var = self.angle.measured(edges)
         # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
         known = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var))
@@ -305,25 +333,20 @@ class EdgeObservation:
         pair = np.repeat(np.arange(len(predicted)), last - first)
         within = np.arange(len(pair)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
         edge = order[first[pair] + within]
-        return pair, edge, self._density(edges, landmark_map, seen, pair, edge, blur_rad**2)
+        return pair, edge, self._density(edges, expected, pair, edge, blur_rad**2)
 
-    def _density(
-        self, edges: Edges, landmark_map: LandmarkMap, seen: Sight, pair: Indices, edge: Indices, var: Array | float
-    ) -> Array:
+    def _density(self, edges: Edges, expected: _Expected, pair: Indices, edge: Indices, var: Array | float) -> Array:
         """Return c_el N(q_e; q_l, σ_el² + var) (P,) of pairs, relative to how dense clutter is at the edge."""
-        predicted, position_var = self._predicted(seen, landmark_map)
         measured, measured_var = self.angle.measured(edges)
-        variance = position_var[pair] + measured_var[edge] + var
-        density = np.exp(-0.5 * (measured[edge] - predicted[pair]) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+        variance = expected.variance[pair] + measured_var[edge] + var
+        residual = measured[edge] - expected.angle[pair]
+        density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
 
-        expected = np.column_stack([seen.e_bottom, seen.e_top])[pair]
-        landmark = seen.landmark[pair]
-        known = np.isfinite(np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]]))
         margin = self.parameters.sight.margin_px / self.camera.focal_px
         ends = endpoints.endpoints_of(edges, self.camera)
-        agreement = endpoints.agreement(ends, edge, expected, known, self.camera, margin)
-        lighter = polarity.mean_polarity(landmark_map.polarity[landmark])
-        return np.asarray(density / edges.clutter[edge] * (1.0 + edges.polarity[edge] * lighter) * agreement)
+        agreement = endpoints.agreement(ends, edge, expected.ends[pair], expected.known[pair], self.camera, margin)
+        alike = 1.0 + edges.polarity[edge] * expected.leaning[pair]
+        return np.asarray(density / edges.clutter[edge] * alike * agreement)
 
     def _spread_var(self, particles: Particles, points: Array) -> Array:
         """Return the variance (K,) of the angle at which particles expect points (K, 2), over those that face them."""
@@ -333,6 +356,15 @@ class EdgeObservation:
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
         predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
         return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
+
+
+@lru_cache(maxsize=4)  # several questions about an image are asked from the same pose
+def _expected_from(
+    observation: EdgeObservation, x: float, z: float, heading: float, landmark_map: LandmarkMap
+) -> _Expected:
+    camera = observation.camera
+    pose = camera.pose_in_map(np.array([[x, z, heading]]))
+    return observation._expected(sight(camera, pose, landmark_map, observation.parameters.sight), landmark_map)
 
 
 @lru_cache(maxsize=16)
