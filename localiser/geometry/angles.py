@@ -10,8 +10,10 @@ Array = NDArray[np.float64]
 MANY = 256  # angles, from which on a compiled loop is worth calling
 
 
-def wrap_angle(angle: ArrayLike) -> Array:
+def wrap_angle(angle: float | ArrayLike) -> Array:
     """Return the angle (rad) wrapped to [-pi, pi)."""
+    if isinstance(angle, float):
+        return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
     turned = np.asarray(np.asarray(angle, dtype=np.float64) + np.pi)
     if turned.ndim and turned.size and turned.min() >= 0 and turned.max() < 2 * np.pi:
         return np.asarray(turned - np.pi)  # what the remainder would leave as it is, ten times as fast

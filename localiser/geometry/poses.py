@@ -40,6 +40,8 @@ def robot_from_map(pose: ArrayLike, point_in_map: ArrayLike) -> Array:
 def compose(pose: ArrayLike, delta: ArrayLike) -> Array:
     """Return the pose (..., 3) reached from `pose` by the motion `delta` (..., 3), given in the frame of `pose`."""
     pose, delta = np.asarray(pose, dtype=np.float64), np.asarray(delta, dtype=np.float64)
+    if pose.ndim == delta.ndim == 1:
+        return _composed(*pose.tolist(), *delta.tolist())
     heading = wrap_angle(pose[..., 2] + delta[..., 2])
     return np.concatenate([map_from_robot(pose, delta[..., :2]), heading[..., None]], axis=-1)
 
@@ -47,8 +49,22 @@ def compose(pose: ArrayLike, delta: ArrayLike) -> Array:
 def between(start: ArrayLike, end: ArrayLike) -> Array:
     """Return the motion (..., 3) that leads from pose `start` to pose `end`, in the frame of `start`."""
     start, end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    if start.ndim == end.ndim == 1:
+        return _between(*start.tolist(), *end.tolist())
     turn = wrap_angle(end[..., 2] - start[..., 2])
     return np.concatenate([robot_from_map(start, end[..., :2]), turn[..., None]], axis=-1)
+
+
+def _composed(x: float, z: float, heading: float, right: float, back: float, turn: float) -> Array:
+    """Return what `compose` does of one pose: numbers are five times as fast as arrays of one."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.array([x + cos * right + sin * back, z - sin * right + cos * back, wrap_angle(heading + turn)])
+
+
+def _between(x: float, z: float, heading: float, end_x: float, end_z: float, end_heading: float) -> Array:
+    """Return what `between` does of two poses."""
+    cos, sin, dx, dz = np.cos(heading), np.sin(heading), end_x - x, end_z - z
+    return np.array([cos * dx - sin * dz, sin * dx + cos * dz, wrap_angle(end_heading - heading)])
 
 
 def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:

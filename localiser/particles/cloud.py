@@ -50,7 +50,7 @@ class Particles:
     @property
     def poses(self) -> Array:
         """Poses (N, 3) x, z, heading."""
-        return np.stack([self[name] for name in POSE], axis=-1)
+        return np.ascontiguousarray(self.columns[:3].T)
 
     @cached_property
     def weight(self) -> Array:
