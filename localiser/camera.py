@@ -273,19 +273,21 @@ class Camera:
         The least-squares line through the nadir point weighs each end by its squared distance from that point, which
         is proportional to (c + e s)²; it also holds when the tilt is 0 and the nadir point is infinitely far.
         """
+        return self._bearing_and_depth(ends_px)[0]
+
+    def _bearing_and_depth(self, ends_px: ArrayLike) -> tuple[Array, Array]:
+        """Return `bearing_of_segments` (E,), and c + e s of both ends (E, 2)."""
         ends = self.upright_from_pixels(ends_px)
         from_nadir = np.cos(self.mount.tilt_rad) + ends[..., 1] * np.sin(self.mount.tilt_rad)
         tangent = (ends[..., 0] * from_nadir).sum(axis=-1) / (from_nadir**2).sum(axis=-1)
-        return np.asarray(np.arctan(tangent))
+        return np.asarray(np.arctan(tangent)), from_nadir
 
     def bearing_sigma_of_segments(self, ends_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
         """Return the sigma (E,) of `bearing_of_segments` for ends that err by sigma (E,) across the line.
 
         J σ / √(2 D² + L²/2) of `geometry.constrained_lean_sigma`, written so that it also holds for a tilt of 0.
         """
-        ends = self.upright_from_pixels(ends_px)
-        from_nadir = np.cos(self.mount.tilt_rad) + ends[..., 1] * np.sin(self.mount.tilt_rad)
-        bearing = self.bearing_of_segments(ends_px)
+        bearing, from_nadir = self._bearing_and_depth(ends_px)
         lean = geometry.lean_from_bearing(bearing, self.mount.tilt_rad)
         sigma = np.asarray(endpoint_sigma_px, dtype=np.float64) / self.focal_px
         sigma_tangent = sigma / np.cos(lean) / np.sqrt((from_nadir**2).sum(axis=-1))
