@@ -7,7 +7,7 @@ the sine of the tilt [Taylor06, eq. 7]. Leans are never divided by that sine, so
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -30,11 +30,7 @@ class Angle:
 
         The common error is shared by all edges of a frame; here it widens each of them: safe while it is small.
         """
-        if self.kind == "line":
-            return edges.bearing, edges.bearing_sigma**2 + self.mount_var(edges)
-        tilt_rad = self.camera.mount.tilt_rad
-        per_bearing = 1.0 / geometry.bearing_per_lean(geometry.bearing_from_lean(edges.lean, tilt_rad), tilt_rad)
-        return edges.lean, edges.lean_sigma**2 + self.mount_var(edges) * per_bearing**2
+        return _measured(self, edges)
 
     def mount_var(self, edges: Edges) -> Array:
         """Return the variance (E,), rad², of the bearings by the mount's common error."""
@@ -70,3 +66,12 @@ class Angle:
         a_left, a_right, _, _ = self.camera.upright_bounds
         predicted, _ = self.predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
         return float(abs(predicted[1] - predicted[0]))
+
+
+@lru_cache(maxsize=8)  # asked for several times in a frame
+def _measured(angle: Angle, edges: Edges) -> tuple[Array, Array]:
+    if angle.kind == "line":
+        return edges.bearing, edges.bearing_sigma**2 + angle.mount_var(edges)
+    tilt_rad = angle.camera.mount.tilt_rad
+    per_bearing = 1.0 / geometry.bearing_per_lean(geometry.bearing_from_lean(edges.lean, tilt_rad), tilt_rad)
+    return edges.lean, edges.lean_sigma**2 + angle.mount_var(edges) * per_bearing**2

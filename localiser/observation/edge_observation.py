@@ -351,11 +351,11 @@ class EdgeObservation:
     def _spread_var(self, particles: Particles, points: Array) -> Array:
         """Return the variance (K,) of the angle at which particles expect points (K, 2), over those that face them."""
         right, ahead = in_camera(self.camera_poses(particles), points)
-        faced = ahead > 0
-        weight = np.where(faced, particles.weight[:, None], 0.0)
-        weight /= np.maximum(weight.sum(axis=0), 1e-300)
+        faced, weight = ahead > 0, particles.weight
         predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
-        return np.asarray((weight * (predicted - (weight * predicted).sum(axis=0)) ** 2).sum(axis=0))
+        total = np.maximum(weight @ faced, 1e-300)
+        mean = weight @ (faced * predicted) / total
+        return np.asarray(weight @ (faced * (predicted - mean) ** 2) / total)
 
 
 @lru_cache(maxsize=4)  # several questions about an image are asked from the same pose
