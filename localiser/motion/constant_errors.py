@@ -103,14 +103,14 @@ class StepSpread:
         return np.asarray(self.axes / np.sqrt(np.where(self.variance > floor, self.variance, np.inf)))
 
 
-def learnt(particles: Particles, by_constant_error: Array, spread: StepSpread, normal: Array) -> Particles:
-    """Return the particles with what their steps told of their constant errors; the camera's heading stays.
+def learnt(particles: Particles, by_constant_error: Array, spread: StepSpread, normal: Array) -> tuple[Array, Array]:
+    """Return the constant errors (B, N) of particles and their covariance (B, B) after what their steps told of them.
 
     normal: (3, N) how each step was drawn, standardised: S^(-½) (step - H m), m being the particle's mean of the
     constant errors and S = H P Hᵀ + noise. Both mean and P are updated by it as by a measurement.
     """
     gain = particles.constant_error_cov @ by_constant_error.T @ spread.whitened
-    return replace(_moved(particles, gain @ normal), constant_error_cov=particles.constant_error_cov - gain @ gain.T)
+    return particles.columns[3:] + gain @ normal, particles.constant_error_cov - gain @ gain.T
 
 
 def projected(particles: Particles) -> Particles:

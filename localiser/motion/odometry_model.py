@@ -136,13 +136,12 @@ def stepped(
     particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
 ) -> Particles:
     """Return the particles after steps drawn as `normal` (3, N), and what these told them of the constant errors."""
-    moved = learnt(particles, step.by_constant_error, step.spread, normal)
-    columns = moved.columns.copy()
-    columns[:3] = step.poses + np.einsum("pkn,kn->pn", step.axes, normal)
+    constant_errors, cov = learnt(particles, step.by_constant_error, step.spread, normal)
+    columns = np.concatenate([step.poses + np.einsum("pkn,kn->pn", step.axes, normal), constant_errors])
     if CAMERA_YAW in particles.names:
-        columns[2] -= moved[CAMERA_YAW]
+        columns[2] -= columns[particles.names.index(CAMERA_YAW)]
     columns[2] = wrap_angle(columns[2])
-    moved = replace(moved, columns=columns)
+    moved = replace(particles, columns=columns, constant_error_cov=cov)
     return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, parameters.bias)
 
 
