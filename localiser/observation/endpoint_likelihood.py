@@ -106,10 +106,9 @@ def end_per_height(e: Array, camera: Camera) -> Array:
 
 def ends_lower_first(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
     """Return upright image heights (E, 2) of ends (E, 2, 2), the lower first, and whether they lie at the border."""
-    e = camera.upright_from_pixels(ends_px)[..., 1]
-    lower_first = np.argsort(e, axis=1)
-    cut = at_border(ends_px, camera)
-    return np.take_along_axis(e, lower_first, axis=1), np.take_along_axis(cut, lower_first, axis=1)
+    e, cut = camera.upright_from_pixels(ends_px)[..., 1], at_border(ends_px, camera)
+    turned = e[:, :1] > e[:, 1:]
+    return np.where(turned, e[:, ::-1], e), np.where(turned, cut[:, ::-1], cut)
 
 
 def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:
