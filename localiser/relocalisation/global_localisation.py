@@ -11,7 +11,8 @@ hypothesis. Places are compared by the filter's own likelihood, slightly blurred
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from functools import cached_property
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -27,7 +28,7 @@ from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.mixture import Region
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.proposals import FEWEST, ProposalParameters, propose
-from localiser.relocalisation.views import View, view_of
+from localiser.relocalisation.views import View, are_known, view_of
 
 PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 FEWEST_POSES = 10_000  # that an image may take on however large a map
@@ -54,19 +55,28 @@ class SearchParameters:
     ] = 8000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Clues:
     """What one image says of places: its edges for a likelihood, and the view of it for proposals."""
 
-    view: View
     sighting: Sighting
     observation: LocalisesGlobally
     landmark_map: LandmarkMap
 
-    @property
+    @cached_property
+    def view(self) -> View:
+        """The longest edges, which poses are proposed from. Few images of a robot that is not lost need it."""
+        return view_of(*self._longest)
+
+    @cached_property
+    def _longest(self) -> tuple[Camera, Edges, Literal["line", "slope"]]:
+        edges = self.sighting.edges
+        return self.observation.camera.at(edges.mount), edges.longest(MOST_EDGES), self.observation.parameters.kind
+
+    @cached_property
     def is_blind(self) -> bool:
         """Whether the image shows too little for poses to be proposed from it."""
-        return len(self.view) < FEWEST
+        return int(are_known(*self._longest).sum()) < FEWEST
 
     def by_rate(self, particles: Particles, visibility: Visibility | None = None) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone.
@@ -126,10 +136,7 @@ class GlobalLocalisation:
         """Return what an image says of places."""
         edges = sighting.edges
         clutter = np.ones(len(edges)) if sighting.clutter is None else sighting.clutter
-        edges = replace(edges, clutter=clutter)
-        camera, kind = self.observation.camera.at(edges.mount), self.observation.parameters.kind
-        view = view_of(camera, edges.longest(MOST_EDGES), kind)
-        return Clues(view, replace(sighting, edges=edges), self.observation, self.landmark_map)
+        return Clues(replace(sighting, edges=replace(edges, clutter=clutter)), self.observation, self.landmark_map)
 
     def proposed(
         self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator, *, is_first: bool = False

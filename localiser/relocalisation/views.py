@@ -39,12 +39,19 @@ class View:
         return compose(camera_poses, between(self.camera.robot_from_level, np.zeros(3)))
 
 
+def are_known(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line") -> NDArray[np.bool_]:
+    """Return which edges (E,) have a known bearing: a view holds only these."""
+    angle = Angle(camera, kind)
+    bearing, sigma = angle.bearings(edges)
+    return np.asarray(np.isfinite(bearing) & np.isfinite(sigma**2 + angle.mount_var(edges)))
+
+
 def view_of(camera: Camera, edges: Edges, kind: Literal["line", "slope"] = "line") -> View:
     """Return the view of `edges` seen by `camera`, by their line or by their slope alone."""
     angle = Angle(camera, kind)
     bearing, sigma = angle.bearings(edges)
     variance = sigma**2 + angle.mount_var(edges)
-    known = np.flatnonzero(np.isfinite(bearing) & np.isfinite(variance))
+    known = np.flatnonzero(are_known(camera, edges, kind))
     order = known[np.argsort(bearing[known], kind="stable")]
     ends, cut = ends_lower_first(edges.ends_px[order], camera)
     unknown = np.isnan(ends).any(axis=1)

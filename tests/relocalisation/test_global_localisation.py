@@ -21,6 +21,7 @@ from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationP
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, find_clusters
 from localiser.relocalisation import Candidates
 from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
+from localiser.relocalisation.proposals import FEWEST
 
 SECOND = 1_000_000_000
 ROOM = room(80)
@@ -380,3 +381,12 @@ def test_clusters_of_belief_and_candidates_share_the_weight() -> None:
     np.testing.assert_allclose(both.mean[0, :2], 2.0, atol=0.1)
     assert len(both.heaviest(0.25)) <= len(both)
     assert (both.heaviest(0.25).weight >= 0.25).all()
+
+
+@pytest.mark.parametrize("unknown", [0, 1, 2])
+def test_an_image_is_blind_where_its_view_holds_too_few_edges(unknown: int) -> None:
+    bearing, sigma = np.linspace(-0.3, 0.3, FEWEST + 1), np.full(FEWEST + 1, 0.01)
+    sigma[:unknown] = np.nan
+    clues = SEARCH.clues(Sighting(0, Edges.from_columns(bearing, sigma, bearing, sigma)))
+    assert len(clues.view) == FEWEST + 1 - unknown
+    assert clues.is_blind == (unknown == 2)
