@@ -8,18 +8,28 @@ from numpy.typing import NDArray
 from localiser.geometry import Array
 
 
-def pairs_loop(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image (H, W) with two rows averaged to one (H // 2, W); halves are rounded to even."""
+def corners_loop(image: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Return an image (H, W) with two rows averaged to one, halves rounded to even, as squares (H // 2 - 1, W).
+
+    A square is four pixels in the bytes of one number, the lowest the upper left, then the upper right, the lower left
+    and the lower right. So all four are looked up at once. There is none in the last column.
+    """
     paired = np.empty((image.shape[0] // 2, image.shape[1]), np.uint8)
     for r in range(paired.shape[0]):
         for c in range(paired.shape[1]):
             both = np.uint16(image[2 * r, c]) + np.uint16(image[2 * r + 1, c])
             paired[r, c] = (both + ((both >> 1) & 1)) >> 1
-    return paired
+    corners = np.zeros((paired.shape[0] - 1, paired.shape[1]), np.uint32)
+    for r in range(corners.shape[0]):
+        for c in range(corners.shape[1] - 1):
+            upper = np.uint32(paired[r, c]) | np.uint32(paired[r, c + 1]) << np.uint32(8)
+            lower = np.uint32(paired[r + 1, c]) | np.uint32(paired[r + 1, c + 1]) << np.uint32(8)
+            corners[r, c] = upper | lower << np.uint32(16)
+    return corners
 
 
 def blocks_loop(
-    image: NDArray[np.uint8],
+    corners: NDArray[np.uint32],
     corner: NDArray[np.int32],
     right: NDArray[np.uint8],
     down: NDArray[np.uint8],
@@ -27,21 +37,28 @@ def blocks_loop(
     last: NDArray[np.int64],
     rows: int,
 ) -> NDArray[np.float32]:
-    """Return an image looked up by a `Table`, averaged over blocks of `rows`: (B, W), 0 outside columns first … last.
+    """Return the squares of an image looked up by a `Table`, averaged over blocks of `rows`: (B, W).
 
-    Bilinear in whole numbers; a loop over one row of one table at a time is what compilers make parallel.
+    It is 0 outside columns first … last. Bilinear in whole numbers, which float32 holds exactly. One loop only looks
+    up. The other works on numbers that follow each other in memory, so compilers make it parallel; not where columns
+    might be negative, for which indices would count from the end.
     """
-    flat, width = image.ravel(), image.shape[1]
+    flat, square = corners.ravel(), np.zeros(corner.shape[1], np.uint32)
     grey = np.zeros((len(first), corner.shape[1]), np.float32)
+    side, half = np.float32(32), np.float32(0.5)
     for b in range(len(first)):
+        low, high = np.uint64(first[b]), np.uint64(last[b])
         for r in range(b * rows, (b + 1) * rows):
-            for c in range(first[b], last[b]):
-                at, x, y = corner[r, c], np.int32(right[r, c]), np.int32(down[r, c])
-                upper_left, lower_left = np.int32(flat[at]), np.int32(flat[at + width])
-                upper = (upper_left << 5) + (np.int32(flat[at + 1]) - upper_left) * x
-                lower = (lower_left << 5) + (np.int32(flat[at + width + 1]) - lower_left) * x
-                grey[b, c] += np.float32(((upper << 5) + (lower - upper) * y + 512) >> 10)
-        for c in range(first[b], last[b]):
+            for c in range(low, high):
+                square[c] = flat[corner[r, c]]
+            for c in range(low, high):
+                four, x, y = square[c], np.float32(right[r, c]), np.float32(down[r, c])
+                upper_left, upper_right = np.float32(np.uint8(four)), np.float32(np.uint8(four >> np.uint32(8)))
+                lower_left, lower_right = np.float32(np.uint8(four >> np.uint32(16))), np.float32(four >> np.uint32(24))
+                upper = upper_left * side + (upper_right - upper_left) * x
+                lower = lower_left * side + (lower_right - lower_left) * x
+                grey[b, c] += np.floor((upper * side + (lower - upper) * y) / (side * side) + half)
+        for c in range(low, high):
             grey[b, c] /= np.float32(rows)
     return grey
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.columns_kernel import blocks_loop, pairs_loop
+from localiser.edges.columns_kernel import blocks_loop, corners_loop
 from localiser.edges.undistort import Image, remap_tables
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
@@ -30,10 +30,10 @@ _LEAST_DEPTH = 0.05
 
 
 class Table(NamedTuple):
-    """Between which four pixels of an image of paired rows each pixel (H, W) of a view lies.
+    """In which square of four pixels of an image of paired rows each pixel (H, W) of a view lies.
 
-    corner: (H, W) flat index of the upper left of them. right, down: (H, W) how far on from it, in 1/32 px.
-    first, last: (B,) columns of each block from which, and up to which, there is something to see.
+    corner: (H, W) flat index of the square, that of its upper left pixel. right, down: (H, W) how far on from there, in
+    1/32 px. first, last: (B,) columns of each block from which, and up to which, there is something to see.
     """
 
     corner: NDArray[np.int32]
@@ -108,7 +108,7 @@ class ColumnView(ColumnGrid):
 
     def blocks(self, image: Image) -> NDArray[np.float32]:
         """Return the rectified image of a taken one (H, W), averaged over blocks of rows: (B, W) grey levels."""
-        return compiled(blocks_loop)(compiled(pairs_loop)(image), *self.table, ROWS_PER_BLOCK)
+        return compiled(blocks_loop)(compiled(corners_loop)(image), *self.table, ROWS_PER_BLOCK)
 
 
 @lru_cache(maxsize=8)
