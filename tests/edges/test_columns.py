@@ -72,6 +72,21 @@ def test_the_remap_is_the_lens_models_to_a_table_entry(model, distortion, size):
     np.testing.assert_allclose(looked_up, exact, atol=1 / 64 + 0.01)
 
 
+def test_blocks_are_means_of_what_lies_between_four_pixels():
+    camera = camera_of(176, 144, roll_deg=2.0)
+    view, image = column_view(camera), np.random.default_rng(0).integers(0, 256, (144, 176), dtype=np.uint8)
+    both = image[::2].astype(np.int64) + image[1::2]
+    paired, width = ((both + (both >> 1 & 1)) >> 1).ravel(), camera.width
+    corner, right, down = view.table.corner, view.table.right.astype(np.int64), view.table.down.astype(np.int64)
+    upper = 32 * paired[corner] + (paired[corner + 1] - paired[corner]) * right
+    lower = 32 * paired[corner + width] + (paired[corner + width + 1] - paired[corner + width]) * right
+    looked_up = (32 * upper + (lower - upper) * down + 512) >> 10
+    blocks = looked_up.reshape(-1, ROWS_PER_BLOCK, looked_up.shape[1]).mean(axis=1)
+    column = np.arange(looked_up.shape[1])
+    shown = (column >= view.table.first[:, None]) & (column < view.table.last[:, None])
+    np.testing.assert_array_equal(view.blocks(image), np.where(shown, blocks, 0.0))
+
+
 @pytest.mark.parametrize("bearing_deg", [-29.0, 29.0])
 def test_an_edge_is_not_drawn_along_the_border_that_cuts_it_off(bearing_deg):
     camera = camera_of(k1=-0.25)

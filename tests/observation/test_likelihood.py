@@ -241,3 +241,18 @@ def test_particles_all_over_a_large_map_are_weighed_as_by_arrays():
     np.testing.assert_allclose(fast, plain, atol=HARMLESS)
     near = Particles(POSE, poses[5:].T.copy(), np.zeros(595))
     np.testing.assert_array_equal(observation.by_rate(near, sighting, landmark_map), fast[:, 5:])
+
+
+def test_what_is_kept_of_an_image_is_used_for_no_other() -> None:
+    rng = np.random.default_rng(4)
+    edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 50)
+    pose, kept = particles.poses[0], EdgeObservation(camera(20.0), ObservationParameters())
+    moved, denser = replace(edges, bearing=edges.bearing + 0.01), replace(edges, clutter=edges.clutter + 1)
+    for shown in (edges, denser, edges, moved):
+        fresh, sighting = EdgeObservation(camera(20.0), ObservationParameters()), Sighting(0, shown)
+        for blur_rad in (0.0, 0.01):
+            found = kept.by_rate(particles, sighting, landmark_map, blur_rad)
+            np.testing.assert_array_equal(found, fresh.by_rate(particles, sighting, landmark_map, blur_rad))
+        for where in (landmark_map, landmark_map.take(np.arange(20))):
+            found = kept.associate(pose, sighting, where).landmark
+            np.testing.assert_array_equal(found, fresh.associate(pose, sighting, where).landmark)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -169,3 +171,11 @@ def test_the_logarithm_of_a_sum_neither_overflows_nor_vanishes(top):
     log_weight = top + np.append(np.random.default_rng(0).normal(0, 3, 50), -np.inf)
     assert log_sum(log_weight) == pytest.approx(np.logaddexp.reduce(log_weight), rel=1e-14)
     assert log_sum(np.full(3, -np.inf)) == -np.inf
+
+
+def test_other_weights_give_another_estimate():
+    one = Particles(POSE, np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]), np.log([0.5, 0.5]))
+    assert estimate(one).mean[0] == pytest.approx(0.5)
+    other = replace(one, log_weight=np.log([0.25, 0.75]))
+    assert other.weight == pytest.approx([0.25, 0.75])
+    assert estimate(other).mean[0] == pytest.approx(0.75)
