@@ -99,7 +99,7 @@ def two_laps(seeds: range, clutter: float) -> None:
             begin = process_time()
             found = mapping.build_from_log(sightings, wheels, PRIOR, np.zeros(3), drive.camera, parameters)
             seconds = process_time() - begin
-            cameras = found.camera.pose_in_map(found.poses)
+            cameras = found.cameras
             made = mapping.landmark_map_of(
                 sightings, found.built, cameras, found.sigma, found.camera, parameters, "", ""
             )
@@ -307,7 +307,7 @@ def coarse(seeds: range) -> None:
             found = mapping.build_from_log(
                 drive.sightings, drive.wheels, PRIOR, np.zeros(3), CAMERA, MappingParameters()
             )
-            cameras = found.camera.pose_in_map(found.poses)
+            cameras = found.cameras
             made = mapping.landmark_map_of(
                 drive.sightings, found.built, cameras, found.sigma, found.camera, MappingParameters(), "", ""
             )

@@ -132,25 +132,24 @@ def build_map(
         raise InputError(
             f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
         )
-    parameters, camera, slam, probability = config.mapping, log.camera, None, None
+    parameters, slam, probability = config.mapping, None, None
     if name == SLAM:
         slam = _slam(log, sightings, trajectory, config)
-        trajectory, camera = Trajectory(trajectory.t_ns, slam.poses), slam.camera
-        sigma, built = slam.sigma, slam.built
+        trajectory = Trajectory(trajectory.t_ns, slam.poses)
+        cameras, sigma, built = slam.cameras, slam.sigma, slam.built
     else:
-        sigma = measured_sigma(sightings, camera.focal_px, parameters)
-        cameras = sightings.camera_poses(camera, trajectory.poses)
+        sigma = measured_sigma(sightings, log.camera.focal_px, parameters)
+        cameras = sightings.camera_poses(log.camera, trajectory.poses)
         track = follow(sightings, cameras, turn_sigma, parameters.tracks)
         built, probability = built_along(
             cameras, sightings, sigma, track, parameters, exact=exact, far=are_far(cameras)
         )
-    cameras = sightings.camera_poses(camera, trajectory.poses)
     landmark_map = landmark_map_of(
         sightings,
         built,
         cameras,
         sigma,
-        camera,
+        log.camera,
         parameters,
         log.name,
         f"{log.name}, poses: {name}",

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from localiser.camera import Camera
 from localiser.geometry import Array, between, robot_from_map, wrap_angle
 from localiser.mapping.sightings import Index
 from localiser.mapping.sparse import Block, Linearised
@@ -71,11 +70,11 @@ class Bearings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What is measured, T frames."""
+    """What is measured, T frames. robot_from_level: (T, 3) floor poses of the camera in the robot frame, as stated."""
 
     wheels: Wheels
     bearings: Bearings
-    camera: Camera
+    robot_from_level: Array
     prior: Prior
 
 
@@ -125,7 +124,7 @@ def _scales(constants: Array) -> Array:
 def _camera_points(problem: Problem, state: State, frame: Index, landmark: Index) -> tuple[Array, Array]:
     """Return landmarks (K, 2) in the robot frames, and in the level frames of a camera with its yaw corrected."""
     in_robot = robot_from_map(state.poses[frame], state.points[landmark])
-    mount = problem.camera.robot_from_level + np.array([0.0, 0.0, state.constants[3]])
+    mount = problem.robot_from_level[frame] + np.array([0.0, 0.0, state.constants[3]])
     return in_robot, robot_from_map(mount, in_robot)
 
 
@@ -223,7 +222,7 @@ def bearing_block(problem: Problem, state: State) -> Block:
     """Return the bearings (K,) by pose, landmark and the mount's yaw: columns 0-2, 3-4 and 5 of (K, 6)."""
     b = problem.bearings
     residual, in_robot = _bearing_residual(problem, state)
-    offset = in_robot - problem.camera.robot_from_level[:2]
+    offset = in_robot - problem.robot_from_level[b.frame, :2]
     squared = np.maximum((offset**2).sum(axis=1), 1e-9)
     # Bearing from the robot's axis: atan2(x, -z), so d/d(x, z) = (-z, x) / r².
     by_point = np.stack([-offset[:, 1], offset[:, 0]], axis=-1) / squared[:, None]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import TURN_RATE, Edges, foot_of_edges
-from localiser.geometry import Array
+from localiser.geometry import Array, compose
 
 Index = NDArray[np.int64]
 _BORDER_PX = 3.0  # an end this close to the image border goes on outside
@@ -109,11 +109,15 @@ class Sightings:
         """Return the camera as it was mounted at a frame."""
         return camera.at(self.mounts[frame]) if self.mounts else camera
 
+    def robot_from_level(self, camera: Camera) -> Array:
+        """Return the floor poses (T, 3) of the camera in the robot frame."""
+        if not self.mounts:
+            return np.tile(camera.robot_from_level, (self.frames, 1))
+        return np.array([self.camera_at(t, camera).robot_from_level for t in range(self.frames)])
+
     def camera_poses(self, camera: Camera, robot_poses: Array) -> Array:
         """Return the floor poses (T, 3) of the camera in the map, for robots at `robot_poses` (T, 3)."""
-        if not self.mounts:
-            return camera.pose_in_map(robot_poses)
-        return np.array([self.camera_at(t, camera).pose_in_map(pose) for t, pose in enumerate(robot_poses)])
+        return compose(robot_poses, self.robot_from_level(camera))
 
 
 def _mounts(frames: Sequence[Edges]) -> tuple[Mount | None, ...]:

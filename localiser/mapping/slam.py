@@ -53,15 +53,15 @@ _NEAR_M, _FAR_M, _GUESS_M = 0.3, 25.0, 4.0
 class Slam:
     """Robot poses (T, 3) with the first one as given, landmarks, and what was found out about the robot.
 
-    constants: (4,) as in `factors.CONSTANTS`. camera: with the mount's yaw as found. built: landmarks with covariances
-    that include the poses'. before: (T, 3) poses before loops were closed. clear_only: edges that could be of
-    more than one landmark were left out. loops_left_out: why no loops were closed.
+    constants: (4,) as in `factors.CONSTANTS`. cameras: (T, 3) with the mount's yaw as found. built: landmarks with
+    covariances that include the poses'. before: (T, 3) poses before loops were closed. clear_only: edges that could be
+    of more than one landmark were left out. loops_left_out: why no loops were closed.
     """
 
     poses: Array
     before: Array
     constants: Array
-    camera: Camera
+    cameras: Array
     built: Built
     sigma: Array
     clear_only: bool = False
@@ -127,7 +127,7 @@ def _tracked(slam: _Solver) -> _Solver:
 class _Solver:
     """What is measured, and what is believed so far.
 
-    poses: (T, 3) from the first one at the origin. constants, prior: see `factors`. camera: with the yaw as found.
+    poses: (T, 3) from the first one at the origin. constants, prior, robot_from_level: see `factors`.
     track: (S,) of each sighting. built, smoothed: landmarks with their sightings, and the last solution. places: (S, 2)
     where the landmark of each sighting stands; nan where it has none. margin: by which an association must be
     better than any other, see `assign`.
@@ -148,16 +148,20 @@ class _Solver:
     ) -> None:
         self.margin = margin
         self.sightings, self.wheels, self.parameters = sightings, wheels, parameters
-        self.stated_camera, self.stated_prior = camera, prior
+        self.robot_from_level, self.stated_prior = sightings.robot_from_level(camera), prior
         self.sigma = _REPEATED * measured_sigma(sightings, camera.focal_px, parameters)
         self.poses, self.constants = dead_reckoned(wheels), np.zeros(len(CONSTANTS))
-        self.camera, self.prior = camera, prior
+        self.prior = prior
         self.places = np.full((len(sightings), 2), np.nan)
 
     @property
     def cameras(self) -> Array:
-        """Camera poses (T, 3) as they are believed to be."""
-        return self.camera.pose_in_map(self.poses)
+        """Camera poses (T, 3) as they are believed to be, with the yaw of the mount as found."""
+        return self.cameras_of(self.poses)
+
+    def cameras_of(self, poses: Array) -> Array:
+        """Return the camera poses (T, 3) of robots at `poses` (T, 3)."""
+        return compose(poses, self.robot_from_level + np.array([0.0, 0.0, self.constants[3]]))
 
     @property
     def frames_used(self) -> Index:
@@ -180,8 +184,6 @@ class _Solver:
         start = self._start()
         self.smoothed = smooth(self._problem(loose), self.poses, start, self.constants, converged=converged)
         self.poses, self.constants = self.smoothed.poses, self.smoothed.constants
-        yaw = self.stated_camera.mount.yaw_rad + float(self.constants[3])
-        self.camera = self.stated_camera.with_mount(yaw_rad=yaw)
         self.places = np.full((len(self.sightings), 2), np.nan)
         self.places[self.built.used] = self.smoothed.points[self.built.of[self.built.used]]
         self.prior = self._prior_with_scale()
@@ -250,7 +252,7 @@ class _Solver:
     def _problem(self, loose: float = 1.0) -> Problem:
         s, used = self.sightings, self.built.used
         bearings = Bearings(s.frame[used], self.built.of[used], s.bearing[used], loose * self.sigma[used])
-        return Problem(self.wheels, bearings, self.stated_camera, self.prior)
+        return Problem(self.wheels, bearings, self.robot_from_level, self.prior)
 
     def _start(self) -> Array:
         """Return the places (L, 2) to start from, each the one that its bearings fit best.
@@ -296,7 +298,8 @@ class _Solver:
         cov = turn @ self.smoothed.landmark_cov() @ turn.T
         points = map_from_robot(first_pose, self.smoothed.points)
         poses = compose(first_pose, self.poses)
-        moved = fitted(self.sightings, self.built.of, self.camera.pose_in_map(poses), self.sigma)
+        cameras = self.cameras_of(poses)
+        moved = fitted(self.sightings, self.built.of, cameras, self.sigma)
         fit = replace(moved.fit, points=points, information=np.linalg.inv(cov), weight=self.smoothed.weight)
         fit = replace(
             fit,
@@ -307,7 +310,7 @@ class _Solver:
             poses,
             compose(first_pose, before),
             self.constants,
-            self.camera,
+            cameras,
             replace(moved, fit=fit),
             self.sigma,
             self.margin > 0,

@@ -51,7 +51,7 @@ def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, wit
             "are its poses in the map's frame?",
             field="--poses",
         )
-    cameras = built.sightings.camera_poses(built.slam.camera if built.slam else camera, built.trajectory.poses)
+    cameras = built.slam.cameras if built.slam else built.sightings.camera_poses(camera, built.trajectory.poses)
     existence = existence_after(old, built.sightings, built.built, camera, cameras, found)
     existence[pairs[:, 0]] = np.nan  # what the log says of those it shows counts
     whole = fused(with_existence(old, existence), new, pairs)

@@ -13,7 +13,7 @@ from ring_world import CAMERA, CONSTANTS, circle
 
 from localiser import mapping
 from localiser.edges import Edges
-from localiser.geometry import Array, robot_from_map
+from localiser.geometry import Array, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.factors import Problem, State, cost_of, linearise
@@ -240,6 +240,23 @@ def test_posts_taken_for_their_neighbours_do_not_break_the_path() -> None:
     found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))
     assert found.loops_left_out is None
     assert np.sqrt((aligned_error(found.poses, drive.truth.poses) ** 2).mean()) < 0.025
+
+
+@pytest.mark.slow
+def test_a_camera_that_pans_gives_the_path_of_a_fixed_one() -> None:
+    drive = world("corridor")
+    edges = drive.edges(seed=0, clutter=1.0)
+    pan = np.deg2rad(20.0) * np.sin(0.3 * np.arange(len(edges)))
+    mount = drive.camera.mount
+    # A camera that is turned to the left sees everything farther to the right.
+    panned = [
+        replace(frame, bearing=frame.bearing + angle, mount=replace(mount, yaw_rad=mount.yaw_rad + angle))
+        for frame, angle in zip(edges, pan, strict=True)
+    ]
+    fixed, moving = drive_alone(drive, edges), drive_alone(drive, panned)
+    np.testing.assert_allclose(moving.poses, fixed.poses, atol=1e-4)
+    np.testing.assert_allclose(moving.constants, fixed.constants, atol=1e-4)
+    np.testing.assert_allclose(wrap_angle(moving.cameras[:, 2] - fixed.cameras[:, 2]), pan, atol=1e-4)
 
 
 # -- large loops ------------------------------------------------------------------------------------------------------

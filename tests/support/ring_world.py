@@ -41,4 +41,4 @@ def circle(noise: float, seed: int = 0, frames: int = 80, laps: int = 1) -> tupl
     bearings = Bearings(frame[seen], landmark[seen], bearing[seen] + error, np.full(seen.sum(), 1e-3))
     prior = Prior.of(MotionParameters())
     known = replace(prior, mean=np.array([CONSTANTS[0], 0, 0, 0]), sigma=np.array([1e-4, *prior.sigma[1:]]))
-    return Problem(wheels, bearings, CAMERA, known), poses, points
+    return Problem(wheels, bearings, np.tile(CAMERA.robot_from_level, (frames, 1)), known), poses, points
