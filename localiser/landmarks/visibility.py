@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.camera import Camera
-from localiser.geometry import Array
+from localiser.geometry import Array, robot_from_map
 from localiser.landmarks.landmark_map import LandmarkMap
 from localiser.landmarks.reach import reach_of
 
@@ -97,9 +97,8 @@ def sight(
 
 def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
     """Return (right, ahead), each (N, L) m: points (L, 2) of the map in the level frames of camera poses (N, 3)."""
-    cos, sin = np.cos(camera_poses[:, 2:]), np.sin(camera_poses[:, 2:])
-    dx, dz = points[..., 0] - camera_poses[:, :1], points[..., 1] - camera_poses[:, 1:2]
-    return cos * dx - sin * dz, -(sin * dx + cos * dz)
+    seen = robot_from_map(camera_poses[:, None], points)
+    return seen[..., 0], -seen[..., 1]
 
 
 def bearing_jacobian(robot_poses: Array, camera_poses: Array, points: Array) -> Array:
