@@ -18,8 +18,10 @@ from pydantic import Field
 from localiser import particles
 from localiser.filter.attitude import Attitude, Level, measured_for_image
 from localiser.filter.belief import RELEASED, Belief
+from localiser.filter.confidence import SURE
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
 from localiser.filter.height import LEAST_NOVELTY, Height, height_sigma_of_image
+from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -39,6 +41,7 @@ from localiser.observation import (
     Observation,
     ObservationParameters,
     PredictsScenes,
+    ScalesMaps,
     Sighting,
     likelihood_by_rate,
     matches_of,
@@ -101,10 +104,10 @@ class FilterState:
 
     particles: hypotheses of where the robot was at `at_ns`; None while it is not tracked. weighed: whether they have
     been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and where.
-    attitude: tilt and roll of the camera; None: as stated. height: of the camera. seen: the last image. scene: the
-    images that the belief compares the next one with. wheels: whether they are right. pace: twist per second at the
-    last image, from the edges. odometry: poses since then, and the last one before. waiting: sightings that odometry
-    has not reached yet.
+    attitude: tilt and roll of the camera; None: as stated. height: of the camera. map_error: how far landmarks are from
+    where the map has them. seen: the last image. scene: the images that the belief compares the next one with. wheels:
+    whether they are right. pace: twist per second at the last image, from the edges. odometry: poses since then, and
+    the last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
@@ -114,6 +117,7 @@ class FilterState:
     belief: Belief = field(default_factory=Belief.anywhere)
     attitude: Attitude | None = None
     height: Height = field(default_factory=Height)
+    map_error: MapError = field(default_factory=MapError)
     seen: Sighting | None = None
     pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
@@ -161,7 +165,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
-    measured, sighting = sighting, _from_height(mcl, state, sighting)
+    measured = sighting
+    sighting = replace(_from_height(mcl, state, sighting), map_scale=state.map_error.scale)
     # Drive: how did the robot move, by odometry, unless the edges contradict it? A few particles move blindly.
     drive, few = _checked(mcl, state, sighting, _driven(mcl, state, sighting), rng)
     image = _received(mcl, state, sighting, drive)
@@ -176,6 +181,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Estimate: before resampling, which only adds noise.
     located = _located(state, weighed, measured, image)
     state.height = _height(mcl, state, located, image)
+    state.map_error = _map_error(mcl, state, located, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
     state.particles = _resampled(mcl, state, weighed, located.ess, rng)
     seconds = (sighting.t_ns - state.at_ns) / 1e9
@@ -279,7 +285,7 @@ def _checked(
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
     """Return what the motion and earlier images tell of an image."""
     motion, seen, increment = mcl.motion, state.seen, drive.increment
-    novelty = novelty_of(increment, mcl.correlation) if state.weighed else 1.0
+    novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
     jump, clutter = Jump(novelty), None
     if mcl.search is not None and isinstance(mcl.observation, PredictsScenes):
         state.scene, clutter, jump = state.scene.followed(mcl.observation, motion, sighting, increment)
@@ -429,6 +435,19 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
         return height
     as_stated = replace(image.sighting, edges=replace(edges, mount=located.edges.mount))
     return height.after(observation.end_offsets(located.estimate.pose_as_seen, as_stated, mcl.landmark_map), stated)
+
+
+def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> MapError:
+    """Return what is known of the landmarks' errors after an image, where the pose is sure."""
+    observation, sighting = mcl.observation, image.sighting
+    is_sure = state.particles is not None and located.p_correct >= SURE
+    if not isinstance(observation, ScalesMaps) or not len(sighting.edges) or not is_sure:
+        return state.map_error
+    found = state.map_error.seen(image.novelty)
+    if found.novelty < LEAST_NOVELTY:
+        return found
+    estimate, rate = located.estimate, state.inliers.mean
+    return found.after(observation.by_map_scale(estimate, sighting, mcl.landmark_map, SCALES, rate))
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:

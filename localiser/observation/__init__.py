@@ -20,6 +20,7 @@ from localiser.observation.protocols import (
     Observation,
     PredictsScenes,
     RatesInliers,
+    ScalesMaps,
     Sighting,
     Targets,
     TempersByScale,

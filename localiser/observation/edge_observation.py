@@ -29,7 +29,16 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, Sight, field_of_view_rad, image_heights, in_camera, sight, sigmas_m
+from localiser.landmarks import (
+    LandmarkMap,
+    Sight,
+    bearing_jacobian,
+    field_of_view_rad,
+    image_heights,
+    in_camera,
+    sight,
+    sigmas_m,
+)
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import likelihood, polarity
 from localiser.observation.angle import Angle
@@ -39,13 +48,17 @@ from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
 from localiser.observation.protocols import EarlierImage, EndOffsets, Matches, Sighting, Targets
 from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
-from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
+from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate, take
 
 Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 _FAR_SIGMAS = 12.0  # beyond this a normal density is below 1e-31 of its peak: nothing beside clutter
 _FEW = 64  # particles that tell how wide the cloud is
+_FIT_STEPS = 3
+_LEAST_SIGMA: Array = np.array(
+    [0.002, 0.002, np.radians(0.05)]
+)  # m, m, rad: of any estimate, so that it has an inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +156,7 @@ class EdgeObservation:
         if len(sighting.edges) == 0:
             return np.zeros((len(rates), len(particles)))
         angle = self.at(sighting.edges).angle
-        scene = likelihood.scene_of(angle, self.parameters, sighting.edges, landmark_map, blur_rad, visibility)
+        scene = likelihood.scene_of(angle, self.parameters, sighting, landmark_map, blur_rad, visibility)
         yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
         columns = np.vstack([particles.columns[:3], yaw])
         return likelihood.by_rate(scene, columns, rates, self.parameters.threads, of_edges=of_edges)
@@ -157,7 +170,7 @@ class EdgeObservation:
             return np.zeros((len(INLIER_RATES), count))
         self = self.at(edges)  # noqa: PLW0642
         seen = sight(self.camera, self.camera_poses(particles), landmark_map, self.parameters.sight)
-        pair, edge, density = self._near(edges, self._expected(seen, landmark_map), blur_rad)
+        pair, edge, density = self._near(edges, self._expected(seen, landmark_map, sighting.map_scale), blur_rad)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
         # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
         visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
@@ -188,7 +201,7 @@ class EdgeObservation:
         self = self.at(sighting.edges)  # noqa: PLW0642
         few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
         seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight)
-        expected = self._expected(seen, landmark_map)
+        expected = self._expected(seen, landmark_map, sighting.map_scale)
         times = np.bincount(seen.landmark, minlength=len(landmark_map))
         often = times >= _FEW / 2
         variance = self.angle.measured(sighting.edges)[1]
@@ -213,7 +226,7 @@ class EdgeObservation:
         where s_k² is the variance of the particles' predictions of it. A landmark is certain from `SETTLED` on.
         """
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        expected = self._expected_from(estimate(particles).pose_as_seen, landmark_map)
+        expected = self._expected_from(estimate(particles).pose_as_seen, landmark_map, sighting.map_scale)
         seen = expected.seen
         measured, measured_var = self.angle.measured(edges)
         count = len(seen.landmark)
@@ -257,7 +270,7 @@ class EdgeObservation:
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        expected = self._expected_from(pose, landmark_map)
+        expected = self._expected_from(pose, landmark_map, sighting.map_scale)
         seen = expected.seen
         matches = Matches.none(len(edges), len(landmark_map))
         matches.visible[seen.landmark] = True
@@ -276,6 +289,60 @@ class EdgeObservation:
         gate = np.sqrt((residual / sigma) ** 2 + 2 * np.log(odds))
         matches.landmark[edge], matches.residual[edge] = seen.landmark[pair], residual
         return replace(matches, sigma=_placed(sigma, edge, len(edges)), gate=_placed(gate, edge, len(edges)))
+
+    def by_map_scale(
+        self,
+        located: Estimate,
+        sighting: Sighting,
+        landmark_map: LandmarkMap,
+        scales: Array,
+        inlier_rate: float,
+    ) -> Array:
+        """Return log p(edges | scale) (K,) for ascending scales (K,) of the map's sigmas, relative to clutter.
+
+        An error of the pose must not be taken for one of the map. So the poses that the estimate leaves are integrated
+        out, by Laplace's method at the one where the edges fit best. inlier_rate: expected fraction of edges of
+        landmarks.
+        """
+        edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
+        fitted, log_room = self._fitted(located, sighting, landmark_map, scales)
+        expected = self._expected_from(fitted, landmark_map, float(scales[-1]))
+        if not len(edges) or not len(expected.angle):
+            return np.zeros(len(scales))
+        pair, edge = self._pairs(edges, expected, 0.0)
+        measured, measured_var = self.angle.measured(edges)
+        variance = expected.variance[pair] * (scales[:, None] / scales[-1]) ** 2 + measured_var[edge]
+        density = _normal(measured[edge] - expected.angle[pair], variance)
+        density *= self._alike(edges, expected, pair, edge) * (self.angle.span_rad / len(expected.angle))
+        ratio = np.stack([np.bincount(edge, one, minlength=len(edges)) for one in density])
+        return np.asarray(np.log1p(inlier_rate * (ratio - 1.0)).sum(axis=1) + log_room)
+
+    def _fitted(
+        self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array
+    ) -> tuple[Array, Array]:
+        """Return the pose (3,) among those of the estimate at which edges lie nearest to their landmarks, and its room.
+
+        By Gauss-Newton steps, each with the landmarks that edges have from the pose before. The room (K,) is the
+        logarithm of the part of the estimate's poses at which edges fit as well, for each scale (K,) of the map.
+        """
+        pose = fitted = located.pose_as_seen
+        known = np.linalg.inv(located.pose_cov + np.diag(_LEAST_SIGMA**2))
+        for _ in range(_FIT_STEPS):
+            matches = self.associate(fitted, sighting, landmark_map)
+            edge = np.flatnonzero(matches.landmark >= 0)
+            assert matches.sigma is not None
+            camera_pose, variance = self.camera.pose_in_map(fitted[None])[0], matches.sigma[edge] ** 2
+            points = landmark_map.points[matches.landmark[edge]]
+            right, ahead = in_camera(camera_pose[None], points)
+            _, per_bearing = self.angle.predicted(right[0] / ahead[0])
+            by_pose = per_bearing[:, None] * bearing_jacobian(fitted, camera_pose, points)
+            weighted = by_pose.T / variance
+            towards = weighted @ matches.residual[edge] - known @ (fitted - pose)
+            fitted = fitted + np.linalg.solve(weighted @ by_pose + known, towards)
+        measured_var = self.angle.measured(sighting.edges)[1][edge]
+        each_var = measured_var + (variance - measured_var) * (scales[:, None] / sighting.map_scale) ** 2
+        information = np.einsum("ei,ke,ej->kij", by_pose, 1.0 / each_var, by_pose) + known
+        return fitted, 0.5 * (np.linalg.slogdet(known)[1] - np.linalg.slogdet(information)[1])
 
     def end_offsets(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> EndOffsets:
         """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
@@ -300,11 +367,11 @@ class EdgeObservation:
 
     # -- pairs of an edge and a landmark ----------------------------------------------------------------------------
 
-    def _expected(self, seen: Sight, landmark_map: LandmarkMap) -> _Expected:
-        """Return how the landmarks that are seen are expected."""
+    def _expected(self, seen: Sight, landmark_map: LandmarkMap, map_scale: float) -> _Expected:
+        """Return how the landmarks that are seen are expected; map_scale: of the map's sigmas."""
         predicted, per_bearing = self.angle.predicted(seen.tangent)
         landmark = seen.landmark
-        sigma_m = sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[landmark]
+        sigma_m = map_scale * sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[landmark]
         return _Expected(
             seen=seen,
             angle=predicted,
@@ -314,13 +381,18 @@ class EdgeObservation:
             leaning=polarity.mean_polarity(landmark_map.polarity[landmark]),
         )
 
-    def _expected_from(self, pose: Array, landmark_map: LandmarkMap) -> _Expected:
+    def _expected_from(self, pose: Array, landmark_map: LandmarkMap, map_scale: float) -> _Expected:
         """Return the landmarks that are seen from one robot pose (3,)."""
         x, z, heading = pose.tolist()
-        return _expected_from(self, x, z, heading, landmark_map)
+        return _expected_from(self, x, z, heading, landmark_map, map_scale)
 
     def _near(self, edges: Edges, expected: _Expected, blur_rad: float = 0.0) -> tuple[Indices, Indices, Array]:
         """Return every pair within the gate: indices into `expected` and `edges`, and its density."""
+        pair, edge = self._pairs(edges, expected, blur_rad)
+        return pair, edge, self._density(edges, expected, pair, edge, blur_rad**2)
+
+    def _pairs(self, edges: Edges, expected: _Expected, blur_rad: float) -> tuple[Indices, Indices]:
+        """Return every pair within the gate: indices into `expected` and `edges`."""
         predicted, position_var = expected.angle, expected.variance
         measured, measured_var = self.angle.measured(edges)
         # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
@@ -332,21 +404,22 @@ class EdgeObservation:
         last = np.searchsorted(measured[order], predicted + reach)
         pair = np.repeat(np.arange(len(predicted)), last - first)
         within = np.arange(len(pair)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
-        edge = order[first[pair] + within]
-        return pair, edge, self._density(edges, expected, pair, edge, blur_rad**2)
+        return pair, order[first[pair] + within]
 
     def _density(self, edges: Edges, expected: _Expected, pair: Indices, edge: Indices, var: Array | float) -> Array:
         """Return c_el N(q_e; q_l, σ_el² + var) (P,) of pairs, relative to how dense clutter is at the edge."""
         measured, measured_var = self.angle.measured(edges)
         variance = expected.variance[pair] + measured_var[edge] + var
         residual = measured[edge] - expected.angle[pair]
-        density = np.exp(-0.5 * residual**2 / variance) / np.sqrt(2 * np.pi * variance)
+        return _normal(residual, variance) * self._alike(edges, expected, pair, edge)
 
+    def _alike(self, edges: Edges, expected: _Expected, pair: Indices, edge: Indices) -> Array:
+        """Return c_el (P,) of pairs, relative to how dense clutter is at the edge."""
         margin = self.parameters.sight.margin_px / self.camera.focal_px
         ends = endpoints.endpoints_of(edges, self.camera)
         agreement = endpoints.agreement(ends, edge, expected.ends[pair], expected.known[pair], self.camera, margin)
         alike = 1.0 + edges.polarity[edge] * expected.leaning[pair]
-        return np.asarray(density / edges.clutter[edge] * alike * agreement)
+        return np.asarray(alike * agreement / edges.clutter[edge])
 
     def _spread_var(self, particles: Particles, points: Array) -> Array:
         """Return the variance (K,) of the angle at which particles expect points (K, 2), over those that face them."""
@@ -360,11 +433,12 @@ class EdgeObservation:
 
 @lru_cache(maxsize=4)  # several questions about an image are asked from the same pose
 def _expected_from(
-    observation: EdgeObservation, x: float, z: float, heading: float, landmark_map: LandmarkMap
+    observation: EdgeObservation, x: float, z: float, heading: float, landmark_map: LandmarkMap, map_scale: float
 ) -> _Expected:
     camera = observation.camera
     pose = camera.pose_in_map(np.array([[x, z, heading]]))
-    return observation._expected(sight(camera, pose, landmark_map, observation.parameters.sight), landmark_map)
+    seen = sight(camera, pose, landmark_map, observation.parameters.sight)
+    return observation._expected(seen, landmark_map, map_scale)
 
 
 @lru_cache(maxsize=16)
@@ -377,6 +451,10 @@ def _camera_motion(before: Camera, now: Camera, increment: Increment) -> Array:
     mount, then = now.robot_from_level, before.robot_from_level
     right, back, _ = between(then, compose(increment.mean, mount))
     return np.array([right, back, increment.mean[2] + (mount[2] - then[2])])
+
+
+def _normal(error: Array, variance: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * error**2 / variance) / np.sqrt(2 * np.pi * variance))
 
 
 def _placed(values: Array, edge: Indices, count: int) -> Array:

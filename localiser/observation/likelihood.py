@@ -34,6 +34,7 @@ from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import polarity
 from localiser.observation.angle import Angle
 from localiser.observation.parameters import ObservationParameters
+from localiser.observation.protocols import Sighting
 
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 _UNKNOWN_M = 1e9  # beyond every height
@@ -84,7 +85,7 @@ class Scene:
 def scene_of(
     angle: Angle,
     parameters: ObservationParameters,
-    edges: Edges,
+    sighting: Sighting,
     landmark_map: LandmarkMap,
     blur_rad: float,
     visibility: Array | None = None,
@@ -96,10 +97,10 @@ def scene_of(
     """
     camera, sight = angle.camera, parameters.sight
     mount = camera.mount
-    table, bins, largest_var, missed = _edges(angle, edges, blur_rad)
+    table, bins, largest_var, missed = _edges(angle, sighting.edges, blur_rad)
     view, widest = _view(camera, sight)
     return Scene(
-        landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m),
+        landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale),
         visibility=np.ones(len(landmark_map)) if visibility is None else visibility,
         reach=reach_of(landmark_map, sight.range_max_m),
         edges=table,
@@ -138,8 +139,8 @@ def _view(camera: Camera, sight: SightParameters) -> tuple[tuple[float, ...], fl
     return (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest), widest_tangent(camera, sight)
 
 
-def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float) -> Array:
-    """Return the landmarks of a scene (L, 6) for a camera at this height, worked out again when that changes."""
+def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float, scale: float) -> Array:
+    """Return the landmarks of a scene (L, 6), worked out again when the camera's height or the map's scale changes."""
 
     def make() -> Array:
         bottom, top = landmark_map.bottom_m - height_m, landmark_map.top_m - height_m
@@ -147,16 +148,16 @@ def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float) -> Ar
             landmark_map.points,
             np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
             np.where(np.isnan(top), _UNKNOWN_M, top),
-            sigmas_m(landmark_map, sigma_m) ** 2,
+            (scale * sigmas_m(landmark_map, sigma_m)) ** 2,
             polarity.mean_polarity(landmark_map.polarity),
         ]
         return np.column_stack(columns)
 
-    kept: dict[float, Array] = kept_with(landmark_map, ("scene", sigma_m), dict)
-    if height_m not in kept:
+    kept: dict[tuple[float, float], Array] = kept_with(landmark_map, ("scene", sigma_m), dict)
+    if (height_m, scale) not in kept:
         kept.clear()
-        kept[height_m] = make()
-    return kept[height_m]
+        kept[height_m, scale] = make()
+    return kept[height_m, scale]
 
 
 def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_edges: bool = True) -> Array:

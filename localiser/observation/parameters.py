@@ -43,14 +43,16 @@ class ObservationParameters:
     sight: SightParameters = field(default_factory=SightParameters)
 
 
-def novelty_of(increment: Increment, parameters: ObservationParameters) -> float:
+def novelty_of(increment: Increment, parameters: ObservationParameters, longer: float = 1.0) -> float:
     """Return the share of a frame's log-likelihood that is new after moving by `increment`, 0 … 1.
 
     Errors of an edge are taken as a first-order Markov process over the path: their correlation between two frames is
     ρ = exp(-path/decorrelation_m - turned/decorrelation_rad). Such a chain tells as much about a constant as if each
-    frame counted (1 - ρ)/(1 + ρ); so a robot that stands still learns nothing from seeing the same image again.
+    frame counted (1 - ρ)/(1 + ρ); so a robot that stands still learns nothing from seeing the same image again. longer:
+    by how much errors repeat longer than that.
     """
-    exponent, longer = 0.0, LEANS_REPEAT if parameters.kind == "slope" else 1.0
+    exponent = 0.0
+    longer *= LEANS_REPEAT if parameters.kind == "slope" else 1.0
     for moved, scale in (
         (increment.path_m, parameters.decorrelation_m),
         (increment.turned_rad, np.radians(parameters.decorrelation_deg)),

@@ -21,7 +21,7 @@ from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.parameters import ObservationParameters
-from localiser.particles import Particles
+from localiser.particles import Estimate, Particles
 
 _IMPOSSIBLE = -1e300  # stands for a log-likelihood of -inf, of which no difference can be taken
 
@@ -32,12 +32,14 @@ class Sighting:
 
     edges: of an image. measurement: an array that an observation of another kind understands, None where there is none.
     clutter: (E,) how dense clutter is at each edge by the earlier images of the scene; None where nothing is known.
+    map_scale: by how much landmarks are farther from where the map has them than it says.
     """
 
     t_ns: int
     edges: Edges = field(default_factory=Edges.none)
     measurement: NDArray[Any] | None = None
     clutter: Array | None = None
+    map_scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +166,20 @@ class Associates(Observation, Protocol):
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
+        ...
+
+
+@runtime_checkable
+class ScalesMaps(Observation, Protocol):
+    """An observation that tells how far landmarks are from where the map has them."""
+
+    def by_map_scale(
+        self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array, inlier_rate: float
+    ) -> Array:
+        """Return log p(sighting | scale) (K,) at the poses where the robot may be.
+
+        scales: (K,) of the map's sigmas, ascending. inlier_rate: expected fraction of edges of landmarks.
+        """
         ...
 
 

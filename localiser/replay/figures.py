@@ -99,7 +99,7 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         reasons=summary.reasons,
         distance_scale=_learnt(run.frames[-1].located.estimate, "distance_scale"),
     )
-    figures |= {"biases": _constants(run)} | _mount(run, edges) | _height(run)
+    figures |= {"biases": _constants(run)} | _mount(run, edges) | _height(run) | _map_scale(run)
     clock, clock_warnings = _clock(run, edges)
     figures |= clock
     figures |= _light(run)
@@ -242,6 +242,12 @@ def _height(run: Replay) -> dict[str, float]:
         "height_found_m": round(stated_m + last.height.mean_m, 6),
         "height_found_sigma_m": round(last.height.sigma_m, 6),
     }
+
+
+def _map_scale(run: Replay) -> dict[str, float]:
+    """Return by how much landmarks are farther from where the map has them than it says."""
+    sighting = run.frames[-1].located.sighting
+    return {} if sighting is None else {"map_scale_found": round(sighting.map_scale, 6)}
 
 
 def _height_warnings(run: Replay) -> list[str]:

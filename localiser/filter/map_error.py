@@ -1,0 +1,54 @@
+"""How far landmarks stand from where the map has them, learnt while driving.
+
+A map says how certain its landmarks are, or the configuration does. A plan may be off by centimetres all the same, and
+a map of exact positions by nothing. So all sigmas of the map are taken to be `scale` times as large as stated. The
+scale is learnt on a grid from how well edges fit where the robot is sure to be, p(edges | scale), with a prior of a
+factor of two.
+
+The error of a landmark is the same in every image that shows it. The larger it is beside what an image adds of its own,
+the farther the robot must drive before an image tells something new. So the novelty of images decays by `decorrelation`
+times the path that it decays by otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from localiser.geometry import Array
+
+SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0.1 m
+MEMORY_IMAGES = 100.0  # independent images after which what is in view may have been mapped in another way
+REPEATED = 0.3  # what an image counts for: it shows for the most part landmarks whose errors were seen before
+LEAST_NOVELTY = 0.2  # between images that are learnt from
+LONGEST = 4.0  # times the usual path: by then other landmarks are in view
+_LOG_PRIOR: Array = -0.5 * np.log2(SCALES) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapError:
+    """The scale of the map's sigmas. log_weight: (K,) of each of `SCALES`. novelty: of images not yet learnt from."""
+
+    log_weight: Array = field(default_factory=_LOG_PRIOR.copy)
+    novelty: float = 0.0
+
+    @property
+    def scale(self) -> float:
+        """The likeliest scale."""
+        return float(SCALES[self.log_weight.argmax()])
+
+    @property
+    def decorrelation(self) -> float:
+        """By how much longer errors of edges repeat than they do with a map as good as stated; 1 with a better one."""
+        return min(max(self.scale, 1.0), LONGEST)
+
+    def seen(self, novelty: float) -> MapError:
+        """Return it with the novelty of one more image, 0 … 1."""
+        return replace(self, novelty=min(self.novelty + novelty, 1.0))
+
+    def after(self, by_scale: Array) -> MapError:
+        """Return what is known after an image with log p(edges | scale) (K,)."""
+        kept = np.exp(-self.novelty / MEMORY_IMAGES)
+        told = REPEATED * self.novelty * by_scale
+        return MapError(_LOG_PRIOR + kept * (self.log_weight - _LOG_PRIOR) + told)
