@@ -190,7 +190,9 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
     low, per_unit, shape = _cells(columns[:3])
     odds = rates / (1.0 - rates) if of_edges else rates / len(scene.edges)
     poses = columns.T.copy()
-    run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()))
+    # Beside each other: particles that look the same way, for which the same edges are near.
+    sequence = np.argsort(columns[2] + columns[3])
+    run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()), sequence)
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
     start, item = in_view_of_cells(
         run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.reach, scene.offset

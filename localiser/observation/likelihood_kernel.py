@@ -38,7 +38,7 @@ _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 
 # landmark. In one array, so that the compiler knows that they do not overlap.
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN, _SCALE = range(6, 15)
-_RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _DENSITY, _RATIO = range(15, 21)
+_RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(15, 23)
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _RARE = range(9, 13)
@@ -60,15 +60,18 @@ def cells_of(poses: Array, low: Array, per_unit: Array, shape: Indices) -> Indic
 
 
 @entry
-def ordered(cell: Indices, cells: int) -> tuple[Indices, Indices]:
-    """Return run (cells + 1,) and order (N,): particles of cell c are order[run[c] : run[c + 1]], ascending."""
+def ordered(cell: Indices, cells: int, sequence: Indices) -> tuple[Indices, Indices]:
+    """Return run (cells + 1,) and order (N,): particles of cell c are order[run[c] : run[c + 1]], as in `sequence`.
+
+    sequence: (N,) indices of all particles.
+    """
     run = np.zeros(cells + 1, np.int64)
     for c in cell:
         run[c + 1] += 1
     for c in range(cells):
         run[c + 1] += run[c]
     place, order = run[:-1].copy(), np.empty(len(cell), np.int64)
-    for n in range(len(cell)):
+    for n in sequence:
         order[place[cell[n]]] = n
         place[cell[n]] += 1
     return run, order
@@ -229,22 +232,36 @@ def _normal(y: float) -> float:
 
 
 @inlined
+def _end(
+    measured: Any, room: float, peak: float, block: Array, lanes: int, rows: Any, missed: float, is_unknown: bool
+) -> None:
+    """Write how much likelier one end of an edge is if it is the landmark's: the equation of `endpoint_likelihood`.
+
+    An end without a peak, which the image's border made, takes half as long.
+    """
+    e, per_sigma = measured
+    expected, at = rows
+    for m in range(lanes):
+        short = min(room * block[_PER_VISIBLE, m], 1.0)
+        short = missed * short if np.isfinite(block[expected, m]) else short
+        block[at, m] = 1.0 if is_unknown else short
+    if peak > 0:
+        for m in range(lanes):
+            off = (e - block[expected, m]) * per_sigma
+            block[at, m] += peak * _normal(-0.5 / 16 * off * off)
+
+
+@inlined
 def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: float) -> None:
     """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair."""
-    missed = ends[1]
-    unknown_foot, unknown_top = hidden
+    low, high = (edge[_LOW], edge[_PER_SIGMA_LOW]), (edge[_HIGH], edge[_PER_SIGMA_HIGH])
+    _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), ends[1], hidden[0])
+    _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), ends[1], hidden[1])
     for m in range(lanes):
-        foot, top, per = block[_FOOT, m], block[_TOP, m], block[_PER_VISIBLE, m]
-        lower, upper = (edge[_LOW] - foot) * edge[_PER_SIGMA_LOW], (edge[_HIGH] - top) * edge[_PER_SIGMA_HIGH]
-        short_low, short_high = min(edge[_ROOM_LOW] * per, 1.0), min(edge[_ROOM_HIGH] * per, 1.0)
-        short_low = 1.0 if unknown_foot else (missed * short_low if foot > -np.inf else short_low)
-        short_high = 1.0 if unknown_top else (missed * short_high if top < np.inf else short_high)
-        at_foot = short_low + edge[_PEAK_LOW] * _normal(-0.5 / 16 * lower * lower)
-        at_top = short_high + edge[_PEAK_HIGH] * _normal(-0.5 / 16 * upper * upper)
         per = 1.0 / block[_SPREAD, m]
         covered = min(block[_COVERED, m], 1.0)
         agreement = _normal(-0.5 / 16 * block[_RESIDUAL, m] * block[_RESIDUAL, m] * per) * covered * covered
-        density = agreement * at_foot * at_top * alike * np.sqrt(per)
+        density = agreement * block[_AT_FOOT, m] * block[_AT_TOP, m] * alike * np.sqrt(per)
         block[_DENSITY, m] = density if block[_IS_PAIR, m] > 0 else 0.0
 
 
@@ -353,7 +370,7 @@ def log_products(
 
     odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.
     """
-    block = np.ones((21, BLOCK))
+    block = np.ones((23, BLOCK))
     density, turn = np.zeros((len(edges), BLOCK)), np.zeros((len(edges), BLOCK), np.int64)
     touched = np.zeros(BLOCK * len(edges) + 1, np.int64)  # edges by turn
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
