@@ -185,11 +185,12 @@ class EdgeObservation:
         return poses
 
     def warm_up(self) -> None:
-        """Compile what weighs particles, or load it from the disk, so that no frame has to wait for it."""
+        """Compile what compares edges, or load it from the disk, so that no frame has to wait for it."""
         angle = np.zeros(1)
         sighting = Sighting(0, Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01))
         one = Particles(POSE, np.zeros((3, 1)), angle)
         self.by_rate(one, sighting, LandmarkMap.from_points(np.array([[0.0, -3.0]])))
+        self.scene_clutter(sighting, [EarlierImage(sighting, Increment.from_mean(np.zeros(3)), 0.0)])
 
     # -- what the filter can use besides ----------------------------------------------------------------------------
 

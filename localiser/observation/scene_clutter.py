@@ -18,17 +18,19 @@ All hypotheses about where the robot is share this intensity. A place must predi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose
 from localiser.observation.angle import Angle
 from localiser.observation.endpoint_likelihood import ROW_PX, SIGMA_PX, endpoints_of
-from localiser.observation.persistent_clutter import NEAR_M, errors_of_continuing
+from localiser.observation.persistent_clutter import NEAR_M
 
 SEEN_AGAIN = 0.8  # how often an edge of the earlier image is seen again
 NEW = 0.3  # how many of the edges may be new, at least
@@ -52,7 +54,12 @@ class EarlierEdges:
 
     def angle(self, now: Angle) -> Angle:
         """Return the angle that this image compares; now: that of the image it is compared with."""
-        return now if self.camera is None or self.camera is now.camera else replace(now, camera=self.camera)
+        return now if self.camera is None or self.camera is now.camera else _angle_by(self.camera, now.kind)
+
+
+@lru_cache(maxsize=16)  # so that what is worked out of an image is found again
+def _angle_by(camera: Camera, kind: Literal["line", "slope"]) -> Angle:
+    return Angle(camera, kind)
 
 
 def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -> tuple[Array, Array]:
@@ -95,70 +102,42 @@ def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]
 
 def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
     """Return K (E, B), relative to an even density."""
-    before, motion = image.edges, image.motion
-    with_ends = bool(np.isfinite(edges.ends_px).all() and np.isfinite(before.ends_px).all())
-    of_before = image.angle(angle)
-    earlier, earlier_sigma = of_before.bearings(before)
-    bearing, sigma = angle.bearings(edges)
-    error, variance = errors_of_continuing(bearing, sigma, earlier, earlier_sigma, motion, image.turn_var)
-    density = _normal(error, variance) * angle.span_at(bearing)[:, None]
-    if with_ends:
-        ahead = motion[0] * np.sin(earlier) - motion[1] * np.cos(earlier)
-        density *= _ends_alike(angle, edges, of_before, before, ahead / NEAR_M, SIGMA_PX)
-    return density
+    then = image.angle(angle)
+    (now, has_ends), (before, had_ends) = _columns(angle, edges), _columns(then, image.edges)
+    return _density(angle, now, before, image, SIGMA_PX if has_ends and had_ends else np.inf)
 
 
 @lru_cache(maxsize=4)  # an image is compared with several earlier ones
 def _grouped(angle: Angle, edges: Edges) -> Array:
     """Return Λ (E,), relative to an even density."""
-    bearing, sigma = angle.bearings(edges)
-    density = _normal(bearing[:, None] - bearing, GROUP_RAD**2 + np.nan_to_num(sigma)[:, None] ** 2)
-    density *= angle.span_at(bearing)[:, None]
-    if np.isfinite(edges.ends_px).all():
-        density *= _ends_alike(angle, edges, angle, edges, np.zeros(len(edges)), ROW_PX)
+    columns, has_ends = _columns(angle, edges)
+    others, now = columns.copy(), columns.copy()
+    others[:, 1], now[:, 1] = 0.0, np.nan_to_num(columns[:, 1])
+    still = EarlierEdges(edges, np.zeros(3), GROUP_RAD**2)
+    density = _density(angle, now, others, still, ROW_PX if has_ends else np.inf)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
 
 
-def _ends_alike(angle: Angle, edges: Edges, of_others: Angle, others: Edges, approach: Array, sigma_px: float) -> Array:
-    """Return how much likelier the ends of edges (E) are if they are those of others (B), (E, B).
+def _density(angle: Angle, now: Array, before: Array, image: EarlierEdges, end_sigma_px: float) -> Array:
+    """Return how dense edges (E, 14) are that continue those of an image (B, 14), by `scene_clutter_kernel`.
 
-    approach: (B,) by how much of the nearest distance the camera came nearer to each of the others. An end at upright
-    height e of a thing at distance D has the slope t = (e c - s) / (c + e s), which grows by t · approach / D. A camera
-    that was mounted higher by h sees it lower by h / D.
+    end_sigma_px: of where an edge ends; infinite where nothing is known of it.
     """
-    camera, then = angle.camera, of_others.camera
-    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-    ends, earlier_ends = endpoints_of(edges, camera), endpoints_of(others, then)
-    earlier, slope = _ends_from(earlier_ends.e, then, camera)
-    rise = (then.mount.height_m - camera.mount.height_m) / NEAR_M
-    shift = (slope * approach[:, None] + rise) / (c - slope * s) ** 2
-    # From here on with both ends first: (2, E, 1) and (2, 1, B).
-    shift, room = shift.T[:, None], ends.room.T[..., None]
-    variance = shift**2 / 12 + (sigma_px / camera.focal_px) ** 2
-    at = _normal(ends.e.T[..., None] - earlier.T[:, None] - shift / 2, variance)
-    alike = SHORT * np.minimum(room * earlier_ends.per_length, 1.0) + (1.0 - SHORT) * room * at
-    # The border ends an edge wherever the thing itself does.
-    cut = np.where(earlier_ends.cut.T[:, None], 1.0, SHORT)
-    low, high = np.where(ends.cut.T[..., None], cut, alike)
-    return np.asarray(low * high)
+    from localiser.observation import scene_clutter_kernel as kernel
+
+    mount, then = angle.camera.mount, image.angle(angle).camera.mount
+    attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), (then.height_m - mount.height_m) / NEAR_M])
+    end_var = (end_sigma_px / angle.camera.focal_px) ** 2
+    return kernel.continued(now, before, image.motion, image.turn_var, attitude, end_var, NEAR_M, SHORT)
 
 
-def _ends_from(e: Array, before: Camera, now: Camera) -> tuple[Array, Array]:
-    """Return upright image heights as the camera of now would see them from the place before, and their slopes.
-
-    e: as the camera was mounted before.
-    """
-    s, c = np.sin(before.mount.tilt_rad), np.cos(before.mount.tilt_rad)
-    slope = (e * c - s) / (c + e * s)
-    if now.mount.tilt_rad == before.mount.tilt_rad:
-        return e, slope
-    s, c = np.sin(now.mount.tilt_rad), np.cos(now.mount.tilt_rad)
-    return (slope * c + s) / (c - slope * s), slope
-
-
-def _normal(error: Array, variance: Array) -> Array:
-    """Return the normal density, 0 where something is not known."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        density = np.exp(-0.5 * error**2 / variance) / np.sqrt(2 * np.pi * variance)
-    return np.where(np.isfinite(density), density, 0.0)
+@lru_cache(maxsize=32)  # an image is compared with those of the last scene
+def _columns(angle: Angle, edges: Edges) -> tuple[Array, bool]:
+    """Return the edges (E, 14) as `scene_clutter_kernel` takes them, and whether it is known where they end."""
+    bearing, sigma = angle.bearings(edges)
+    ends, tilt_rad = endpoints_of(edges, angle.camera), angle.camera.mount.tilt_rad
+    s, c = np.sin(tilt_rad), np.cos(tilt_rad)
+    columns: list[NDArray[Any]] = [bearing, sigma**2, np.cos(bearing), np.sin(bearing), angle.span_at(bearing)]
+    columns += [ends.e, (ends.e * c - s) / (c + ends.e * s), ends.room, ends.cut, ends.per_length]
+    return np.column_stack(columns), bool(np.isfinite(edges.ends_px).all())
