@@ -433,7 +433,9 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
     height = state.height.seen(image.novelty)
     if height.novelty < LEAST_NOVELTY or height_sigma_of_image(stated.mount) is not None:
         return height
-    as_stated = replace(image.sighting, edges=replace(edges, mount=located.edges.mount))
+    as_stated = image.sighting
+    if edges.mount is not located.edges.mount:
+        as_stated = replace(as_stated, edges=replace(edges, mount=located.edges.mount))
     return height.after(observation.end_offsets(located.estimate.pose_as_seen, as_stated, mcl.landmark_map), stated)
 
 

@@ -48,7 +48,7 @@ from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
 from localiser.observation.protocols import EarlierImage, EndOffsets, Matches, Sighting, Targets
 from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
-from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate, take
+from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate, only, take
 
 Indices = NDArray[np.int64]
 
@@ -224,14 +224,15 @@ class EdgeObservation:
 
             β_ek = w/K c_ek N(q_e; q_k, σ_ek² + s_k²) / ((1 - w)/span + Σ_l w/K c_el N(q_e; q_l, σ_el² + s_l²)),
 
-        where s_k² is the variance of the particles' predictions of it. A landmark is certain from `SETTLED` on.
+        where s_k² is the variance of what some of the particles predict. A landmark is certain from `SETTLED` on.
         """
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
         expected = self._expected_from(estimate(particles).pose_as_seen, landmark_map, sighting.map_scale)
         seen = expected.seen
         measured, measured_var = self.angle.measured(edges)
         count = len(seen.landmark)
-        spread_var = self._spread_var(particles, landmark_map.points[seen.landmark])
+        some = only(particles, slice(None, None, max(len(particles) // _FEW, 1)))
+        spread_var = self._spread_var(some, landmark_map.points[seen.landmark])
         variance = (expected.variance + spread_var)[:, None] + measured_var
         pair, edge = np.nonzero((measured - expected.angle[:, None]) ** 2 < _FAR_SIGMAS**2 * variance)
         own = np.zeros((count, len(edges)))
@@ -270,8 +271,13 @@ class EdgeObservation:
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
-        edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        expected = self._expected_from(pose, landmark_map, sighting.map_scale)
+        x, z, heading = pose.tolist()
+        return _matches_from(self, x, z, heading, sighting.edges, landmark_map, sighting.map_scale)
+
+    def _matches(self, pose: Array, edges: Edges, landmark_map: LandmarkMap, map_scale: float) -> Matches:
+        """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
+        self = self.at(edges)  # noqa: PLW0642
+        expected = self._expected_from(pose, landmark_map, map_scale)
         seen = expected.seen
         matches = Matches.none(len(edges), len(landmark_map))
         matches.visible[seen.landmark] = True
@@ -440,6 +446,19 @@ def _expected_from(
     pose = camera.pose_in_map(np.array([[x, z, heading]]))
     seen = sight(camera, pose, landmark_map, observation.parameters.sight)
     return observation._expected(seen, landmark_map, map_scale)
+
+
+@lru_cache(maxsize=4)  # the filter and what shows its result ask the same
+def _matches_from(
+    observation: EdgeObservation,
+    x: float,
+    z: float,
+    heading: float,
+    edges: Edges,
+    landmark_map: LandmarkMap,
+    map_scale: float,
+) -> Matches:
+    return observation._matches(np.array([x, z, heading]), edges, landmark_map, map_scale)
 
 
 @lru_cache(maxsize=16)

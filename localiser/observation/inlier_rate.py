@@ -55,7 +55,7 @@ class InlierRate:
         """Return log p(edges | pose) (N,), the rates integrated out of `by_rate` (K, N)."""
         log_probability, count = np.log(self.probability)[:, None], by_rate.shape[1]
         bounds = np.linspace(0, count, max(count // _PART, 1) + 1).astype(np.int64).tolist()
-        parts = [_log_sum(by_rate[:, low:high] + log_probability) for low, high in pairwise(bounds)]
+        parts = [log_sum_of_rates(by_rate[:, low:high] + log_probability) for low, high in pairwise(bounds)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def given(self, by_rate: Array, weight: Array, independent_frames: float) -> Self:
@@ -64,12 +64,12 @@ class InlierRate:
         The weights are those after the same edges. A frame that is only partly new counts for that part.
         """
         joint = by_rate + np.log(self.probability)[:, None]
-        responsibility = np.exp(joint - _log_sum(joint)) @ weight
+        responsibility = np.exp(joint - log_sum_of_rates(joint)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
 
 
-def _log_sum(joint: Array) -> Array:
-    """Return log Σ_k exp(joint) (N,) of joint (K, N): twice as fast as `np.logaddexp.reduce`."""
+def log_sum_of_rates(joint: Array) -> Array:
+    """Return log Σ_k exp(joint) (N,) of joint (K, N), a few rates: much faster than `np.logaddexp.reduce`."""
     top = joint.max(axis=0)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):  # a particle that every rate rules out

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
-from localiser.observation import DetectionRate
+from localiser.observation import DetectionRate, log_sum_of_rates
 from localiser.particles import CELL_M, CELL_RAD, Particles, cells_of, log_sum, only, systematic_resample
 
 PER_CELL = 60  # particles in each cell of floor and heading, on average
@@ -61,7 +61,7 @@ class Candidates:
         joint = novelty * by_rate + np.log(rates)
         if needs_landmarks:
             joint = np.where((by_rate == 0.0).all(axis=0), joint + _NEVER, joint)
-        log_fit = np.logaddexp.reduce(joint, axis=0)
+        log_fit = log_sum_of_rates(joint)
         particles = replace(self.particles, log_weight=self.particles.log_weight + log_fit)
         log_mean = log_sum(particles.log_weight) - log_sum(self.particles.log_weight)
         return Candidates(particles, np.exp(joint - log_fit)), log_mean
