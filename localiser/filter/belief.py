@@ -142,9 +142,9 @@ class Belief:
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
         log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
         if few is not None:
-            by_rate = clues.by_rate(few)
+            by_rate, shown_by_rate = clues.by_rate_and_visibility(few, self.visibility)
             detections, log_tracked = _rated(few, by_rate, detections, novelty)
-            shown, log_shown = _rated(few, clues.by_rate(few, self.visibility), shown, novelty)
+            shown, log_shown = _rated(few, shown_by_rate, shown, novelty)
             blind = clues.blind_weight(few, by_rate)
             support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
         candidates, log_elsewhere = self.candidates, 0.0

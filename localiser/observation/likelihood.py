@@ -55,10 +55,10 @@ class Scene:
     """What all particles share in a frame: landmarks, edges and the camera, as the loop takes them.
 
     landmarks: (L, 6) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
-    m², mean polarity of its edges. visibility: (L,) probability that nothing hides it. edges: (E, 13) compared angle
-    (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the lower and upper end (∓1e9
-    where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and 1 / sigma, polarity,
-    1 / how dense clutter is there. bins: of their angles, see `bins_of`.
+    m², mean polarity of its edges. visibility: (V, L) probability that nothing hides it, in each view. edges: (E, 13)
+    compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the lower and
+    upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and
+    1 / sigma, polarity, 1 / how dense clutter is there. bins: of their angles, see `bins_of`.
     offset: right, back (m) and yaw (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
     length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
@@ -88,12 +88,12 @@ def scene_of(
     sighting: Sighting,
     landmark_map: LandmarkMap,
     blur_rad: float,
-    visibility: Array | None = None,
+    visibility: Array,
 ) -> Scene:
     """Return what all particles share, for the edges of one image.
 
-    blur_rad: sigma that is added to every edge's. visibility: (L,) probability that a landmark in view is not hidden;
-    None: none is.
+    blur_rad: sigma that is added to every edge's. visibility: (V, L) probability that a landmark in view is not hidden,
+    in each of V views of it, at most `likelihood_kernel.VIEWS`.
     """
     camera, sight = angle.camera, parameters.sight
     mount = camera.mount
@@ -101,7 +101,7 @@ def scene_of(
     view, widest = _view(camera, sight)
     return Scene(
         landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale),
-        visibility=np.ones(len(landmark_map)) if visibility is None else visibility,
+        visibility=visibility,
         reach=reach_of(landmark_map, sight.range_max_m),
         edges=table,
         bins=bins,
@@ -161,16 +161,16 @@ def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float, scale
 
 
 def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_edges: bool = True) -> Array:
-    """Return log p(edges | pose, rate_k) (K, N) of N particles, relative to clutter alone.
+    """Return log p(edges | pose, rate_k) (V, K, N) of N particles in each view, relative to clutter alone.
 
     columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's. rates: (K,)
     ascending, at most 8 of them.
     """
     count = columns.shape[1]
-    result = np.empty((len(rates), count))
+    result = np.empty((len(scene.visibility), len(rates), count))
 
     def weigh(part: slice) -> None:
-        result[:, part] = _weighed(scene, columns[:, part], rates, of_edges)
+        result[..., part] = _weighed(scene, columns[:, part], rates, of_edges)
 
     size = min(max(-(-count // threads), _PER_THREAD), _PART)
     parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -197,7 +197,7 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
     start, item = in_view_of_cells(
         run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.reach, scene.offset
     )
-    return kernel.log_products(
+    found = kernel.log_products(
         poses,
         order,
         run,
@@ -218,6 +218,7 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
         scene.span,
         scene.is_slope,
     )
+    return found.reshape(-1, len(rates), columns.shape[1])
 
 
 def bins_of(angle: Array) -> EdgeBins:

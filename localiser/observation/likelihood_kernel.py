@@ -23,6 +23,7 @@ Indices = NDArray[np.int64]
 LANES = 8  # float64 in a vector register
 FEWEST = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
+VIEWS = 2  # of which landmarks are hidden, at most
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
@@ -37,8 +38,9 @@ _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 
 # Rows of a block: camera poses; one landmark as it is seen from them; how many landmarks are; one edge beside that
 # landmark. In one array, so that the compiler knows that they do not overlap.
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
-_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SEEN, _SCALE = range(6, 15)
-_RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(15, 23)
+_ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SCALE = range(6, 14)
+_RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(14, 22)
+_SEEN = 22  # for each of `VIEWS`
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _RARE = range(9, 13)
@@ -137,7 +139,7 @@ def _look(
 
     The same as `landmarks.sight`, with every division by the image's border multiplied out.
     """
-    x, z, bottom, top, position_var, visibility = landmark
+    x, z, bottom, top, position_var = landmark
     nearest, farthest, widest = limits
     s, c, a_left, a_right, e_low, e_high, length_min = view
     sigmas, largest_var = gate
@@ -187,10 +189,17 @@ def _look(
         first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
         first, last = (first if first < last_bin and visible else last_bin), (last if last < last_bin else last_bin)
         block[_FIRST, m], block[_END, m] = first, last
-        block[_SEEN, m] += visibility if visible else 0.0
         block[_ANGLE, m], block[_VARIANCE, m] = (angle if visible else np.inf), variance
         block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
         block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
+
+
+@inlined
+def _count(block: Array, lanes: int, visibility: Array, k: int) -> None:
+    """Count landmark k for those that see it, by how visible it is in each view."""
+    for view in range(len(visibility)):
+        for m in range(lanes):
+            block[_SEEN + view, m] += visibility[view, k] if block[_ANGLE, m] < np.inf else 0.0
 
 
 @inlined
@@ -266,36 +275,23 @@ def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: f
 
 
 @inlined
-def _add_up(e: int, block: Array, lanes: int, density: Array, turn: Indices, count: int) -> bool:
-    """Add the densities of edge e to `density`; return whether some were zero until now.
-
-    For those, count is their `turn` to be multiplied.
-    """
-    new = 0
-    for m in range(lanes):
-        is_new = (density[e, m] == 0.0) & (block[_DENSITY, m] > 0.0)
-        turn[e, m] = count if is_new else turn[e, m]
-        density[e, m] += block[_DENSITY, m]
-        new += is_new
-    return new > 0
+def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density: Array) -> None:
+    """Add the densities of edge e and landmark k to `density` of each view."""
+    for view in range(len(visibility)):
+        for m in range(lanes):
+            density[view, e, m] += visibility[view, k] * block[_DENSITY, m]
 
 
 @inlined
 def _multiply(
-    e: int,
-    count: int,
-    block: Array,
-    lanes: int,
-    density: Array,
-    turn: Indices,
-    odds: Any,
-    rates: int,
-    factor: Array,
-    log_factor: Array,
+    density: Array, block: Array, lanes: int, odds: Any, rates: int, factor: Array, log_factor: Array
 ) -> None:
-    """Multiply the factors by 1 + odds · ratio for those whose turn it is, and put large ones aside."""
+    """Multiply the factors by 1 + odds · ratio of one edge, and put large ones aside.
+
+    That is 1 for particles that it is not near, so their factors stay as they are, to the last bit.
+    """
     for m in range(lanes):
-        block[_RATIO, m] = density[e, m] * block[_SCALE, m] if turn[e, m] == count else 0.0
+        block[_RATIO, m] = density[m] * block[_SCALE, m]
     for k in range(rates):
         for m in range(lanes):
             factor[k, m] *= 1.0 + odds[k] * block[_RATIO, m]
@@ -306,6 +302,20 @@ def _multiply(
         for m in range(lanes):
             if factor[rates - 1, m] > SAFE:
                 _put_aside(factor, m, log_factor)
+
+
+@inlined
+def _begin(block: Array, density: Array, is_near: NDArray[np.bool_]) -> None:
+    """Count no landmark, and no edge as near, yet."""
+    for view in range(len(density)):
+        for m in range(BLOCK):
+            block[_SEEN + view, m] = 0.0
+        for e in range(len(is_near)):
+            if is_near[e]:
+                for m in range(BLOCK):
+                    density[view, e, m] = 0.0
+    for e in range(len(is_near)):
+        is_near[e] = False
 
 
 @inlined
@@ -351,14 +361,14 @@ def log_products(
     edges: Array,
     first: Indices,
     bins: tuple[float, float, float],
-    view: tuple[float, ...],
+    camera: tuple[float, ...],
     limits: tuple[float, float, float],
     gate: tuple[float, float],
     ends: tuple[float, float],
     span: float,
     is_slope: bool,
 ) -> Array:
-    """Return the log-likelihood (K, N) of every pose (N, 4), which has n landmarks in view, relative to clutter.
+    """Return the log-likelihood (V K, N) of every pose (N, 4), which has n landmarks in view, relative to clutter.
 
     With d_e = span Σ_l c_el N(q_e; q_l, σ_el²), an edge's density relative to clutter, which only edges have that some
     landmark comes near, it is
@@ -366,15 +376,16 @@ def log_products(
         log Π_e (1 + o_k d_e / n) / (1 + o_k)    for inlier rates, o_k = w_k / (1 - w_k)
         log Π_e (1 + o_k d_e) / (1 + o_k n)      for detection rates, o_k = p_k / E
 
-    where a landmark counts for the probability with which it is visible, in d_e and in n. visibility: (L,) this.
+    where a landmark counts for the probability with which it is visible, in d_e and in n.
+    visibility: (V, L) this, in each of V views.
 
     odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.
     """
-    block = np.ones((23, BLOCK))
-    density, turn = np.zeros((len(edges), BLOCK)), np.zeros((len(edges), BLOCK), np.int64)
-    touched = np.zeros(BLOCK * len(edges) + 1, np.int64)  # edges by turn
+    block = np.ones((_SEEN + VIEWS, BLOCK))
+    views = len(visibility)
+    density, is_near = np.zeros((views, len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
-    result, per_density = np.empty((rates, len(poses))), span / np.sqrt(2 * np.pi)
+    result, per_density = np.empty((views * rates, len(poses))), span / np.sqrt(2 * np.pi)
     log_unseen = np.empty(rates)  # at inlier rates
     for k in range(rates):
         log_unseen[k] = np.log1p(odds[k])
@@ -383,34 +394,33 @@ def log_products(
             size = min(BLOCK, run[c + 1] - n)
             lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
             _place(poses, order, n, size, lanes, offset, block)
-            block[_SEEN] = 0.0
-            count = int(np.int64(0))  # no constant to the compiler, which compiles for each apart
+            _begin(block, density, is_near)
             for k in item[start[c] : start[c + 1]]:
                 at, heights = (landmarks[k, 0], landmarks[k, 1]), (landmarks[k, 2], landmarks[k, 3])
-                landmark = (at[0], at[1], heights[0], heights[1], landmarks[k, 4], visibility[k])
+                landmark = (at[0], at[1], heights[0], heights[1], landmarks[k, 4])
                 hidden, leaning = (heights[0] <= -UNKNOWN_M, heights[1] >= UNKNOWN_M), landmarks[k, 5]
-                _look(block, lanes, landmark, limits, view, gate, bins, is_slope)
+                _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
+                _count(block, lanes, visibility, k)
                 begin, end = _edges_near(block, lanes, first)
                 for e in range(begin, end):
                     edge = edges[e]
                     if _meet(edge, block, lanes, ends[0]) > 0:
-                        alike = visibility[k] * edge[_RARE] * (1.0 + edge[_POLARITY] * leaning)
+                        alike = edge[_RARE] * (1.0 + edge[_POLARITY] * leaning)
                         _weigh(edge, block, lanes, ends, hidden, alike)
-                        touched[count] = e
-                        count += _add_up(e, block, lanes, density, turn, count)
+                        _add_up(e, k, visibility, block, lanes, density)
+                        is_near[e] = True
 
-            for m in range(BLOCK):
-                block[_SCALE, m] = per_density / (max(block[_SEEN, m], 1.0) if is_inlier_rate else 1.0)
-            factor[:], log_factor[:] = 1.0, 0.0
-            for t in range(count):
-                _multiply(touched[t], t, block, lanes, density, turn, odds, rates, factor, log_factor)
-            for t in range(count):
-                for m in range(lanes):
-                    density[touched[t], m] = 0.0
-            values = factor.ravel()
-            _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
-            for k in range(rates):
-                for m in range(size):
-                    log_clutter = log_unseen[k] if is_inlier_rate else np.log1p(odds[k] * block[_SEEN, m])
-                    result[k, order[n + m]] = log_factor[k, m] - len(edges) * log_clutter
+            for view in range(views):
+                for m in range(BLOCK):
+                    block[_SCALE, m] = per_density / (max(block[_SEEN + view, m], 1.0) if is_inlier_rate else 1.0)
+                factor[:], log_factor[:] = 1.0, 0.0
+                for e in range(len(edges)):
+                    if is_near[e]:
+                        _multiply(density[view, e], block, lanes, odds, rates, factor, log_factor)
+                values = factor.ravel()
+                _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
+                for k in range(rates):
+                    for m in range(size):
+                        log_clutter = log_unseen[k] if is_inlier_rate else np.log1p(odds[k] * block[_SEEN + view, m])
+                        result[view * rates + k, order[n + m]] = log_factor[k, m] - len(edges) * log_clutter
     return result

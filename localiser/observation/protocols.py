@@ -226,7 +226,8 @@ class LocalisesGlobally(RatesInliers, Protocol):
     ) -> Array:
         """Return log p(sighting | particle, p_k) (K, N) for each of `DETECTION_RATES`, relative to clutter alone.
 
-        visibility: (L,) probability that a landmark in view is not hidden; None: none is.
+        visibility: (V, L) probability that a landmark in view is not hidden, in each of one or two views of it, for
+        which (V, K, N) is returned; None: none is hidden.
         """
         ...
 

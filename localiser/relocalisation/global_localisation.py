@@ -78,15 +78,16 @@ class Clues:
         """Whether the image shows too little for poses to be proposed from it."""
         return int(are_known(*self._longest).sum()) < FEWEST
 
-    def by_rate(self, particles: Particles, visibility: Visibility | None = None) -> Array:
-        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone.
+    def by_rate(self, particles: Particles) -> Array:
+        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
+        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
 
-        visibility: of landmarks from these particles, where images have told of it.
-        """
-        visible = None if visibility is None else visibility.of_all(len(self.landmark_map))
-        return POWER * self.observation.by_detection_rate(
-            particles, self.sighting, self.landmark_map, BLUR_RAD, visible
-        )
+    def by_rate_and_visibility(self, particles: Particles, visibility: Visibility) -> tuple[Array, Array]:
+        """Return `by_rate` (K, N), and the same where landmarks are hidden as images have told from these particles."""
+        visible = visibility.of_all(len(self.landmark_map))
+        views = np.stack([np.ones_like(visible), visible])
+        found = self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD, views)
+        return POWER * found[0], POWER * found[1]
 
     def blind_weight(self, particles: Particles, by_rate: Array) -> float:
         """Return the weight, 0 … 1, of the particles from which the map has nothing in view though many edges are seen.

@@ -214,7 +214,14 @@ def test_a_hidden_landmark_counts_for_the_probability_of_being_visible(kind: str
     landmark_map, particles, sighting = some_map(rng, 40), cloud(rng, 200), Sighting(0, some_edges(rng, 12, True))
 
     def by_rate(visibility: Array | None = None, of: LandmarkMap = landmark_map) -> Array:
-        return observation.by_detection_rate(particles, sighting, of, 0.004, visibility)
+        if visibility is None:
+            return observation.by_detection_rate(particles, sighting, of, 0.004)
+        views = np.stack([visibility, rng.random(len(of))])
+        both = observation.by_detection_rate(particles, sighting, of, 0.004, views)
+        for view, found in zip(views, both, strict=True):  # each is weighed as if alone
+            alone = observation.by_detection_rate(particles, sighting, of, 0.004, view[None])
+            np.testing.assert_allclose(found, alone[0], rtol=1e-12, atol=1e-12)
+        return both[0]
 
     everything, hidden = by_rate(), rng.random(40) < 0.5
     np.testing.assert_array_equal(by_rate(np.ones(40)), everything)
