@@ -127,7 +127,9 @@ def projected(particles: Particles) -> Particles:
     pose_cov = (pose * weight) @ pose.T
     # In units of their spread, so that metres and radians are cut off alike.
     unit = np.sqrt(np.maximum(np.diag(pose_cov), 1e-300))
-    inverse = np.linalg.pinv(pose_cov / np.outer(unit, unit), rcond=1e-9, hermitian=True) / np.outer(unit, unit)
+    variance, axes = np.linalg.eigh(pose_cov / np.outer(unit, unit))
+    axes /= np.sqrt(np.where(variance > 1e-9 * variance[-1], variance, np.inf)) * unit[:, None]
+    inverse = axes @ axes.T
     rest = (bias * weight) @ pose.T @ inverse @ pose - bias
     lost = (rest * weight) @ rest.T
     return replace(_moved(particles, rest), constant_error_cov=particles.constant_error_cov + lost)

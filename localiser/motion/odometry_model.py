@@ -159,6 +159,8 @@ def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
     ahead = _ahead_m(increment)
     noise = np.diag([distance_var, SLIP**2 * distance_var + ahead**2 * turn_var / 2, turn_var])
     noise[1, 2] = noise[2, 1] = ahead * turn_var / 2
+    if not increment.cov.any():
+        return noise
     from_robot = _step_from_robot(increment)
     return np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
 
@@ -179,7 +181,7 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
 @lru_cache(maxsize=64)  # of one motion asked for several times in a step
 def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
     """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
-    to_robot = _map_from_step(np.zeros(3), increment)
+    to_robot = _step_from_robot(increment).T
     by_constant_error = _by_bias(CONSTANT_ERRORS[:-1], increment)
     doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
     return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
@@ -200,6 +202,7 @@ def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
     return sensitivity(names, _ahead_m(increment), float(increment.mean[2]), late)
 
 
+@lru_cache(maxsize=64)
 def _step_from_robot(increment: Increment) -> Array:
     """Return the rotation (3, 3) from (right, backward, turn) in the robot frame to (along, left, turn) of a step."""
     return _map_from_step(np.zeros(3), increment).T
