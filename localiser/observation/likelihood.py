@@ -190,9 +190,8 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
     low, per_unit, shape = _cells(columns[:3])
     odds = rates / (1.0 - rates) if of_edges else rates / len(scene.edges)
     poses = columns.T.copy()
-    # Beside each other: particles that look the same way, for which the same edges are near.
-    sequence = np.argsort(columns[2] + columns[3])
-    run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()), sequence)
+    cell, sequence = kernel.cells_of(poses, low, per_unit, shape), _by_heading(columns)
+    run, order = kernel.ordered(cell, int(shape.prod()), sequence)
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
     start, item = in_view_of_cells(
         run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.reach, scene.offset
@@ -219,6 +218,16 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
         scene.is_slope,
     )
     return found.reshape(-1, len(rates), columns.shape[1])
+
+
+def _by_heading(columns: Array) -> NDArray[np.int64]:
+    """Return the particles (N,) by their cameras' headings, so that the same edges are near those beside each other.
+
+    Numbers of 16 bits are sorted several times as fast, and are fine enough: no result depends on the order.
+    """
+    heading = columns[2] + columns[3]
+    low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
+    return np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
 
 
 def bins_of(angle: Array) -> EdgeBins:
