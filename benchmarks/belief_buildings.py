@@ -1,8 +1,9 @@
 """Buildings for simulated hours of tracking: what hides, what shows as a vertical edge, what of it is on the map.
 
-Five kinds, each drawn at random: shelves full of books, a room of chairs with thin legs, bare corridors, rooms in a row
-that look alike, and a hall in which people and carts move. All clutter stands in the world, so that it is seen again
-from the next place with the right parallax. Door frames show as two or three edges, of which the map may have one.
+Six kinds, each drawn at random: shelves full of books, a room of chairs with thin legs, bare corridors, rooms in a row
+that look alike, a hall in which people and carts move, and long corridors around a block. All clutter stands in the
+world, so that it is seen again from the next place with the right parallax. Door frames show as two or three edges, of
+which the map may have one.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ class Building:
 
     walls: segments (2, 2) that hide. feet: circles (x, z, radius) that a robot drives round. edges: rows of x, z,
     bottom_m, top_m, whether mapped. worn: rows as edges, of things that the map still has where they no longer are.
+    sees_m: how far away edges are found.
     """
 
     size: tuple[float, float]
@@ -53,6 +55,7 @@ class Building:
     worn: list[tuple[float, float, float, float, bool]] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
     inside: tuple[float, float] = (0.7, 0.8)
+    sees_m: float = 8.0
 
     def edge(self, point: Array, bottom_m: float, top_m: float, mapped: bool) -> None:
         """Add a vertical edge."""
@@ -256,10 +259,29 @@ def crowd(rng: np.random.Generator) -> Building:
     return building
 
 
+def ring(rng: np.random.Generator) -> Building:
+    """Long corridors around a block, with a door or two; one sees from end to end, and hardly anything between."""
+    length, depth, width = rng.uniform(16.0, 22.0), rng.uniform(9.0, 12.0), rng.uniform(1.5, 2.0)
+    building = Building((length, depth), rng, sees_m=25.0)
+    outer = [(0.0, 0.0), (length, 0.0), (length, depth), (0.0, depth)]
+    inner = [(width, width), (length - width, width), (length - width, depth - width), (width, depth - width)]
+    doors = rng.choice(8, 2, replace=False)
+    for k, (start, end) in enumerate(
+        (corners[k], corners[(k + 1) % 4]) for corners in (outer, inner) for k in range(4)
+    ):
+        side = abs(end[0] - start[0]) + abs(end[1] - start[1])
+        building.wall(start, end, [(float(rng.uniform(1.0, side - 1.0)), False)] if k in doors else [])
+    for at in rng.uniform(2.0, length - 2.0, 2):
+        for edge in (0.0, rng.uniform(0.4, 0.8)):
+            building.edge(np.array([at + edge, 0.02]), 0.6, 1.3, False)
+    return building
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Building]] = {
     "shelves": shelves,
     "chairs": chairs,
     "corridors": corridors,
     "alike": alike,
     "crowd": crowd,
+    "ring": ring,
 }

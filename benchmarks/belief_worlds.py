@@ -30,7 +30,6 @@ NOISE = EdgeNoise(
     cut_probability=0.15,
     detection_probability=0.85,
     clutter_per_frame=3.0,
-    range_max_m=8.0,
     length_min_px=30.0,
 )
 SPLIT = (0.75, 0.17, 0.08)  # chances that an edge shows as one, two or three; of each part the ends err
@@ -182,7 +181,8 @@ def _seen(
             seen, moving = in_view(building, things, camera, walls, pose, now / 1e9)
             rows += [np.column_stack([things.points, things.bottom_m, things.top_m, things.landmark])[seen], moving]
             shown += [np.full(len(seen) + len(moving), frame)]
-        yield _measured(np.concatenate(rows), np.concatenate(shown), camera, Trajectory(t_ns, poses), rng)
+        noise = replace(NOISE, range_max_m=building.sees_m)
+        yield _measured(np.concatenate(rows), np.concatenate(shown), camera, Trajectory(t_ns, poses), noise, rng)
 
 
 def in_view(
@@ -194,7 +194,7 @@ def in_view(
     points = np.concatenate([things.points, moving[:, :2]])
     right, ahead = (axis[0] for axis in in_camera(eye, points))
     wide = 1.3 * camera.width / 2 / camera.fx
-    near = np.flatnonzero((ahead > 0.1) & (np.abs(right) < wide * ahead) & (np.hypot(right, ahead) < NOISE.range_max_m))
+    near = np.flatnonzero((ahead > 0.1) & (np.abs(right) < wide * ahead) & (np.hypot(right, ahead) < building.sees_m))
     seen = near[~hidden_behind(eye[0, :2], points[near], walls, bodies)]
     return seen[seen < len(things.points)], moving[seen[seen >= len(things.points)] - len(things.points)]
 
@@ -241,7 +241,12 @@ def hidden_behind(eye: Array, points: Array, walls: Array, bodies: Array) -> NDA
 
 
 def _measured(
-    rows: Array, frame: NDArray[np.int64], camera: Camera, truth: Trajectory, rng: np.random.Generator
+    rows: Array,
+    frame: NDArray[np.int64],
+    camera: Camera,
+    truth: Trajectory,
+    noise: EdgeNoise,
+    rng: np.random.Generator,
 ) -> list[Edges]:
     """Return the edges of some images. rows: (S, 5) x, z, bottom, top, landmark of what each shows, frame: (S,)."""
     parts, landmark, shown = [], [], []
@@ -257,6 +262,6 @@ def _measured(
     pieces, of, at = np.concatenate(parts), np.concatenate(landmark).astype(np.int64), np.concatenate(shown)
     everything = LandmarkMap.from_points(pieces[:, :2], bottom_m=pieces[:, 2], top_m=pieces[:, 3])
     visible = at == np.arange(len(truth))[:, None]
-    found = simulated_edges(everything, camera, truth, rng, noise=NOISE, visible=visible)
+    found = simulated_edges(everything, camera, truth, rng, noise=noise, visible=visible)
     of = np.append(of, -1)  # an index of -1 is no landmark
     return [replace(one, landmark_id=of[one.landmark_id]) for one in found]
