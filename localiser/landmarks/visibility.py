@@ -6,7 +6,7 @@ them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -43,7 +43,12 @@ class Sight:
 class SightParameters:
     """Which landmarks count as visible."""
 
-    range_max_m: Annotated[float, Field(gt=0, description="landmarks farther away are not expected (m)")] = 12.0
+    range_max_m: Annotated[
+        float, Field(gt=0, description="walls are expected to hide most landmarks that are farther away (m)")
+    ] = 12.0
+    range_far_m: Annotated[
+        float, Field(gt=0, description="landmarks farther away are not expected at all, as down a long corridor (m)")
+    ] = 25.0
     range_min_m: Annotated[float, Field(ge=0, description="landmarks nearer than this are not expected (m)")] = 0.2
     length_min_px: Annotated[
         float, Field(ge=0, description="an edge whose part inside the image is shorter is not expected (px)")
@@ -51,6 +56,18 @@ class SightParameters:
     margin_px: Annotated[
         float, Field(ge=0, description="how far outside the image an edge still counts as visible (px)")
     ] = 5.0
+
+    @property
+    def far(self) -> SightParameters:
+        """The same with everything that may be seen down a long corridor."""
+        return replace(self, range_max_m=max(self.range_max_m, self.range_far_m))
+
+    def in_the_open(self, range_m: Array) -> Array:
+        """Return the probability (P,) that no wall hides what is at these ranges (P,).
+
+        It is 1 up to `range_max_m`, then (range_max_m / range)⁴. Most rooms are smaller, and some corridors longer.
+        """
+        return np.asarray(np.minimum(1.0, (self.range_max_m / range_m) ** 2) ** 2)
 
 
 def sight(

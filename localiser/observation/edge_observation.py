@@ -54,6 +54,7 @@ Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 _FAR_SIGMAS = 12.0  # beyond this a normal density is below 1e-31 of its peak: nothing beside clutter
+SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
 _FEW = 64  # particles that tell how wide the cloud is
 _FIT_STEPS = 3
 _LEAST_SIGMA: Array = np.array(
@@ -67,6 +68,7 @@ class _Expected:
 
     seen: the pairs. angle: (P,) at which each is expected (rad), variance: (P,) of it by the map (rad²). ends: (P, 2)
     upright heights of its lower and upper end, known: (P, 2) whether the map knows them. leaning: (P,) mean polarity.
+    in_the_open: (P,) probability that no wall hides it.
     """
 
     seen: Sight
@@ -75,6 +77,12 @@ class _Expected:
     ends: Array
     known: NDArray[np.bool_]
     leaning: Array
+    in_the_open: Array
+
+    @property
+    def count(self) -> float:
+        """How many landmarks are seen from one pose, at least 1."""
+        return max(float(self.in_the_open.sum()), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +182,12 @@ class EdgeObservation:
         if len(edges) == 0:
             return np.zeros((len(INLIER_RATES), count))
         self = self.at(edges)  # noqa: PLW0642
-        seen = sight(self.camera, self.camera_poses(particles), landmark_map, self.parameters.sight)
-        pair, edge, density = self._near(edges, self._expected(seen, landmark_map, sighting.map_scale), blur_rad)
+        seen = sight(self.camera, self.camera_poses(particles), landmark_map, self.parameters.sight.far)
+        expected = self._expected(seen, landmark_map, sighting.map_scale)
+        pair, edge, density = self._near(edges, expected, blur_rad)
         total = np.bincount(seen.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
         # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
-        visible = np.maximum(np.bincount(seen.pose, minlength=count), 1)
+        visible = np.maximum(np.bincount(seen.pose, expected.in_the_open, minlength=count), 1)
         ratio = total.reshape(count, len(edges)) * (self.angle.span_rad / visible)[:, None]
         return np.stack([np.log1p(rate * (ratio - 1.0)).sum(axis=1) for rate in INLIER_RATES])
 
@@ -206,7 +215,7 @@ class EdgeObservation:
         """
         self = self.at(sighting.edges)  # noqa: PLW0642
         few = take(particles, np.linspace(0, len(particles) - 1, _FEW).astype(np.int64))
-        seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight)
+        seen = sight(self.camera, self.camera_poses(few), landmark_map, self.parameters.sight.far)
         expected = self._expected(seen, landmark_map, sighting.map_scale)
         times = np.bincount(seen.landmark, minlength=len(landmark_map))
         often = times >= _FEW / 2
@@ -241,7 +250,7 @@ class EdgeObservation:
         variance = (expected.variance + spread_var)[:, None] + measured_var
         pair, edge = np.nonzero((measured - expected.angle[:, None]) ** 2 < _FAR_SIGMAS**2 * variance)
         own = np.zeros((count, len(edges)))
-        own[pair, edge] = self._density(edges, expected, pair, edge, spread_var[pair]) * (inlier_rate / max(count, 1))
+        own[pair, edge] = self._density(edges, expected, pair, edge, spread_var[pair]) * (inlier_rate / expected.count)
         beta = own / ((1 - inlier_rate) / self.angle.span_rad + own.sum(axis=0))
         pair, edge = np.nonzero(beta >= SETTLED)
         return Targets(
@@ -285,11 +294,11 @@ class EdgeObservation:
         expected = self._expected_from(pose, landmark_map, map_scale)
         seen = expected.seen
         matches = Matches.none(len(edges), len(landmark_map))
-        matches.visible[seen.landmark] = True
+        matches.visible[seen.landmark[expected.in_the_open >= SHOWN]] = True
         if not len(edges) or not len(seen.pose):
             return matches
         pair, edge, density = self._near(edges, expected)
-        odds = density * self.angle.span_rad / len(seen.pose)  # against clutter, at an inlier rate of ½
+        odds = density * self.angle.span_rad / expected.count  # against clutter, at an inlier rate of ½
         # Ascending, so that the last write to an edge is its best landmark.
         likelier = np.flatnonzero(odds > 1.0)
         ascending = likelier[np.argsort(odds[likelier], kind="stable")]
@@ -325,7 +334,7 @@ class EdgeObservation:
         measured, measured_var = self.angle.measured(edges)
         variance = expected.variance[pair] * (scales[:, None] / scales[-1]) ** 2 + measured_var[edge]
         density = _normal(measured[edge] - expected.angle[pair], variance)
-        density *= self._alike(edges, expected, pair, edge) * (self.angle.span_rad / len(expected.angle))
+        density *= self._alike(edges, expected, pair, edge) * (self.angle.span_rad / expected.count)
         ratio = np.stack([np.bincount(edge, one, minlength=len(edges)) for one in density])
         return np.asarray(np.log1p(inlier_rate * (ratio - 1.0)).sum(axis=1) + log_room)
 
@@ -391,6 +400,7 @@ class EdgeObservation:
             ends=np.column_stack([seen.e_bottom, seen.e_top]),
             known=np.isfinite(np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])),
             leaning=polarity.mean_polarity(landmark_map.polarity[landmark]),
+            in_the_open=self.parameters.sight.in_the_open(seen.range_m),
         )
 
     def _expected_from(self, pose: Array, landmark_map: LandmarkMap, map_scale: float) -> _Expected:
@@ -430,7 +440,7 @@ class EdgeObservation:
         margin = self.parameters.sight.margin_px / self.camera.focal_px
         ends = endpoints.endpoints_of(edges, self.camera)
         agreement = endpoints.agreement(ends, edge, expected.ends[pair], expected.known[pair], self.camera, margin)
-        alike = 1.0 + edges.polarity[edge] * expected.leaning[pair]
+        alike = (1.0 + edges.polarity[edge] * expected.leaning[pair]) * expected.in_the_open[pair]
         return np.asarray(alike * agreement / edges.clutter[edge])
 
     def _spread_var(self, particles: Particles, points: Array) -> Array:
@@ -449,7 +459,7 @@ def _expected_from(
 ) -> _Expected:
     camera = observation.camera
     pose = camera.pose_in_map(np.array([[x, z, heading]]))
-    seen = sight(camera, pose, landmark_map, observation.parameters.sight)
+    seen = sight(camera, pose, landmark_map, observation.parameters.sight.far)
     return observation._expected(seen, landmark_map, map_scale)
 
 

@@ -61,10 +61,10 @@ class Scene:
     1 / sigma, polarity, 1 / how dense clutter is there. bins: of their angles, see `bins_of`.
     offset: right, back (m) and yaw (rad) of the camera on the robot.
     view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
-    length that counts. range_m: nearest, farthest. widest: bound on |tan(bearing)|. gate: reach beyond the landmark's
-    own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge may stick out, p(missed).
-    span: of the compared angle (rad). is_slope: whether that is the lean. reach: which landmarks are in range from
-    where.
+    length that counts. range_m: nearest, farthest, and from where on walls hide. widest: bound on |tan(bearing)|. gate:
+    reach beyond the landmark's own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge
+    may stick out, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean. reach: which
+    landmarks are in range from where.
     """
 
     landmarks: Array
@@ -74,7 +74,7 @@ class Scene:
     bins: EdgeBins
     offset: tuple[float, float, float]
     view: tuple[float, ...]
-    range_m: tuple[float, float]
+    range_m: tuple[float, float, float]
     widest: float
     gate: tuple[float, float]
     ends: tuple[float, float]
@@ -102,13 +102,13 @@ def scene_of(
     return Scene(
         landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale),
         visibility=visibility,
-        reach=reach_of(landmark_map, sight.range_max_m),
+        reach=reach_of(landmark_map, sight.far.range_max_m),
         edges=table,
         bins=bins,
         offset=(mount.right_m, mount.back_m, mount.yaw_rad),
         view=view,
         ends=(endpoints.TOLERANCE_PX / camera.focal_px, missed),
-        range_m=(sight.range_min_m, sight.range_max_m),
+        range_m=(sight.range_min_m, sight.far.range_max_m, sight.range_max_m),
         widest=widest,
         gate=(GATE_SIGMAS, largest_var),
         span=angle.span_rad,
@@ -192,9 +192,10 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
     poses = columns.T.copy()
     cell, sequence = kernel.cells_of(poses, low, per_unit, shape), _by_heading(columns)
     run, order = kernel.ordered(cell, int(shape.prod()), sequence)
+    nearest_m, farthest_m, open_m = scene.range_m
     half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
     start, item = in_view_of_cells(
-        run, low, per_unit, shape, scene.landmarks, half_view_rad, scene.range_m[1], scene.reach, scene.offset
+        run, low, per_unit, shape, scene.landmarks, half_view_rad, farthest_m, scene.reach, scene.offset
     )
     found = kernel.log_products(
         poses,
@@ -211,7 +212,7 @@ def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Arra
         scene.edges,
         *scene.bins,
         scene.view,
-        (scene.range_m[0] ** 2, scene.range_m[1] ** 2, scene.widest),
+        (nearest_m**2, farthest_m**2, open_m**2, scene.widest),
         scene.gate,
         scene.ends,
         scene.span,

@@ -40,7 +40,8 @@ _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SCALE = range(6, 14)
 _RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(14, 22)
-_SEEN = 22  # for each of `VIEWS`
+_OPEN = 22
+_SEEN = 23  # for each of `VIEWS`
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _RARE = range(9, 13)
@@ -140,7 +141,7 @@ def _look(
     The same as `landmarks.sight`, with every division by the image's border multiplied out.
     """
     x, z, bottom, top, position_var = landmark
-    nearest, farthest, widest = limits
+    nearest, farthest, open_sq, widest = limits
     s, c, a_left, a_right, e_low, e_high, length_min = view
     sigmas, largest_var = gate
     bin_low, per_bin, last_bin = bins
@@ -190,6 +191,8 @@ def _look(
         first, last = (first if first < last_bin and visible else last_bin), (last if last < last_bin else last_bin)
         block[_FIRST, m], block[_END, m] = first, last
         block[_ANGLE, m], block[_VARIANCE, m] = (angle if visible else np.inf), variance
+        nearness = open_sq / square if square > open_sq else 1.0
+        block[_OPEN, m] = nearness * nearness if visible else 0.0
         block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
         block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
 
@@ -199,7 +202,7 @@ def _count(block: Array, lanes: int, visibility: Array, k: int) -> None:
     """Count landmark k for those that see it, by how visible it is in each view."""
     for view in range(len(visibility)):
         for m in range(lanes):
-            block[_SEEN + view, m] += visibility[view, k] if block[_ANGLE, m] < np.inf else 0.0
+            block[_SEEN + view, m] += visibility[view, k] * block[_OPEN, m]
 
 
 @inlined
@@ -279,7 +282,7 @@ def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density
     """Add the densities of edge e and landmark k to `density` of each view."""
     for view in range(len(visibility)):
         for m in range(lanes):
-            density[view, e, m] += visibility[view, k] * block[_DENSITY, m]
+            density[view, e, m] += visibility[view, k] * block[_OPEN, m] * block[_DENSITY, m]
 
 
 @inlined
@@ -362,7 +365,7 @@ def log_products(
     first: Indices,
     bins: tuple[float, float, float],
     camera: tuple[float, ...],
-    limits: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
     gate: tuple[float, float],
     ends: tuple[float, float],
     span: float,
@@ -376,7 +379,7 @@ def log_products(
         log Π_e (1 + o_k d_e / n) / (1 + o_k)    for inlier rates, o_k = w_k / (1 - w_k)
         log Π_e (1 + o_k d_e) / (1 + o_k n)      for detection rates, o_k = p_k / E
 
-    where a landmark counts for the probability with which it is visible, in d_e and in n.
+    where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it.
     visibility: (V, L) this, in each of V views.
 
     odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.

@@ -189,13 +189,38 @@ def test_a_polarity_that_only_one_side_knows_changes_no_bit(of: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["line", "slope"])
+def test_landmarks_down_a_long_corridor_count_for_what_can_be_seen_of_them(kind: str) -> None:
+    rng = np.random.default_rng(8)
+    parameters = ObservationParameters(kind=kind, landmark_sigma_m=0.0)  # type: ignore[arg-type]
+    observation = EdgeObservation(camera(10.0), parameters)
+    bearing, far_m = rng.uniform(-0.4, 0.4, 60), rng.uniform(2.0, 30.0, 60)
+    points = np.column_stack([far_m * np.sin(bearing), -far_m * np.cos(bearing)])
+    landmark_map, particles = LandmarkMap.from_points(points), cloud(rng, 300)
+    sighting = Sighting(0, some_edges(rng, 20, True))
+    plain = observation.by_rate_plain(particles, sighting, landmark_map)
+    np.testing.assert_allclose(observation.by_rate(particles, sighting, landmark_map), plain, atol=2e-4)
+    # A landmark at 24 m, which is twice as far as walls leave open, is in view with a probability of 1/16.
+    one = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
+    edge = Sighting(0, Edges.from_columns(np.zeros(1), np.full(1, 0.01), np.zeros(1), np.full(1, 0.01)))
+    near, far = (
+        observation.by_detection_rate(one, edge, LandmarkMap.from_points(np.array([[0.0, -each]])))[-1]
+        for each in (11.9, 24.0)
+    )
+    rate = DETECTION_RATES[-1]
+    density = (np.exp(near) * (1.0 + rate) - 1.0) / rate
+    np.testing.assert_allclose(np.exp(far), (1.0 + rate * density / 16) / (1.0 + rate / 16), rtol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["line", "slope"])
 def test_detection_rates_are_a_poisson_process(kind: str) -> None:
     """Against its equation, from what the inlier rates say: both are functions of the same densities."""
     rng = np.random.default_rng(7)
     observation = EdgeObservation(camera(20.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
     landmark_map, particles = some_map(rng, 40), cloud(rng, 200)
     mount_sees = observation.camera_poses(particles)
-    seen = np.bincount(sight(observation.camera, mount_sees, landmark_map).pose, minlength=200)
+    limits = observation.parameters.sight
+    views = sight(observation.camera, mount_sees, landmark_map, limits.far)
+    seen = np.bincount(views.pose, limits.in_the_open(views.range_m), minlength=200)
     for edges in (some_edges(rng, 1, True), some_edges(rng, 1, False)):
         inlier = observation.by_rate(particles, Sighting(0, edges), landmark_map)[3]
         rate = INLIER_RATES[3]
