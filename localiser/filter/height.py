@@ -12,10 +12,17 @@ are far from where they should be, so δ is not Gaussian. Its probability is kep
 Half of σ² is common to the ends of an image, what is left of an error of the tilt, and their number does not average
 it away. Images count by how far the robot has moved between them. A height that was measured for each image, with a
 sigma, errs in each image in its own way and is taken as it is.
+
+That needs a pose, and the pose of an image seen from a wrong height is wrong too. So until the height is known, at a
+start in particular, height and pose are weighed together: the likelihood of the image's edges at each height, averaged
+over particles,
+
+    p(edges | δ) = Σ_i w_i p(edges | particle i, δ)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,6 +39,11 @@ MISSED = (0.2, 0.5, 0.8, 0.95)  # how many ends of an image are not their landma
 FORGOTTEN = 1e-6  # probability, with each image, that what was learnt is wrong
 STEP_M = 0.005  # in which the height is corrected, so that what depends on it need not be worked out for every image
 LEAST_NOVELTY = 0.2  # between images that are learnt from
+COARSE_M: Array = np.linspace(-0.2, 0.2, 17)  # the offsets that are weighed together with poses
+COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between them
+UNKNOWN_M = 0.02  # sigma from which on they are
+COARSE_NOVELTY = 0.5  # between images that they are weighed by, as that takes time
+POWER = 0.6  # of the likelihood: edges of an image err together
 # From how many sigmas on an offset is used instead of what is stated, and how many contradict that.
 _USED, _SIGMAS = 1.0, 3.0
 
@@ -69,6 +81,21 @@ class Height:
             "That height is used; set it in the camera's file"
         )
 
+    @property
+    def is_unknown(self) -> bool:
+        """Whether a pose is needed as much for the height as the height for a pose."""
+        return bool(self.probability @ (OFFSETS_M - self.mean_m) ** 2 > UNKNOWN_M**2)
+
+    def with_poses(self, log_likelihood: Callable[[float], float], novelty: float) -> Height:
+        """Return what is known after an image, over all poses that the robot may have.
+
+        log_likelihood: the logarithm of the mean likelihood of the image over particles, by the offset of the height.
+        """
+        fit = np.array([log_likelihood(offset_m) for offset_m in COARSE_M])
+        log_fit = POWER * novelty * np.interp(OFFSETS_M, COARSE_M, fit - fit.max())
+        known = ((1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED) * np.exp(log_fit)
+        return Height(known / known.sum())
+
     def seen(self, novelty: float) -> Height:
         """Return it with the novelty of one more image, 0 … 1."""
         return replace(self, novelty=min(self.novelty + novelty, 1.0))
@@ -102,9 +129,18 @@ class Height:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
         if abs(self.mean_m) < _USED * self.sigma_m:
             return edges
-        height_m = stated.height_m + round(self.mean_m / STEP_M) * STEP_M
-        range_m = edges.foot_range_m * (height_m / stated.height_m)
-        return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
+        return _seen_from(edges, stated, round(self.mean_m / STEP_M) * STEP_M)
+
+
+def seen_from_offset(edges: Edges, camera: Camera, offset_m: float) -> Edges:
+    """Return the edges as seen from one of `COARSE_M` above the stated height, with its sigma."""
+    return replace(_seen_from(edges, camera.at(edges.mount).mount, offset_m), height_sigma_m=COARSE_SIGMA_M)
+
+
+def _seen_from(edges: Edges, stated: Mount, offset_m: float) -> Edges:
+    height_m = stated.height_m + offset_m
+    range_m = edges.foot_range_m * (height_m / stated.height_m)
+    return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
 
 
 def height_sigma_of_image(mount: Mount) -> float | None:

@@ -20,7 +20,13 @@ from localiser.filter.attitude import Attitude, Level, measured_for_image
 from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.confidence import SURE
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
-from localiser.filter.height import LEAST_NOVELTY, Height, height_sigma_of_image
+from localiser.filter.height import (
+    COARSE_NOVELTY,
+    LEAST_NOVELTY,
+    Height,
+    height_sigma_of_image,
+    seen_from_offset,
+)
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
@@ -43,11 +49,12 @@ from localiser.observation import (
     PredictsScenes,
     ScalesMaps,
     Sighting,
+    TempersByScale,
     likelihood_by_rate,
     matches_of,
     novelty_of,
 )
-from localiser.particles import Estimate, Particles, only, systematic_resample
+from localiser.particles import POSE, Estimate, Particles, log_sum, only, systematic_resample
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer
 
@@ -165,10 +172,13 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
-    measured = sighting
-    sighting = replace(_from_height(mcl, state, sighting), map_scale=state.map_error.scale)
+    measured = replace(sighting, map_scale=state.map_error.scale)
+    sighting = _from_height(mcl, state, measured)
     # Drive: how did the robot move, by odometry, unless the edges contradict it? A few particles move blindly.
     drive, few = _checked(mcl, state, sighting, _driven(mcl, state, sighting), rng)
+    if few is not None and _tells_height_with_poses(mcl, state, measured):
+        state.height = _height_with_poses(mcl, state, few, measured)
+        sighting = _from_height(mcl, state, measured)
     image = _received(mcl, state, sighting, drive)
     weighed = None
     if state.particles is not None and few is not None:
@@ -424,14 +434,44 @@ def _from_height(mcl: Mcl, state: FilterState, sighting: Sighting) -> Sighting:
     return replace(sighting, edges=state.height.corrected(sighting.edges, mcl.level.camera, is_tracked=is_tracked))
 
 
+def _tells_height_with_poses(mcl: Mcl, state: FilterState, sighting: Sighting) -> bool:
+    """Return whether an image should tell the camera's height together with the pose."""
+    level, edges, landmarks = mcl.level, sighting.edges, mcl.landmark_map
+    if level is None or not isinstance(mcl.observation, ComparesEnds) or not state.height.is_unknown:
+        return False
+    if not np.isfinite(edges.ends_px).any() or height_sigma_of_image(level.camera.at(edges.mount).mount) is not None:
+        return False
+    is_new = not state.weighed or state.height.novelty >= COARSE_NOVELTY
+    return is_new and bool(np.isfinite([landmarks.bottom_m, landmarks.top_m]).any())
+
+
+def _height_with_poses(mcl: Mcl, state: FilterState, few: Particles, sighting: Sighting) -> Height:
+    """Return what is known of the camera's height after an image, over the poses of all particles.
+
+    Edges are blurred so that a few particles are dense enough.
+    """
+    assert mcl.level is not None
+    observation, camera, blur_rad = mcl.observation, mcl.level.camera, 0.0
+    if isinstance(observation, TempersByScale):
+        spread_rad, sigma_rad = observation.scales(few, sighting, mcl.landmark_map)
+        blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
+
+    def log_likelihood(offset_m: float) -> float:
+        image = replace(sighting, edges=seen_from_offset(sighting.edges, camera, offset_m))
+        by_rate = likelihood_by_rate(observation, few, image, mcl.landmark_map, blur_rad)
+        return float(log_sum(few.log_weight + state.inliers.after(1.0).log_mean(by_rate)))
+
+    return state.height.with_poses(log_likelihood, state.height.novelty if state.weighed else 1.0)
+
+
 def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> Height:
     """Return what is known of the camera's height after an image, while a place is tracked."""
     observation, edges = mcl.observation, image.sighting.edges
     if mcl.level is None or not isinstance(observation, ComparesEnds) or state.particles is None or not len(edges):
         return state.height
     stated = mcl.level.camera.at(located.edges.mount)
-    height = state.height.seen(image.novelty)
-    if height.novelty < LEAST_NOVELTY or height_sigma_of_image(stated.mount) is not None:
+    height = state.height.seen(image.novelty if state.weighed else 0.0)
+    if height.novelty < LEAST_NOVELTY or height.is_unknown or height_sigma_of_image(stated.mount) is not None:
         return height
     as_stated = image.sighting
     if edges.mount is not located.edges.mount:
