@@ -108,7 +108,7 @@ def run(
         start = drive.truth[0] + START_SIGMA * robot.rng.standard_normal(3)
     if start is not None:
         robot.start(np.append(start[:2], wrap_angle(start[2])), np.diag(START_SIGMA**2), int(drive.t_ns[0]))
-    return record_of(*_located(robot, drive), drive.truth if same_building else np.full(drive.truth.shape, np.nan))
+    return record_of(*located(robot, drive), drive.truth if same_building else np.full(drive.truth.shape, np.nan))
 
 
 def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array) -> Record:
@@ -129,7 +129,7 @@ def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array) -> Reco
     )
 
 
-def _located(robot: Localiser, drive: Drive) -> tuple[list[LocatedFrame], list[float]]:
+def located(robot: Localiser, drive: Drive) -> tuple[list[LocatedFrame], list[float]]:
     """Return every located image, and the time (ms) of all work since the one before."""
     wheels = ((int(t), 0, pose) for t, pose in zip(drive.odometry.t_ns, drive.odometry.poses, strict=True))
     images = ((int(t), 1, edges) for t, edges in zip(drive.t_ns, drive.edges, strict=True))

@@ -32,7 +32,7 @@ from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering
-from localiser.filter.wheels import Evidence, Wheels
+from localiser.filter.wheels import MOST_EDGES, Evidence, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EstimatesConstantErrors, LinearisedMotion, MotionModel, MotionParameters, covariance_of
@@ -271,14 +271,16 @@ def _checked(
         by_rate = likelihood_by_rate(observation, cloud, replace(sighting, edges=edges), mcl.landmark_map)
         return state.inliers.log_mean(by_rate)
 
+    earlier, now = (replace(one, edges=one.edges.longest(MOST_EDGES)) for one in (seen, sighting))
+
     def continued(motion: Increment) -> float:
         assert isinstance(observation, PredictsScenes)
-        before = EarlierImage(seen, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
-        return float(np.log(observation.scene_clutter(sighting, [before])[0]).sum())
+        before = EarlierImage(earlier, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
+        return float(np.log(observation.scene_clutter(now, [before])[0]).sum())
 
     follows = continued if isinstance(observation, PredictsScenes) else None
     state.wheels, other = state.wheels.after(
-        Evidence(camera, seen.edges, sighting.edges, fit, follows),
+        Evidence(odometer, seen.edges, sighting.edges, fit, follows),
         drive.increment,
         covariance_of(mcl.motion, drive.increment),
         driven,

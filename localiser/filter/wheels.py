@@ -1,16 +1,19 @@
 """Whether the wheels are right: they may stand still while the robot drives, slip, or be silent for a while.
 
-An image should fit the map from where the wheels say the robot is. Where it fits much worse than usual, another
-explanation is weighed beside it: the wheels are wrong, the robot went on at its pace (an Ornstein-Uhlenbeck process of
-its speed), and it turned as most edges say that continue from the last image. Bayes' rule compares both,
+An image should fit the map from where the wheels say the robot is, and its edges should be where those of the last
+image were, moved by that motion. Where either is much worse than usual, another explanation is weighed beside it: the
+wheels are wrong, the robot went on at its pace (an Ornstein-Uhlenbeck process of its speed), and it turned as most
+edges say that continue from the last image. Bayes' rule compares both,
 
-    odds(wrong) = prior odds · (mean p(edges | at the pace) / mean p(edges | by the wheels))^0.6
+    odds(wrong) = prior odds · (M(pace) C(pace) / M(wheels) C(wheels))^0.6 · p(seen | wrong) / p(seen | right)
 
-with means over particles. Wheels that stand still claim an exact motion. Then the edges of the last image must be where
-they were, whatever the map, and their density under either motion (`scene_clutter`) counts as well.
+M: mean likelihood of the image over particles after a motion. C: density of its edges, as the last image predicts them.
+The wheels, too, may turn within their noise as the edges say: else they would lose against whatever knows less. Where
+the wheels are under suspicion, visual odometry follows the edges, and the last factor compares the motion that it sees
+with theirs. It goes astray now and then, so one image alone says only so much.
 
-While the wheels are wrong, particles move at the robot's pace, as far as that is uncertain, and the map corrects them.
-The wheels are believed again when they predict better.
+While the wheels are wrong, particles move as visual odometry says, and the map corrects them. The wheels are believed
+again when they predict better.
 """
 
 from __future__ import annotations
@@ -20,39 +23,42 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between
 from localiser.particles import Estimate, Particles, log_sum, only
 from localiser.visual_odometry import (
     Frames,
     Gaussian,
+    Odometer,
     VisualOdometryParameters,
     motion_gaussian,
     seen_increment,
     twist_of_wheels,
+    with_scale,
 )
 
 POWER = 0.6  # of the likelihood: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
 UNUSUAL = 0.7
 MEMORY = 0.9  # part of what is usual that an image leaves
-MOST_EDGES = 48  # that vote on a turn: the work grows with the square of their number
+MOST_EDGES = 48  # that are followed: the work grows with the square of their number
 FEW = 64  # particles that tell how well the wheels predict an image
 TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
-STANDS_M, STANDS_RAD = 0.01, np.radians(0.5)  # what wheels that stand still may show
+SUSPECT = -4.0  # log-ratio from which on edges are followed, which takes longer
+ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
+LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that edges are compared with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """What an image says of how the robot moved.
 
-    camera, before, after: whose edges, those of the last image and of this one. fit: returns the log-likelihood (N,) of
-    the image at particles. continued: returns the log-density of its edges, as those of the last image predict them
-    after a motion; None where the observation cannot.
+    odometer: follows edges from one image to the next. before, after: edges of the last image and of this one. fit:
+    returns the log-likelihood (N,) of the image at particles. continued: returns the log-density of its edges, as those
+    of the last image predict them after a motion; None where the observation cannot.
     """
 
-    camera: Camera
+    odometer: Odometer
     before: Edges
     after: Edges
     fit: Callable[[Particles], Array]
@@ -68,8 +74,9 @@ class Evidence:
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
-        frames = Frames.of(self.before.longest(MOST_EDGES), self.after.longest(MOST_EDGES), self.camera)
-        likely = frames.likely_motions(prior) if len(self.before) and len(self.after) else []
+        before, after = self.before.longest(MOST_EDGES), self.after.longest(MOST_EDGES)
+        frames = Frames.of(before, after, self.odometer.camera)
+        likely = frames.likely_motions(prior) if len(before) and len(after) else []
         if not likely:
             return seen_increment(motion_gaussian(prior)), 0.0
         miss_rad, var = likely[0][2] - prior.mean[2], prior.cov[2, 2]
@@ -78,6 +85,22 @@ class Evidence:
         twist = Gaussian(np.array([*prior.mean[:2], likely[0][2]]), prior.cov * np.outer(scale, scale))
         log_ratio = min(0.5 * float(np.log(kept) - miss_rad**2 / var), 0.0)
         return seen_increment(motion_gaussian(twist)), log_ratio
+
+    def weighed(
+        self, pace: Gaussian, wheels: Gaussian, move: Callable[[Increment], Particles], by_map: float, by_last: float
+    ) -> float:
+        """Return log p(image | it went on at its pace) / p(image | the wheels are right), to the power `POWER`.
+
+        pace, wheels: twists. by_map, by_last: of the motion of the wheels. Both motions turn as the edges tell, so that
+        none wins because it knows less of its turn.
+        """
+        (paced, log_paced), (held, log_held) = self.turned(pace), self.turned(wheels)
+        last = self.by_last_image(paced) + log_paced - max(self.by_last_image(held) + log_held, by_last)
+        return POWER * (self.by_map(move(paced)) - by_map + last)
+
+    def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
+        """Return the motion by edges alone, of a robot that had this twist per second."""
+        return self.odometer.seen(self.before.longest(MOST_EDGES), self.after.longest(MOST_EDGES), seconds, pace)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,25 +140,25 @@ class Wheels:
         the same particles by another motion. seconds: since the last image. The motion comes with particles moved by
         it.
         """
-        stands = increment.path_m < STANDS_M and increment.turned_rad < STANDS_RAD
         by_map = evidence.by_map(only(driven, slice(None, None, max(len(driven) // FEW, 1))))
         right = np.array([by_map, evidence.by_last_image(increment)])
-        fits = (right >= UNUSUAL * self.usual)[: 2 if stands else 1].all()
+        fits = (right >= UNUSUAL * self.usual).all()
         usual = MEMORY * self.usual + (1.0 - MEMORY) * right
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
         expected = parameters.twist(self.pace, seconds)
-        paced, log_paced = evidence.turned(expected)
-        moved = move(paced)
-        log_ratio = evidence.by_map(moved) - by_map
-        if stands:
-            held, log_held = evidence.turned(twist_of_wheels(increment, cov))
-            log_ratio += evidence.by_last_image(paced) + log_paced - evidence.by_last_image(held) - log_held
+        log_ratio, seen = evidence.weighed(expected, twist_of_wheels(increment, cov), move, by_map, right[1]), None
+        if log_ratio > SUSPECT or self.are_wrong:
+            seen = with_scale(evidence.followed(self.pace, seconds), walks=False)
+            log_ratio += _contradicts(increment.mean, cov, seen, parameters.twist(None, seconds).cov)
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
-        log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + POWER * log_ratio, -50.0, 50.0))
-        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=False)
-        if wheels.are_wrong:
-            return wheels, (paced, moved)
+        log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
+        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
+        if wheels.are_wrong and seen is not None:
+            motion = seen_increment(seen)
+            return wheels, (motion, move(motion))
+        if wheels.fit:
+            return replace(wheels, usual=usual), None
         pace = Gaussian(expected.mean / seconds, expected.cov / seconds**2)
         return replace(wheels, usual=usual, pace=pace), None
 
@@ -147,3 +170,14 @@ class Wheels:
             return replace(self, pose=estimate.pose)
         twist = between(self.pose, estimate.pose) / seconds
         return replace(self, pose=estimate.pose, pace=Gaussian(twist, estimate.pose_cov / seconds**2))
+
+
+def _contradicts(wheels: Array, cov: Array, seen: Gaussian, any_cov: Array) -> float:
+    """Return log p(seen | the wheels are wrong) / p(seen | they are right).
+
+    wheels: (3,) their motion, with its covariance (3, 3). any_cov: (3, 3) of any motion that the robot may make. One
+    motion in twenty that is seen is far off (`ASTRAY`), so it can say at most log 20 against the wheels.
+    """
+    apart, both = seen.mean - wheels, cov + seen.cov + np.diag(LEAST_SIGMA**2)
+    right, any_motion = (Gaussian(np.zeros(3), each).log_density(apart) for each in (both, both + any_cov))
+    return any_motion - float(np.logaddexp(np.log1p(-ASTRAY) + right, np.log(ASTRAY) + any_motion))

@@ -23,6 +23,10 @@ from localiser.visual_odometry.estimate import Belief, Frames, follow
 from localiser.visual_odometry.parameters import VisualOdometryParameters
 from localiser.visual_odometry.twist import Gaussian, twist_gaussian
 
+SCALE_SIGMA = 0.12
+"""Of the scale of all ranges: lower ends that are taken for feet stand on plinths and lower shelves of about 0.1 m."""
+SCALE_M = 2.0
+"""How far the robot drives until other things are in view, and the scale is another."""
 _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 
 
@@ -59,15 +63,28 @@ class Odometer:
         """
         if not self.follows_edges or seconds <= 0:
             return wheel, pace
-        frames = Frames.of(Edges.none() if before is None else before, after, self.camera)
-        beliefs = self._from_nothing(frames, self.parameters.twist(None if before is None else pace, seconds), seconds)
-        if self.parameters.source == "both":
-            beliefs = self._with_wheels(wheel, wheel_cov, beliefs)
-        found = follow(frames, beliefs)
-        pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
         if self.parameters.source == "vision":
-            return seen_increment(found.motion), pace
+            motion, pace = self.seen(before, after, seconds, pace)
+            return seen_increment(with_scale(motion, walks=True)), pace
+        frames, beliefs = self._frames(before, after, seconds, pace)
+        found = follow(frames, self._with_wheels(wheel, wheel_cov, beliefs))
+        pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
         return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad), pace
+
+    def seen(
+        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
+    ) -> tuple[Gaussian, Gaussian]:
+        """Return the motion by the edges alone, without the error of the scale, and the pace as `increment` has it."""
+        found = follow(*self._frames(before, after, seconds, pace))
+        return found.motion, Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
+
+    def _frames(
+        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
+    ) -> tuple[Frames, list[Belief]]:
+        """Return both frames, and what may be believed of the motion between them, whatever the wheels say."""
+        frames = Frames.of(Edges.none() if before is None else before, after, self.camera)
+        prior = self.parameters.twist(None if before is None else pace, seconds)
+        return frames, self._from_nothing(frames, prior, seconds)
 
     def _from_nothing(self, frames: Frames, prior: Gaussian, seconds: float) -> list[Belief]:
         """Return the beliefs that the robot steers, and that it moves sideways as well as any way."""
@@ -93,6 +110,17 @@ def twist_of_wheels(wheel: Increment, cov: Array) -> Gaussian:
     Wheels that stand still know it exactly, edges never do: so the covariance is at least that of edges.
     """
     return twist_gaussian(Gaussian(wheel.mean, cov + np.diag(_LEAST_SIGMA**2)))
+
+
+def with_scale(motion: Gaussian, *, walks: bool) -> Gaussian:
+    """Return a motion by edges with the error of their ranges' scale, which is the same for `SCALE_M`.
+
+    walks: whether as a random walk that errs by as much over that way; else that of this motion alone.
+    """
+    path_m = float(np.hypot(*motion.mean[:2]))
+    var = SCALE_SIGMA**2 * (max(SCALE_M / max(path_m, 1e-6), 1.0) if walks else 1.0)
+    along = np.append(motion.mean[:2], 0.0)
+    return replace(motion, cov=motion.cov + var * np.outer(along, along))
 
 
 def seen_increment(seen: Gaussian) -> Increment:

@@ -14,12 +14,12 @@ from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
-from localiser.filter.wheels import Evidence, Wheels
+from localiser.filter.wheels import ASTRAY, Evidence, Wheels, _contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate, Particles
 from localiser.replay.start import start_of
 from localiser.storage import Log
-from localiser.visual_odometry import Gaussian, VisualOdometryParameters
+from localiser.visual_odometry import Gaussian, Odometer, VisualOdometryParameters, with_scale
 
 BEGIN_S, END_S = 12.0, 15.0
 
@@ -76,7 +76,9 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     """Wheels that count double move the estimate a little at first; that must not become the expected pace."""
     parameters, pace = VisualOdometryParameters(), Gaussian(np.array([0.0, -0.4, 0.0]), 1e-4 * np.eye(3))
     camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
-    poor = Evidence(camera, Edges.none(), Edges.none(), lambda cloud: np.full(len(cloud), 2.0), None)
+    poor = Evidence(
+        Odometer(camera, parameters), Edges.none(), Edges.none(), lambda cloud: np.full(len(cloud), 2.0), None
+    )
     known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
     cloud = Particles(POSE, np.zeros((3, 64)), np.zeros(64))
     double = Increment.from_mean(np.array([0.0, -0.16, 0.0]))
@@ -87,3 +89,26 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
     assert told.pace is not None
     np.testing.assert_allclose(told.pace.mean, parameters.twist(pace, 0.2).mean / 0.2)
+
+
+def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
+    """Edges that go astray now and then must not make wheels wrong at once; edges that agree speak for them."""
+    wheels, cov, any_cov = np.array([0.0, -0.1, 0.0]), np.diag([1e-6, 1e-4, 1e-5]), np.diag([0.01, 0.01, 0.02])
+    seen = Gaussian(wheels, np.diag([1e-5, 1e-5, 1e-6]))
+    agree = _contradicts(wheels, cov, seen, any_cov)
+    slip = _contradicts(wheels + np.array([0.0, 0.0, 0.15]), cov, seen, any_cov)
+    noise = _contradicts(wheels + np.array([0.0, 0.008, 0.002]), cov, seen, any_cov)
+    assert agree < -4.0 and agree < noise < -3.0
+    assert slip == pytest.approx(np.log(1.0 / ASTRAY), abs=0.01)
+
+
+def test_the_scale_of_ranges_is_in_the_covariance_of_a_motion_seen() -> None:
+    """Over 2 m the random walk errs as much as the scale does, 12 %; across the way and in the turn by nothing."""
+    step = Gaussian(np.array([0.0, -0.1, 0.01]), np.zeros((3, 3)))
+    once, walk = with_scale(step, walks=False), with_scale(step, walks=True)
+    assert once.cov[1, 1] ** 0.5 == pytest.approx(0.012)
+    assert (20 * walk.cov[1, 1]) ** 0.5 == pytest.approx(0.24)
+    for cov in (once.cov, walk.cov):
+        np.testing.assert_array_equal(cov[[0, 2]], 0.0)
+    stands = with_scale(Gaussian(np.zeros(3), np.eye(3)), walks=True)
+    np.testing.assert_array_equal(stands.cov, np.eye(3))
