@@ -11,6 +11,7 @@ import numpy as np
 
 from localiser.edges import light_of
 from localiser.filter import SURE, LocatedFrame
+from localiser.geometry import Array, between
 
 AGAIN_S = 10.0
 """How long a message of one kind is not repeated."""
@@ -96,6 +97,11 @@ class Monitor:
             self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°")
         if located.warning:
             self.warn("map", located.warning)
+        if located.wheels_are_wrong and self.newest is not None:
+            wheels = between(self.newest.located.odometry, located.odometry)
+            self.warn(
+                "wheels", f"the wheels contradict the edges: {_way(wheels)} instead of {_way(located.increment.mean)}"
+            )
         if frame.image is not None and self.counts["located"] % LIT_EVERY == 1:
             light = light_of(frame.image)
             if light.is_dark:
@@ -143,3 +149,7 @@ class Monitor:
             figures["error_rmse_m"] = float(np.sqrt(np.mean(np.square(self.error_m))))
             figures["error_worst_m"] = max(self.error_m)
         return figures
+
+
+def _way(motion: Array) -> str:
+    return f"{np.hypot(motion[0], motion[1]):.2f} m and {np.degrees(motion[2]):.1f}°"

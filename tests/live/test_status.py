@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from io import StringIO
 from unittest.mock import patch
 
@@ -13,6 +14,7 @@ from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
 
 from localiser.commands.live import say, shown_status
+from localiser.geometry import Increment, compose
 from localiser.live import end_table, status_line
 from localiser.live.monitor import Monitor
 
@@ -104,4 +106,22 @@ def test_an_image_in_bad_light_is_told(grey: int, kind: str) -> None:
     feed([*camera(), *(image(one.at_ns, 0, plain) if one.role == "image" else one for one in messages)])
     assert feed.run.monitor.wrong[kind] == 1
     assert any(("is dark" if grey < 64 else "is washed out") in text for text in feed.said)
+    feed.close()
+
+
+def test_wheels_that_contradict_the_edges_are_told_with_both_motions() -> None:
+    feed = Feed()
+    feed([*camera(), *drive(2)])
+    monitor, said = feed.run.monitor, len(feed.said)
+    assert "wheels" not in monitor.wrong and monitor.newest is not None
+    located = monitor.newest.located
+    ahead = replace(
+        located,
+        odometry=compose(located.odometry, [0.0, -0.5, 0.0]),
+        increment=Increment.from_mean(np.array([0.0, -0.1, np.radians(2.0)])),
+        wheels_are_wrong=True,
+    )
+    monitor.located(replace(monitor.newest, located=ahead), 1.0, 1.0, None)
+    assert monitor.wrong["wheels"] == 1
+    assert feed.said[said:] == ["the wheels contradict the edges: 0.50 m and 0.0° instead of 0.10 m and 2.0°"]
     feed.close()
