@@ -19,8 +19,8 @@ from belief_run import CORRECT_M, CORRECT_RAD, START_SIGMA, SURE, Drive, located
 from rich.console import Console
 from rich.table import Table
 
-from localiser import Localiser, Trajectory, between, compose, read_config, wrap_angle
-from localiser.geometry import Array
+from localiser import Localiser, Trajectory, compose, read_config, wrap_angle
+from localiser.geometry import Array, between
 
 BEFORE_S, AFTER_S = 10.0, 16.0
 BEGIN_S = {"corridor": (12, 20, 28), "house": (20, 33, 46, 60), "bookstore": (12, 25, 40, 55), "office": (12, 25, 38)}
