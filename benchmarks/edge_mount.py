@@ -17,6 +17,7 @@ from localiser.geometry import Array
 
 STATED_SIGMA_DEG = np.array([3.0, 2.0])
 LABEL_SIGMA_PX = 0.7
+_ROUNDS = 3
 _PLUMB_RAD = np.deg2rad(EdgeParameters().plumb_sigma_deg)
 
 
@@ -71,10 +72,10 @@ def _labelled(scene: Scene) -> Array:
 
 
 def _from_edges(scene: Scene, camera: Camera) -> Array:
-    """Return tilt and roll (2,) from the edges of the image, twice: the second time by what the first told."""
+    """Return tilt and roll (2,) from the edges of the image, in three rounds, each from what the last one told."""
     sigma = STATED_SIGMA_DEG
     parameters = EdgeParameters(tilt_sigma_deg=float(sigma[0]), roll_sigma_deg=float(sigma[1]))
-    for _ in range(2):
+    for _ in range(_ROUNDS):
         edges = find_edges(scene.image, camera, parameters)
         camera = _moved(camera, mount_error_of_edges(edges, camera, np.deg2rad(sigma), _PLUMB_RAD).mean)
     return _mount(camera)

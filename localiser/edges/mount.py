@@ -32,27 +32,51 @@ _GRID, _GRID_SIGMAS = 17, 2.5
 _EVERY_RAD = np.radians(2.5)
 """Range of directions over which a segment that is no vertical edge counts as spread."""
 _FIRST_ITERATIONS, _SCATTER_ITERATIONS = 5, 30
+LENS_SIGMA = 0.02
+"""By what fraction of its distance from the principal point a lens of which no distortion is stated may move the
+image's corner: lenses of one or two per cent are sold as free of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountError:
-    """By how much tilt and roll differ from what is stated: mean (2,) rad and covariance (2, 2).
+    """By how much tilt, roll and lens differ from what is stated: state (3,) with covariance (3, 3).
 
+    The first two in rad, the last one in sigmas of what the lens may err by.
     crooked: how crooked edges are over what was stated of it, a factor of standard deviations.
     """
 
-    mean: Array
-    cov: Array
+    state: Array
+    state_cov: Array
     crooked: float = 1.0
+
+    @property
+    def mean(self) -> Array:
+        """The errors (2,) of tilt and roll, rad."""
+        return self.state[:2]
+
+    @property
+    def cov(self) -> Array:
+        """Their covariance (2, 2), rad²; that the lens is not quite known is part of it."""
+        return self.state_cov[:2, :2]
+
+    @classmethod
+    def prior(cls, mount_sigma_rad: Array) -> MountError:
+        """Return what is known before any edge: tilt and roll within sigmas (2,) of what is stated."""
+        return cls(np.zeros(3), np.diag(with_lens(mount_sigma_rad) ** 2))
+
+
+def with_lens(mount_sigma_rad: Array) -> Array:
+    """Return prior sigmas (3,) of tilt, roll and lens, where those (2,) of tilt and roll are stated."""
+    return np.append(mount_sigma_rad, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NadirMiss:
     """The angle between segments (S) and the lines from their middles to the nadir point.
 
-    angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 2) its derivative by tilt and roll.
-    sigma: (S,) error of the segments' own directions. crooked: (S,) by how much the edges themselves are stated to be
-    out of plumb, and not straight.
+    angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 3) its derivative by tilt, roll and
+    the lens error, 0 where the lens is taken as stated. sigma: (S,) error of the segments' own directions. crooked:
+    (S,) by how much the edges themselves are stated to be out of plumb, and not straight.
     """
 
     angle: Array
@@ -62,24 +86,25 @@ class NadirMiss:
 
     def corrected(self, mount: MountError) -> tuple[Array, Array]:
         """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
-        remaining = ((self.per_mount @ mount.cov) * self.per_mount).sum(axis=1)
-        return self.angle + self.per_mount @ mount.mean, remaining
+        remaining = ((self.per_mount @ mount.state_cov) * self.per_mount).sum(axis=1)
+        return self.angle + self.per_mount @ mount.state, remaining
 
     def turned(self, mount_rad: Array) -> NadirMiss:
         """Return the angles for a camera with this much more tilt and roll (2,)."""
-        return replace(self, angle=self.angle + self.per_mount @ mount_rad)
+        return replace(self, angle=self.angle + self.per_mount[:, :2] @ mount_rad)
 
     def take(self, index: NDArray[np.bool_]) -> NadirMiss:
         """Return the angles of some segments."""
         return NadirMiss(self.angle[index], self.per_mount[index], self.sigma[index], self.crooked[index])
 
 
-def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float) -> NadirMiss:
+def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float, *, lens_sigma: float = 0.0) -> NadirMiss:
     """Return how far segments (S) are from pointing at the nadir point of `camera`.
 
-    plumb_sigma_rad: how far real edges are from plumb. The nadir point moves by δθ / s² along e and by δρ c / s along
-    a; seen from (a, e) it turns by a / q² δθ and c (c + e s) / q² δρ, where q² = (a s)² + (c + e s)². Also right when
-    the tilt is 0.
+    plumb_sigma_rad: how far real edges are from plumb. lens_sigma: how far a lens may move the corner, over its
+    distance from the principal point, where the camera states no lens model. The nadir point moves by δθ / s² along e
+    and by δρ c / s along a; seen from (a, e) it turns by a / q² δθ and c (c + e s) / q² δρ, where q² = (a s)² +
+    (c + e s)². Also right when the tilt is 0.
     """
     support = ideal_camera(camera).upright_from_pixels(segments.support_px)
     across, up = (support[:, 1] - support[:, 0]).T
@@ -87,16 +112,39 @@ def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float) -> Na
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     depth = c + e * s
     angle = np.sin(geometry.wrap_half_turn(np.arctan2(across, up) - np.arctan2(a * s, depth)))
-    per_mount = np.stack([-a, c * depth], axis=-1) / ((a * s) ** 2 + depth**2)[:, None]
+    squared = (a * s) ** 2 + depth**2
+    per_mount = np.stack([-a / squared, c * depth / squared, _per_lens(support, camera, lens_sigma)], axis=-1)
     length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
     sigma = np.sqrt(2.0) * segments.end_sigma_px / length_px
     return NadirMiss(angle, per_mount, sigma, np.full(len(angle), plumb_sigma_rad))
 
 
-def nadir_miss_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float) -> NadirMiss:
+def _per_lens(support: Array, camera: Camera, lens_sigma: float) -> Array:
+    """Return the derivative (S,) of the miss by a radial distortion of which the camera states none, in its sigmas.
+
+    support: (S, 2, 2) upright image coordinates p. A distortion κ moves p by -κ r² p; κ = lens_sigma / r² of the
+    image's corner. A line at the image's side turns by some 2 κ a e, the other way above and below the middle.
+    """
+    if camera.is_distorted or lens_sigma == 0:
+        return np.zeros(len(support))
+    corner = (np.array([camera.width, camera.height]) - 1) / 2 / camera.focal_px
+    moved = -lens_sigma / (corner @ corner) * (support**2).sum(axis=-1, keepdims=True) * support
+    along, turned = support[:, 1] - support[:, 0], moved[:, 1] - moved[:, 0]
+    middle, shifted = support.mean(axis=1), moved.mean(axis=1)
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    from_nadir = middle * s + np.array([0.0, c])  # times s, and so is how it moves
+    return _turn(along, turned) - _turn(from_nadir, s * shifted)
+
+
+def _turn(direction: Array, by: Array) -> Array:
+    """Return by how much (S,) rad a direction (S, 2) turns rightwards when a small vector (S, 2) is added to it."""
+    return np.asarray((by[:, 0] * direction[:, 1] - by[:, 1] * direction[:, 0]) / (direction**2).sum(axis=1))
+
+
+def nadir_miss_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float, *, lens_sigma: float = 0.0) -> NadirMiss:
     """Return how far edges (E) are from pointing at the nadir point; short ones are stated to be more crooked."""
     ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
-    miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad)
+    miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad, lens_sigma=lens_sigma)
     sigma = edges.lean_sigma
     if TURN_RATE in edges.common.names:
         sigma = np.hypot(sigma, _turned_alike(edges, camera))
@@ -116,7 +164,9 @@ def _turned_alike(edges: Edges, camera: Camera) -> Array:
 def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = False) -> MountError:
     """Return the error of the stated tilt and roll that makes segments (S) point at the nadir point best.
 
-    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll. Without segments: the
+    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll. Where the lens
+    may err, a radial distortion is estimated with them: it turns edges on both sides of the image, as a tilt does, and
+    the other way in its upper and its lower half. Without segments: the
     prior. Least squares end at the nearest optimum, so where the prior is wider than a degree they begin at the
     likeliest point of a grid. learn_crooked: find by expectation maximisation how crooked edges are, as a factor of
     what is stated: walls that agree to hundredths of a degree tell the tilt as well as that, although none is stated
@@ -125,20 +175,21 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     if prior_sigma_rad.max() > _NEAR_RAD and len(miss.angle):
         start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, _NEAR_RAD)
         near = fit_mount(miss.turned(start), narrow, learn_crooked=learn_crooked)
-        # What the segments tell of it is `certain` without the narrow prior; the one that is stated takes its place.
-        certain, prior = np.linalg.inv(near.cov), np.diag(prior_sigma_rad**-2.0)
-        cov = np.asarray(np.linalg.inv(certain - np.diag(narrow**-2.0) + prior), dtype=np.float64)
-        return replace(near, mean=start + cov @ (certain @ near.mean - prior @ start), cov=cov)
+        # What the segments tell is `certain` without the narrow prior; the one that is stated takes its place.
+        certain, prior = np.linalg.inv(near.state_cov), np.diag(with_lens(prior_sigma_rad) ** -2.0)
+        cov = np.asarray(np.linalg.inv(certain - np.diag(with_lens(narrow) ** -2.0) + prior), dtype=np.float64)
+        begun = np.append(start, 0.0)
+        return replace(near, state=begun + cov @ (certain @ near.state - prior @ begun), state_cov=cov)
     variance, crooked_variance = miss.sigma**2, miss.crooked**2
     if not learn_crooked:
         variance, crooked_variance = variance + crooked_variance, np.zeros(len(variance))
-    prior_variance = np.maximum(prior_sigma_rad, 1e-9) ** 2
+    prior_variance = np.maximum(with_lens(prior_sigma_rad), 1e-9) ** 2
     tukey = (_TUKEY, _TUKEY_VARIANCE)
     iterations = (_FIRST_ITERATIONS, _SCATTER_ITERATIONS if learn_crooked else 0)
-    mean, cov, factor = compiled(mount_loop)(
+    state, cov, factor = compiled(mount_loop)(
         miss.angle, miss.per_mount, variance, crooked_variance, prior_variance, tukey, _PRIOR_EDGES, iterations
     )
-    return MountError(mean, cov, float(np.sqrt(factor)))
+    return MountError(state, cov, float(np.sqrt(factor)))
 
 
 def _likeliest(miss: NadirMiss, prior_sigma_rad: Array) -> Array:
@@ -150,15 +201,20 @@ def _likeliest(miss: NadirMiss, prior_sigma_rad: Array) -> Array:
     grid = np.stack(np.meshgrid(*(steps * sigma for sigma in prior_sigma_rad), indexing="ij"), axis=-1).reshape(-1, 2)
     step_rad = _GRID_SIGMAS / _GRID * prior_sigma_rad.max()
     variance = miss.sigma**2 + miss.crooked**2 + step_rad**2 / 12
-    squared = (miss.angle[:, None] + miss.per_mount @ grid.T) ** 2 / variance[:, None]
+    squared = (miss.angle[:, None] + miss.per_mount[:, :2] @ grid.T) ** 2 / variance[:, None]
     density = np.exp(-0.5 * squared) / np.sqrt(2 * np.pi * variance)[:, None]
     score = np.log1p(density * _EVERY_RAD).sum(axis=0) - 0.5 * ((grid / prior_sigma_rad) ** 2).sum(axis=1)
     return np.asarray(grid[int(score.argmax())])
 
 
-def mount_error_of_edges(edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float) -> MountError:
+def mount_error_of_edges(
+    edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float, *, lens_sigma: float = LENS_SIGMA
+) -> MountError:
     """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `fit_mount`.
 
     `plumb_sigma_rad` is the same for edges of any length; that they are not straight counts for more in shorter ones.
+    lens_sigma: see `nadir_miss`. 0 where many images follow each other: an error of the lens is the same in all of
+    them, and one that is estimated anew in each is not.
     """
-    return fit_mount(nadir_miss_of_edges(edges, camera, plumb_sigma_rad), prior_sigma_rad, learn_crooked=True)
+    miss = nadir_miss_of_edges(edges, camera, plumb_sigma_rad, lens_sigma=lens_sigma)
+    return fit_mount(miss, prior_sigma_rad, learn_crooked=True)

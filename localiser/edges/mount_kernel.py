@@ -18,21 +18,22 @@ def mount_loop(
     prior_edges: float,
     iterations: tuple[int, int],
 ) -> tuple[Array, Array, float]:
-    """Return mean (2,) and covariance (2, 2) of tilt and roll that angles (S,) tell, and a factor on crooked_variance.
+    """Return tilt, roll and lens (3,) with covariance (3, 3) that angles (S,) tell, and a factor on crooked_variance.
 
-    tukey: where weights end, and the share of a Gaussian's variance that they leave. iterations: with a factor of 1,
-    and with one that is learnt. See `fit_mount`.
+    per_mount: (S, 3). prior_variance: (3,). tukey: where weights end, and the share of a Gaussian's variance that they
+    leave. iterations: with a factor of 1, and with one that is learnt. See `fit_mount`.
     """
-    mean, factor = np.zeros(2), 1.0
-    cov = np.array([[prior_variance[0], 0.0], [0.0, prior_variance[1]]])
+    state, cov, factor = np.zeros(3), np.diag(prior_variance), 1.0
     for iteration in range(iterations[0] + iterations[1]):
         says = crooked = 0.0
-        # Information matrix ((a, b), (b, d)) and vector (p, q).
-        a, b, d, p, q = 1 / prior_variance[0], 0.0, 1 / prior_variance[1], 0.0, 0.0
+        information, pull = np.diag(1 / prior_variance), np.zeros(3)
         for k in range(len(angle)):
-            t, r = per_mount[k, 0], per_mount[k, 1]
-            remaining = cov[0, 0] * t * t + 2 * cov[0, 1] * t * r + cov[1, 1] * r * r
-            miss = angle[k] + t * mean[0] + r * mean[1]
+            by = per_mount[k]
+            miss, remaining = angle[k], 0.0
+            for i in range(3):
+                miss += by[i] * state[i]
+                for j in range(3):
+                    remaining += cov[i, j] * by[i] * by[j]
             own = factor * crooked_variance[k]
             total = own + variance[k]
             trust = max(1 - miss**2 / (tukey[0] ** 2 * (total + remaining)), 0.0) ** 2
@@ -41,13 +42,21 @@ def mount_loop(
             if own > 0:
                 part = own / total
                 crooked += trust * (part**2 * (miss**2 + remaining) + part * variance[k]) / crooked_variance[k]
-            a, b, d = a + weight * t * t, b + weight * t * r, d + weight * r * r
-            p, q = p - weight * t * angle[k], q - weight * r * angle[k]
-        cov = np.array([[d, -b], [-b, a]]) / (a * d - b * b)
-        mean = np.array([cov[0, 0] * p + cov[0, 1] * q, cov[1, 0] * p + cov[1, 1] * q])
+            for i in range(3):
+                pull[i] -= weight * by[i] * angle[k]
+                for j in range(3):
+                    information[i, j] += weight * by[i] * by[j]
+        # The inverse of a symmetric 3 × 3 matrix by its cofactors.
+        for i in range(3):
+            for j in range(3):
+                a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+                cov[i, j] = information[a, c] * information[b, d] - information[a, d] * information[b, c]
+        cov /= information[0, 0] * cov[0, 0] + information[0, 1] * cov[0, 1] + information[0, 2] * cov[0, 2]
+        for i in range(3):
+            state[i] = cov[i, 0] * pull[0] + cov[i, 1] * pull[1] + cov[i, 2] * pull[2]
         if iteration >= iterations[0] - 1 and iteration < iterations[0] + iterations[1] - 1:
             factor = (prior_edges + crooked / tukey[1]) / (prior_edges + says)
-    return mean, cov, factor
+    return state, cov, factor
 
 
 def same_edge_loop(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera
-from localiser.edges.mount import MountError, NadirMiss, fit_mount, nadir_miss
+from localiser.edges.mount import LENS_SIGMA, MountError, NadirMiss, fit_mount, nadir_miss
 from localiser.edges.mount_kernel import same_edge_loop
 from localiser.edges.segments import Segments
 from localiser.edges.undistort import ideal_camera
@@ -39,9 +39,9 @@ def vertical_segments(
     better tilt and roll, which then decide. Plumb: how far real edges are from vertical. turn_sigma_rad: by how much
     segments (S,) may be turned besides.
     """
-    miss = nadir_miss(segments, camera, plumb_sigma_rad)
+    miss = nadir_miss(segments, camera, plumb_sigma_rad, lens_sigma=LENS_SIGMA)
     miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
-    prior = MountError(np.zeros(2), np.diag(mount_sigma_rad**2))
+    prior = MountError.prior(mount_sigma_rad)
     candidates = _above_nadir(segments, camera) & _is_met(miss, prior, gate_sigma)
     posterior = fit_mount(miss.take(candidates), mount_sigma_rad)
     return candidates & _is_met(miss, posterior, gate_sigma), posterior

@@ -56,7 +56,7 @@ class Attitude:
         camera: as it was mounted then. plumb_sigma_rad: how far real edges are from plumb.
         """
         prior_sigma = np.maximum(np.sqrt(np.diag(_of_attitude(edges.common.cov))), _LEAST_SIGMA_RAD)
-        image = mount_error_of_edges(edges, camera, prior_sigma, plumb_sigma_rad)
+        image = mount_error_of_edges(edges, camera, prior_sigma, plumb_sigma_rad, lens_sigma=0.0)
         # What the image tells beside the prior, which counts once and not with every image.
         certain = np.linalg.inv(image.cov)
         information, pull = novelty * (certain - np.diag(prior_sigma**-2.0)), novelty * certain @ image.mean

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
@@ -35,6 +37,38 @@ def test_derivative_by_tilt_and_roll_is_that_of_finite_differences(tilt_deg, rol
         moved = camera.with_mount(**{name: getattr(camera.mount, name) + step})
         numeric = (nadir_miss(segments, moved, PLUMB_RAD).angle - miss.angle) / step
         np.testing.assert_allclose(miss.per_mount[:, index], numeric, rtol=0.03, atol=0.002)
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, -4.0])
+def test_derivative_by_the_lens_is_that_of_a_small_distortion(roll_deg):
+    stated, lens_sigma = camera_of(tilt_deg=20.0, roll_deg=roll_deg), 1e-4
+    half = np.array([(stated.width - 1) / 2, (stated.height - 1) / 2]) / stated.focal_px
+    bent = replace(stated, distortion_model="plumb_bob", distortion=(lens_sigma / (half @ half), 0.0, 0.0, 0.0, 0.0))
+    exact = vertical_segments(stated, np.linspace(-25, 25, 7), (0.05, 0.35))
+    taken = Segments.of_ends(bent.pixels_from_image(stated.image_from_pixels(exact.ends_px)), 0.3)
+    miss = nadir_miss(taken, stated, PLUMB_RAD, lens_sigma=lens_sigma)
+    np.testing.assert_allclose(miss.per_mount[:, 2], -miss.angle, rtol=0.01, atol=1e-8)
+    assert np.abs(miss.angle).max() > lens_sigma / 10
+    assert not nadir_miss(taken, bent, PLUMB_RAD, lens_sigma=lens_sigma).per_mount[:, 2].any()
+
+
+def test_a_lens_that_bends_what_it_is_said_not_to_does_not_turn_the_camera():
+    """Edges in the upper half alone lean as if the camera were tilted; those below the middle tell the two apart."""
+    stated = camera_of(tilt_deg=10.0)
+    bent = replace(stated, distortion_model="plumb_bob", distortion=(-0.06, 0.0, 0.0, 0.0, 0.0))
+    bearings, nan = np.linspace(-27, 27, 24), np.full(32, np.nan)
+    exact = [
+        vertical_segments(stated, bearings, (0.1, 0.35)).ends_px,
+        vertical_segments(stated, bearings[::3], (-0.35, -0.1)).ends_px,
+    ]
+    ends = bent.pixels_from_image(stated.image_from_pixels(np.concatenate(exact)))
+    edges = Edges.from_columns(nan, nan, nan, np.full(32, 1e-4), ends_px=ends)
+    prior_rad, plumb_rad = np.deg2rad([3.0, 2.0]), np.deg2rad(0.1)
+    told = [mount_error_of_edges(edges, stated, prior_rad, plumb_rad, lens_sigma=sigma) for sigma in (0.02, 0.0)]
+    tilt, tilt_of_no_lens = (abs(np.rad2deg(error.mean[0])) for error in told)
+    assert tilt < 0.3
+    assert tilt_of_no_lens > 0.6
+    assert tilt < 2 * np.rad2deg(np.sqrt(told[0].cov[0, 0]))
 
 
 pixels_in_image = st.tuples(st.floats(0, 639), st.floats(0, 479))
@@ -99,7 +133,7 @@ def test_edges_that_are_not_quite_straight_count_by_their_length():
     for _ in range(100):
         rough = ends + rng.normal(0, 0.35, ends.shape) * [1.0, 0.0]
         edges = Edges.from_columns(unknown, unknown, unknown, np.full(26, 1e-4), ends_px=rough)
-        error = mount_error_of_edges(edges, camera, np.deg2rad([3.0, 3.0]), np.deg2rad(0.01))
+        error = mount_error_of_edges(edges, camera, np.deg2rad([3.0, 3.0]), np.deg2rad(0.01), lens_sigma=0.0)
         normalised.append(error.mean / np.sqrt(np.diag(error.cov)))
     assert np.all(np.abs(np.std(normalised, axis=0) - 1) < 0.25)
 

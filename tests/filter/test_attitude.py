@@ -98,7 +98,7 @@ def test_the_update_is_filterpys(seed: int) -> None:
     root = rng.standard_normal((2, 2)) * SIGMA
     known = Attitude(ERROR * rng.standard_normal(2), root @ root.T)
     novelty = rng.uniform(0.1, 1.0)
-    image = mount_error_of_edges(edges, STATED, SIGMA, PLUMB)
+    image = mount_error_of_edges(edges, STATED, SIGMA, PLUMB, lens_sigma=0.0)
     noise = np.linalg.inv(novelty * (np.linalg.inv(image.cov) - np.diag(SIGMA**-2.0)))
     kalman = KalmanFilter(dim_x=2, dim_z=2)
     kalman.x, kalman.P, kalman.H = known.mean.copy(), known.cov.copy(), np.eye(2)
