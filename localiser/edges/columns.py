@@ -33,8 +33,10 @@ _LEAST_NOISE_GREY = 1 / np.sqrt(12.0)
 """Rounding to 8 bits alone is as noisy as this."""
 _CLUTTER_BLOCKS, _CLUTTER_COLUMNS = 5, 17
 """Size of the surroundings that tell how much texture an edge must stand out from."""
-_CLUTTER_WEIGHT = 4.0
+_CLUTTER_WEIGHT = 6.0
 """Texture is no white noise: it goes on from block to block, so that averaging removes less of it."""
+_CHANGE_OF_NOISE = (3 - np.sqrt(3.0)) / np.sqrt(np.pi)
+"""Mean of the smaller of two neighbouring differences of white noise of sigma 1: min = |x| + |y| - max."""
 
 
 def gradient_kernel(scale_px: float) -> NDArray[np.float32]:
@@ -50,7 +52,7 @@ class GradientField:
     """Horizontal gradient of a rectified image, averaged over blocks of rows: (B, W), in units of its noise.
 
     fine: at `SCALE_PX`. smooth: the same averaged over neighbouring blocks. coarse: at twice the scale.
-    change: mean size of what changes from block to block nearby, noise and texture.
+    change: mean size of what changes both from the block above and to the one below nearby, noise and texture.
     unseen: blocks where the image has nothing to show. noise_grey: the noise's sigma (grey levels per px).
     smooth_sigma: the noise's sigma in `smooth`. grey: the rectified image averaged over blocks (grey levels).
     """
@@ -87,7 +89,7 @@ def gradient_field(image: Image, camera: Camera) -> GradientField:
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
     smooth_sigma = max(_robust_sigma(smooth, camera), float(np.linalg.norm(ALONG)))
-    return GradientField(fine, smooth, coarse, _change(fine), unseen, noise, smooth_sigma, grey)
+    return GradientField(fine, smooth, coarse, change_of(fine), unseen, noise, smooth_sigma, grey)
 
 
 def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:
@@ -116,19 +118,22 @@ def _sample(camera: Camera) -> NDArray[np.int64]:
     return np.flatnonzero(~unseen_blocks(camera))[::17]
 
 
-def _change(fine: NDArray[np.float32]) -> NDArray[np.float32]:
+def change_of(fine: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return how much a gradient (B, W) changes nearby from block to block, on that side where it changes less."""
     change = np.zeros_like(fine)
     cv2.absdiff(fine[1:], fine[:-1], dst=change[1:])
+    np.minimum(change[1:-1], change[2:], out=change[1:-1])
     return np.asarray(cv2.blur(change, (_CLUTTER_COLUMNS, _CLUTTER_BLOCKS)), dtype=np.float32)
 
 
 def clutter(change: Array) -> Array:
     """Return the sigma (K,) of noise and texture where there is so much change (K,), 1 where there is only noise.
 
-    Vertical edges do not change from block to block, texture does. Mean sizes, because one end of a strong edge nearby
-    is no texture: of a difference of two normal values it is 2 σ / √π.
+    Vertical edges do not change from block to block, texture does, and on both sides: where a sill or a beam ends an
+    edge, it changes on one side only. Mean sizes, because a strong edge nearby is no texture.
     """
-    return np.sqrt(1 + _CLUTTER_WEIGHT * np.maximum(np.pi / 4 * change**2 - 1, 0))
+    excess = (change / _CHANGE_OF_NOISE) ** 2 - 1
+    return np.asarray(np.sqrt(1 + _CLUTTER_WEIGHT * np.maximum(excess, 0)))
 
 
 @lru_cache(maxsize=8)

@@ -12,7 +12,7 @@ from floor_points import floor_points
 
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.column_detector import Columns
-from localiser.edges.columns import gradient_field, gradient_kernel, linked, peaks_of
+from localiser.edges.columns import change_of, clutter, gradient_field, gradient_kernel, linked, peaks_of
 from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 
 PARAMETERS = EdgeParameters(detector="columns")
@@ -291,3 +291,16 @@ def test_an_edge_beside_what_is_overexposed_is_less_certain_than_a_pixel_is_wide
         edges = edges.take(np.argsort(edges.bearing))
         normalised += list((edges.bearing - np.deg2rad(bearings)) / edges.bearing_sigma)
     assert 0.4 < np.sqrt(np.mean(np.square(normalised))) < 1.3
+
+
+def test_white_noise_is_no_clutter_and_texture_is():
+    noise = np.random.default_rng(0).normal(0, 1, (60, 640)).astype(np.float32)
+    assert np.median(clutter(change_of(noise))) < 1.1
+    assert np.median(clutter(change_of(4 * noise))) > 8
+
+
+def test_where_an_edge_ends_is_no_texture():
+    """A beam across an edge makes it end and begin again: it changes on one side of a block only."""
+    fine = np.zeros((60, 640), dtype=np.float32)
+    fine[:20, ::20] = fine[30:, ::20] = 100.0
+    np.testing.assert_allclose(change_of(fine)[3:-3], 0.0, atol=1e-4)
