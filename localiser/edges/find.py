@@ -19,7 +19,7 @@ from localiser.edges.readout import Readout, readout_of
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image, half_camera, halved, ideal_camera
-from localiser.edges.vertical import same_edge, vertical_segments
+from localiser.edges.vertical import has_direction, same_edge, vertical_segments
 from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
 from localiser.geometry import Array, Twist
@@ -77,7 +77,9 @@ def find_edges(
         kept = replace(kept, polarity=polarity_of_profiles(profiles(taken.ends_px[vertical], grey, camera)))
     edge = same_edge(kept, camera, error, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad, readout)
-    edges = edges.take(edges.length_px >= parameters.min_length_px)
+    edges = edges.take(
+        (edges.length_px >= parameters.min_length_px) & has_direction(edges, plumb_sigma_rad, parameters.gate_sigma)
+    )
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
     edges = replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
     if not with_probabilities:

@@ -25,7 +25,7 @@ _STRAIGHT_PX = 0.35
 short edge far and a long one hardly, so that many short edges do not outvote few long ones."""
 _PRIOR_EDGES = 2.0
 """As how many edges it counts that edges are as crooked as is stated, when an image's own say how crooked they are."""
-_NEAR_RAD = np.radians(1.0)
+NEAR_RAD = np.radians(1.0)
 """How far from the truth least squares may begin."""
 _GRID, _GRID_SIGMAS = 17, 2.5
 """Steps of the grid to either side, and how many sigmas of the prior it covers."""
@@ -172,8 +172,8 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     what is stated: walls that agree to hundredths of a degree tell the tilt as well as that, although none is stated
     to be built so.
     """
-    if prior_sigma_rad.max() > _NEAR_RAD and len(miss.angle):
-        start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, _NEAR_RAD)
+    if prior_sigma_rad.max() > NEAR_RAD and len(miss.angle):
+        start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, NEAR_RAD)
         near = fit_mount(miss.turned(start), narrow, learn_crooked=learn_crooked)
         # What the segments tell is `certain` without the narrow prior; the one that is stated takes its place.
         certain, prior = np.linalg.inv(near.state_cov), np.diag(with_lens(prior_sigma_rad) ** -2.0)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera
-from localiser.edges.mount import LENS_SIGMA, MountError, NadirMiss, fit_mount, nadir_miss
+from localiser.edges.mount import LENS_SIGMA, NEAR_RAD, MountError, NadirMiss, fit_mount, nadir_miss
 from localiser.edges.mount_kernel import same_edge_loop
 from localiser.edges.segments import Segments
+from localiser.edges.types import Edges
 from localiser.edges.undistort import ideal_camera
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
@@ -19,6 +20,8 @@ _ABOVE_NADIR = 0.05
 """Least c + e s of an edge's ends: closer to the nadir point, or below it, a line tells no bearing ahead."""
 _VAGUE_RAD = 0.5
 """A segment so short that it would pass in nearly any direction proves nothing."""
+REACH_RAD = float(np.arctan(1 / 8))
+"""How far from vertical `columns` looks, a column a block."""
 _BESIDE_SHARE = 0.5
 """Segments that have more than this fraction of the shorter one's height in common are side by side."""
 _RESOLVED_PX = 1.5
@@ -36,14 +39,16 @@ def vertical_segments(
     """Return (S,) which segments meet the nadir point within what noise allows, and the error of the stated mount.
 
     The stated tilt and roll, uncertain by `mount_sigma_rad` (2,), say which segments may be vertical. Those agree on a
-    better tilt and roll, which then decide. Plumb: how far real edges are from vertical. turn_sigma_rad: by how much
-    segments (S,) may be turned besides.
+    better tilt and roll, and on how crooked edges are here, which then decide. Plumb: how far real edges are from
+    vertical. turn_sigma_rad: by how much segments (S,) may be turned besides.
     """
     miss = nadir_miss(segments, camera, plumb_sigma_rad, lens_sigma=LENS_SIGMA)
     miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
     prior = MountError.prior(mount_sigma_rad)
     candidates = _above_nadir(segments, camera) & _is_met(miss, prior, gate_sigma)
-    posterior = fit_mount(miss.take(candidates), mount_sigma_rad)
+    # Of a vague mount, lines that are not vertical are candidates too: they would tell that all edges are crooked.
+    is_near = bool(mount_sigma_rad.max() <= NEAR_RAD)
+    posterior = fit_mount(miss.take(candidates), mount_sigma_rad, learn_crooked=is_near)
     return candidates & _is_met(miss, posterior, gate_sigma), posterior
 
 
@@ -55,8 +60,14 @@ def _above_nadir(segments: Segments, camera: Camera) -> NDArray[np.bool_]:
 def _is_met(miss: NadirMiss, mount: MountError, gate_sigma: float) -> NDArray[np.bool_]:
     """Return (S,) whether segments point at the nadir point as well as a vertical edge would."""
     angle, by_mount = miss.corrected(mount)
-    allowed = gate_sigma * np.sqrt(miss.sigma**2 + miss.crooked**2 + by_mount)
+    allowed = gate_sigma * np.sqrt(miss.sigma**2 + (mount.crooked * miss.crooked) ** 2 + by_mount)
     return np.asarray((np.abs(angle) <= allowed) & (allowed < _VAGUE_RAD))
+
+
+def has_direction(edges: Edges, plumb_sigma_rad: float, gate_sigma: float) -> NDArray[np.bool_]:
+    """Return (E,) whether the direction of edges is known so well that not all that are looked at would pass."""
+    allowed = gate_sigma * np.hypot(edges.lean_sigma, plumb_sigma_rad)
+    return np.asarray(allowed < REACH_RAD)
 
 
 def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:

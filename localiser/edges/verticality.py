@@ -8,11 +8,9 @@ from localiser.camera import Camera
 from localiser.edges.mount import fit_mount, nadir_miss, nadir_miss_of_edges
 from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
+from localiser.edges.vertical import REACH_RAD
 from localiser.geometry import Array
 
-REACH_RAD = float(np.arctan(1 / 8))
-"""How far from vertical `columns` looks, a column a block: lines that are not vertical have any direction up to this,
-each as likely."""
 _PRIOR_LINES = 2.0
 """As how many lines it counts that half of all lines are vertical, and that these are as crooked as is stated."""
 _LEAST_RAD = 1e-6

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.segments import Segments
+from localiser.edges.vertical import has_direction
+from localiser.edges.vertical import vertical_segments as chosen_segments
 
 PLUMB_RAD = np.deg2rad(0.1)
 
@@ -195,3 +197,26 @@ def test_a_vague_mount_is_found_from_wherever_it_is_stated():
         miss = nadir_miss(Segments.of_ends(ends, 0.5), stated, PLUMB_RAD)
         found = fit_mount(miss, np.deg2rad([3.0, 2.0]))
         np.testing.assert_allclose(np.rad2deg(found.mean), [-tilt_off, -roll_off], atol=0.35)
+
+
+@pytest.mark.parametrize("out_of_plumb_deg", [0.02, 0.5])
+def test_how_far_an_edge_may_miss_depends_on_how_plumb_the_others_are(out_of_plumb_deg):
+    camera, rng = camera_of(tilt_deg=20.0), np.random.default_rng(0)
+    ends = vertical_segments(camera, np.linspace(-25, 25, 31)).ends_px
+    long_px = ends[:, 0, 1] - ends[:, 1, 1]
+    off_deg = rng.normal(0, out_of_plumb_deg, 31)
+    off_deg[15] = 0.75
+    ends[:, 1, 0] += np.deg2rad(off_deg) * long_px
+    is_vertical, error = chosen_segments(
+        Segments.of_ends(ends, 0.02), camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3), 3.0
+    )
+    assert is_vertical[15] == (out_of_plumb_deg > 0.3)
+    assert np.delete(is_vertical, 15).all()
+    assert (error.crooked > 1) == (out_of_plumb_deg > 0.3)
+
+
+def test_an_edge_of_no_known_direction_is_none():
+    """`columns` looks up to 7.1° from vertical: where 3 sigmas are more, every line would pass."""
+    unknown, sigma = np.full(2, np.nan), np.deg2rad([2.0, 2.5])
+    edges = Edges.from_columns(unknown, unknown, np.zeros(2), sigma)
+    assert has_direction(edges, np.deg2rad(0.3), 3.0).tolist() == [True, False]
