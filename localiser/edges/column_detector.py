@@ -65,8 +65,7 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
         ends_px=ideal_px[:, :2],
         support_px=ideal_px[:, 2:],
         sigma_px=to_px * np.sqrt(2 / fit.weight),
-        shift_sigma_px=to_px * fitted.shift[kept] * _blur(fitted, kept, cells),
-        offset_sigma_px=to_px * fitted.offset[kept],
+        shift_sigma_px=to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept]),
         polarity=rough.polarity[kept],
     )
 
@@ -74,7 +73,7 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
 def _found_in_half(image: Image, camera: Camera, min_contrast: float) -> Segments:
     """Return the segments of an image of half the size, where a blurred edge is a sharp one, in pixels of the whole."""
     found = _found(halved(image), half_camera(camera), min_contrast)
-    sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px, 2 * found.offset_sigma_px
+    sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
     return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
 
 

@@ -28,7 +28,8 @@ than a pixel has none of its own scale to be interpolated."""
 _WHITE_GREY = 250.0
 _BESIDE_PX = 3.0
 _CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
-"""Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown."""
+"""Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown, and it changes along
+the edge with the light."""
 _MARGIN_BLOCKS = 2
 _ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)
 """How far, in blocks squared, the average over neighbouring blocks reaches."""
@@ -79,9 +80,9 @@ class Fitted:
 
     height: (K,) gradient at each of their blocks. on_line: (K,) whether its peak lies on the line. width, width_sigma:
     (G,) columns, of the Gaussian that would blur a step to this gradient; that of `SCALE_PX` is part of it. shift: (G,)
-    columns by which something on one side may have moved the line, one end more than the other. offset: (G,) columns by
-    which all of it may be off. contrast: (G,) by how much the sides differ, over their mean brightness; inf where the
-    lighter one is overexposed, because it may be any brighter.
+    columns by which something on one side may have moved the line, one end more than the other. clipped: (G,) the same
+    for the white beside the line. contrast: (G,) by how much the sides differ, over their mean brightness; inf where
+    the lighter one is overexposed, because it may be any brighter.
     """
 
     fit: LineFit
@@ -90,7 +91,7 @@ class Fitted:
     width: Array
     width_sigma: Array
     shift: Array
-    offset: Array
+    clipped: Array
     contrast: Array
 
 
@@ -164,7 +165,7 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         width=width,
         width_sigma=width_sigma,
         shift=shift,
-        offset=_CLIPPED_SIGMA_PX * clipped,
+        clipped=_CLIPPED_SIGMA_PX * clipped,
         contrast=np.where(clipped < 0.5, _contrast(place, width, height, cells, field), np.inf),
     )
 

@@ -18,15 +18,13 @@ class Segments:
     sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those
     of a line fitted to points all along it lie at the points' standard deviation from their middle.
     shift_sigma_px: (S,) by how much what lies beside the segment may have moved it, as a whole and, about as much, one
-    end against the other. offset_sigma_px: (S,) by how much all of it may be off alike. polarity: (S,) as in `Edges`, 0
-    not known yet.
+    end against the other. polarity: (S,) as in `Edges`, 0 not known yet.
     """
 
     ends_px: Array
     support_px: Array
     sigma_px: Array
     shift_sigma_px: Array
-    offset_sigma_px: Array
     polarity: NDArray[np.int8]
 
     def __len__(self) -> int:
@@ -40,7 +38,7 @@ class Segments:
     @property
     def across_sigma_px(self) -> Array:
         """The error (S,) of two independent support points that leaves the middle as uncertain as it is."""
-        return np.sqrt(self.sigma_px**2 + 3 * self.shift_sigma_px**2 + 2 * self.offset_sigma_px**2)
+        return np.sqrt(self.sigma_px**2 + 3 * self.shift_sigma_px**2)
 
     def take(self, index: NDArray[np.bool_]) -> Segments:
         """Return the segments where the mask (S,) holds."""
@@ -53,4 +51,4 @@ class Segments:
         ends = np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px)
         count = len(ends)
         none = np.zeros(count)
-        return cls(ends, ends, np.full(count, sigma_px), none, none, np.zeros(count, dtype=np.int8))
+        return cls(ends, ends, np.full(count, sigma_px), none, np.zeros(count, dtype=np.int8))

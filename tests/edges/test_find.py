@@ -188,7 +188,7 @@ def test_the_common_error_moves_bearings_as_a_wrong_tilt_does(detector):
     np.testing.assert_allclose(edges.common.cov, np.diag(np.deg2rad([0.5, 0.3]) ** 2))
 
 
-def test_beside_clipped_white_the_place_is_less_certain_and_the_lean_is_not():
+def test_beside_clipped_white_place_and_lean_are_less_certain():
     camera = CAMERAS["tilted"]
     grey, white = (
         find_edges(wall_image(camera, [3.0], [right - 130.0, right], noise_sigma=1.0), camera, EdgeParameters())
@@ -196,7 +196,7 @@ def test_beside_clipped_white_the_place_is_less_certain_and_the_lean_is_not():
     )
     assert len(grey) == len(white) == 1
     assert white.bearing_sigma > 3 * grey.bearing_sigma
-    np.testing.assert_allclose(white.lean_sigma, grey.lean_sigma, rtol=0.5)
+    assert white.lean_sigma > 3 * grey.lean_sigma
 
 
 def test_after_warming_up_nothing_is_left_to_compile():
