@@ -32,6 +32,8 @@ _GRID, _GRID_SIGMAS = 17, 2.5
 _EVERY_RAD = np.radians(2.5)
 """Range of directions over which a segment that is no vertical edge counts as spread."""
 _FIRST_ITERATIONS, _SCATTER_ITERATIONS = 5, 30
+_SETTLED = 1e-3
+"""The factor on crookedness is known to a tenth at best."""
 LENS_SIGMA = 0.02
 """By what fraction of its distance from the principal point a lens of which no distortion is stated may move the
 image's corner: lenses of one or two per cent are sold as free of it."""
@@ -187,7 +189,15 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     tukey = (_TUKEY, _TUKEY_VARIANCE)
     iterations = (_FIRST_ITERATIONS, _SCATTER_ITERATIONS if learn_crooked else 0)
     state, cov, factor = compiled(mount_loop)(
-        miss.angle, miss.per_mount, variance, crooked_variance, prior_variance, tukey, _PRIOR_EDGES, iterations
+        miss.angle,
+        miss.per_mount,
+        variance,
+        crooked_variance,
+        prior_variance,
+        tukey,
+        _PRIOR_EDGES,
+        iterations,
+        _SETTLED,
     )
     return MountError(state, cov, float(np.sqrt(factor)))
 

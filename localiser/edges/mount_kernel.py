@@ -17,11 +17,13 @@ def mount_loop(
     tukey: tuple[float, float],
     prior_edges: float,
     iterations: tuple[int, int],
+    settled: float,
 ) -> tuple[Array, Array, float]:
     """Return tilt, roll and lens (3,) with covariance (3, 3) that angles (S,) tell, and a factor on crooked_variance.
 
     per_mount: (S, 3). prior_variance: (3,). tukey: where weights end, and the share of a Gaussian's variance that they
-    leave. iterations: with a factor of 1, and with one that is learnt. See `fit_mount`.
+    leave. iterations: with a factor of 1, and with one that is learnt, until it changes by less than the fraction
+    `settled`. See `fit_mount`.
     """
     state, cov, factor = np.zeros(3), np.diag(prior_variance), 1.0
     for iteration in range(iterations[0] + iterations[1]):
@@ -55,7 +57,9 @@ def mount_loop(
         for i in range(3):
             state[i] = cov[i, 0] * pull[0] + cov[i, 1] * pull[1] + cov[i, 2] * pull[2]
         if iteration >= iterations[0] - 1 and iteration < iterations[0] + iterations[1] - 1:
-            factor = (prior_edges + crooked / tukey[1]) / (prior_edges + says)
+            before, factor = factor, (prior_edges + crooked / tukey[1]) / (prior_edges + says)
+            if abs(factor - before) < settled * before:
+                break
     return state, cov, factor
 
 
