@@ -32,8 +32,8 @@ _GRID, _GRID_SIGMAS = 17, 2.5
 _EVERY_RAD = np.radians(2.5)
 """Range of directions over which a segment that is no vertical edge counts as spread."""
 _FIRST_ITERATIONS, _SCATTER_ITERATIONS = 5, 30
-_SETTLED = 1e-3
-"""The factor on crookedness is known to a tenth at best."""
+_SETTLED = 1e-5
+"""Changes of the factor on crookedness that are smaller than this fraction move nothing."""
 LENS_SIGMA = 0.02
 """By what fraction of its distance from the principal point a lens of which no distortion is stated may move the
 image's corner: lenses of one or two per cent are sold as free of it."""
