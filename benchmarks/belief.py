@@ -4,7 +4,7 @@
     wrong      every log on every other one's map, on its own mirrored, and on its own with blocks of 1.5 m shuffled;
                start: its own true pose, the other log's first pose, none
     right      every log on its own map, whole, without 30 % of its landmarks, or with 30 % of them moved by 0.3 m
-    recovery   simulated hours of tracking in worlds of five kinds: how often the estimate jumps away from the truth
+    recovery   simulated hours of tracking in worlds of six kinds: how often the estimate jumps away from the truth
     kidnapped  carried away without the wheels' knowing
     misplaced  a start that is stated to 0.1 m and is wrong by 2 m or more
     mrclam     real bearings without identities
