@@ -12,8 +12,8 @@ The wheels, too, may turn within their noise as the edges say: else they would l
 the wheels are under suspicion, visual odometry follows the edges, and the last factor compares the motion that it sees
 with theirs. It goes astray now and then, so one image alone says only so much.
 
-While the wheels are wrong, particles move as visual odometry says, and the map corrects them. The wheels are believed
-again when they predict better.
+While the wheels may be wrong, particles move as the mixture of both motions says, each with its probability, and the
+map decides. The wheels are believed again when they predict better.
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ MEMORY = 0.9  # part of what is usual that an image leaves
 MOST_EDGES = 48  # that are followed: the work grows with the square of their number
 FEW = 64  # particles that tell how well the wheels predict an image
 TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
+MOST_TOLD = 4.0  # log-ratio of one image: a person who walks by moves most of its edges, whatever the wheels do
+DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
 SUSPECT = -4.0  # log-ratio from which on edges are followed, which takes longer
+CROSSED = 0.05  # part of the images whose edges are no more where they were than any are
 ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
 LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that edges are compared with
 
@@ -69,8 +72,13 @@ class Evidence:
         return float(log_sum(cloud.log_weight + self.fit(cloud)) - log_sum(cloud.log_weight))
 
     def by_last_image(self, increment: Increment) -> float:
-        """Return the log-density of the edges after a motion, 0 where nothing can be said."""
-        return 0.0 if self.continued is None else self.continued(increment)
+        """Return the log-density of the edges after a motion, 0 where nothing can be said.
+
+        Some images follow from none (`CROSSED`): a person walks by, or comes between.
+        """
+        if self.continued is None:
+            return 0.0
+        return float(np.logaddexp(np.log1p(-CROSSED) + self.continued(increment), np.log(CROSSED)))
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
@@ -96,7 +104,7 @@ class Evidence:
         """
         (paced, log_paced), (held, log_held) = self.turned(pace), self.turned(wheels)
         last = self.by_last_image(paced) + log_paced - max(self.by_last_image(held) + log_held, by_last)
-        return POWER * (self.by_map(move(paced)) - by_map + last)
+        return min(POWER * (self.by_map(move(paced)) - by_map + last), MOST_TOLD)
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
         """Return the motion by edges alone, of a robot that had this twist per second."""
@@ -150,12 +158,12 @@ class Wheels:
         log_ratio, seen = evidence.weighed(expected, twist_of_wheels(increment, cov), move, by_map, right[1]), None
         if log_ratio > SUSPECT or self.are_wrong:
             seen = with_scale(evidence.followed(self.pace, seconds), walks=False)
-            log_ratio += _contradicts(increment.mean, cov, seen, parameters.twist(None, seconds).cov)
+            log_ratio += contradicts(increment.mean, cov, seen, parameters.twist(None, seconds).cov)
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
         wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
-        if wheels.are_wrong and seen is not None:
-            motion = seen_increment(seen)
+        if wheels.wrong > DOUBTED and seen is not None:
+            motion = seen_increment(Gaussian(increment.mean, cov).mixed(seen, wheels.wrong))
             return wheels, (motion, move(motion))
         if wheels.fit:
             return replace(wheels, usual=usual), None
@@ -172,7 +180,7 @@ class Wheels:
         return replace(self, pose=estimate.pose, pace=Gaussian(twist, estimate.pose_cov / seconds**2))
 
 
-def _contradicts(wheels: Array, cov: Array, seen: Gaussian, any_cov: Array) -> float:
+def contradicts(wheels: Array, cov: Array, seen: Gaussian, any_cov: Array) -> float:
     """Return log p(seen | the wheels are wrong) / p(seen | they are right).
 
     wheels: (3,) their motion, with its covariance (3, 3). any_cov: (3, 3) of any motion that the robot may make. One

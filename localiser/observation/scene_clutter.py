@@ -72,14 +72,14 @@ def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -
     count = len(edges)
     if not count:
         return np.ones(0), np.ones(0)
-    grouped = _grouped(angle, edges)
+    grouped = grouped_density(angle, edges)
     images = [one for one in earlier if len(one.edges)]
     if not images:
         return grouped, np.ones(count)
     again, expected = np.zeros(count), 0.0
     for index, image in enumerate(images):
         shown = _missed_by(angle, image, images[:index])
-        again += SEEN_AGAIN * _continued(angle, edges, image) @ shown
+        again += SEEN_AGAIN * continued_density(angle, edges, image) @ shown
         expected += SEEN_AGAIN * float(shown.sum())
     new = max(count - expected, NEW * count, 1.0) * grouped
     return (again + new) / count, again / max(expected, 1e-9) / grouped
@@ -95,12 +95,12 @@ def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]
         since = compose(image.motion, between(other.motion, np.zeros(3)))
         turn_var = max(image.turn_var - other.turn_var, 0.0)
         before = EarlierEdges(image.edges, since, turn_var, image.angle(angle).camera)
-        shows = _continued(other.angle(angle), other.edges, before).sum(axis=0)
+        shows = continued_density(other.angle(angle), other.edges, before).sum(axis=0)
         missed *= 1.0 / (1.0 + SEEN_AGAIN * shows)
     return missed
 
 
-def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
+def continued_density(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
     """Return K (E, B), relative to an even density."""
     then = image.angle(angle)
     (now, has_ends), (before, had_ends) = _columns(angle, edges), _columns(then, image.edges)
@@ -108,7 +108,7 @@ def _continued(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:
 
 
 @lru_cache(maxsize=4)  # an image is compared with several earlier ones
-def _grouped(angle: Angle, edges: Edges) -> Array:
+def grouped_density(angle: Angle, edges: Edges) -> Array:
     """Return Λ (E,), relative to an even density."""
     columns, has_ends = _columns(angle, edges)
     others, now = columns.copy(), columns.copy()

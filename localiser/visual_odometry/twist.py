@@ -26,6 +26,12 @@ class Gaussian:
         apart = value - self.mean
         return float(-0.5 * (apart @ np.linalg.solve(self.cov, apart) + np.linalg.slogdet(2 * np.pi * self.cov)[1]))
 
+    def mixed(self, other: Gaussian, share: float) -> Gaussian:
+        """Return the Gaussian with mean and covariance of a mixture, of which `share`, 0 … 1, is the other one."""
+        apart = other.mean - self.mean
+        cov = (1.0 - share) * self.cov + share * other.cov + share * (1.0 - share) * np.outer(apart, apart)
+        return Gaussian(self.mean + share * apart, cov)
+
     def with_right(self, value: float, sigma: float) -> Gaussian:
         """Return what is believed once the motion to the right is known to be `value`, give or take sigma (m)."""
         gain = self.cov[:, 0] / (self.cov[0, 0] + sigma**2)

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from belief_run import located
+from belief_worlds import hours_of
 from short_log import corridor_with_edges
 
 from localiser import Localiser
@@ -14,7 +16,7 @@ from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
-from localiser.filter.wheels import ASTRAY, Evidence, Wheels, _contradicts
+from localiser.filter.wheels import ASTRAY, Evidence, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate, Particles
 from localiser.replay.start import start_of
@@ -95,9 +97,9 @@ def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
     """Edges that go astray now and then must not make wheels wrong at once; edges that agree speak for them."""
     wheels, cov, any_cov = np.array([0.0, -0.1, 0.0]), np.diag([1e-6, 1e-4, 1e-5]), np.diag([0.01, 0.01, 0.02])
     seen = Gaussian(wheels, np.diag([1e-5, 1e-5, 1e-6]))
-    agree = _contradicts(wheels, cov, seen, any_cov)
-    slip = _contradicts(wheels + np.array([0.0, 0.0, 0.15]), cov, seen, any_cov)
-    noise = _contradicts(wheels + np.array([0.0, 0.008, 0.002]), cov, seen, any_cov)
+    agree = contradicts(wheels, cov, seen, any_cov)
+    slip = contradicts(wheels + np.array([0.0, 0.0, 0.15]), cov, seen, any_cov)
+    noise = contradicts(wheels + np.array([0.0, 0.008, 0.002]), cov, seen, any_cov)
     assert agree < -4.0 and agree < noise < -3.0
     assert slip == pytest.approx(np.log(1.0 / ASTRAY), abs=0.01)
 
@@ -112,3 +114,14 @@ def test_the_scale_of_ranges_is_in_the_covariance_of_a_motion_seen() -> None:
         np.testing.assert_array_equal(cov[[0, 2]], 0.0)
     stands = with_scale(Gaussian(np.zeros(3), np.eye(3)), walks=True)
     np.testing.assert_array_equal(stands.cov, np.eye(3))
+
+
+def test_people_who_walk_by_are_no_reason_to_doubt_the_wheels() -> None:
+    """In one image after another, most of the edges belong to someone who crosses the view while the robot turns."""
+    drive = hours_of("crowd", 3, 0.5)
+    config = read_config(None, ["observation.kind=slope"])
+    robot = Localiser(drive.landmark_map, drive.camera, config, 0)
+    robot.start(drive.truth[0], np.diag([0.1, 0.1, np.radians(3.0)]) ** 2, int(drive.t_ns[0]))
+    frames, _ = located(robot, drive)
+    assert len(frames) == len(drive.t_ns)
+    assert not any(frame.located.wheels_are_wrong for frame in frames)

@@ -11,7 +11,7 @@ from localiser.geometry import Array
 from localiser.observation import Angle
 from localiser.observation.endpoint_likelihood import ROW_PX, SIGMA_PX, endpoints_of
 from localiser.observation.persistent_clutter import NEAR_M, errors_of_continuing
-from localiser.observation.scene_clutter import GROUP_RAD, SHORT, EarlierEdges, _continued, _grouped
+from localiser.observation.scene_clutter import GROUP_RAD, SHORT, EarlierEdges, continued_density, grouped_density
 
 
 def camera_at(tilt_deg: float, height_m: float) -> Camera:
@@ -67,7 +67,7 @@ def test_edges_continue_those_of_an_earlier_image(kind, with_ends, mount):
         expected *= ends_alike(now, edges, then, others, ahead / NEAR_M, SIGMA_PX)
     expected = np.nan_to_num(expected)
     assert (expected > 1.0).sum() > 10 and not expected[-1].any()
-    np.testing.assert_allclose(_continued(angle, edges, image), expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(continued_density(angle, edges, image), expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("with_ends", [True, False], ids=["ends", "no ends"])
@@ -80,4 +80,4 @@ def test_edges_of_one_image_stand_in_groups(with_ends):
         density *= ends_alike(camera, edges, camera, edges, np.zeros(len(edges)), ROW_PX)
     density = np.nan_to_num(density)
     np.fill_diagonal(density, 0.0)
-    np.testing.assert_allclose(_grouped(angle, edges), (1.0 + density.sum(axis=1)) / len(edges), rtol=1e-9)
+    np.testing.assert_allclose(grouped_density(angle, edges), (1.0 + density.sum(axis=1)) / len(edges), rtol=1e-9)
