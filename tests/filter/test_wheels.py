@@ -116,12 +116,13 @@ def test_the_scale_of_ranges_is_in_the_covariance_of_a_motion_seen() -> None:
     np.testing.assert_array_equal(stands.cov, np.eye(3))
 
 
-def test_people_who_walk_by_are_no_reason_to_doubt_the_wheels() -> None:
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_people_who_walk_by_are_no_reason_to_doubt_the_wheels(kind: str) -> None:
     """In one image after another, most of the edges belong to someone who crosses the view while the robot turns."""
     drive = hours_of("crowd", 3, 0.5)
-    config = read_config(None, ["observation.kind=slope"])
-    robot = Localiser(drive.landmark_map, drive.camera, config, 0)
+    robot = Localiser(drive.landmark_map, drive.camera, read_config(None, [f"observation.kind={kind}"]), 0)
     robot.start(drive.truth[0], np.diag([0.1, 0.1, np.radians(3.0)]) ** 2, int(drive.t_ns[0]))
     frames, _ = located(robot, drive)
-    assert len(frames) == len(drive.t_ns)
-    assert not any(frame.located.wheels_are_wrong for frame in frames)
+    error = np.array([frame.located.estimate.pose for frame in frames]) - drive.truth
+    assert np.hypot(*error[:, :2].T).max() < 0.25  # 0.74 m where one image may decide
+    assert sum(frame.located.wheels_are_wrong for frame in frames) <= 1
