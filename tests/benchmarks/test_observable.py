@@ -84,7 +84,7 @@ def test_place_is_found_from_nothing(observable: ModuleType) -> None:
 def test_two_places_that_look_alike_are_not_observable(observable: ModuleType) -> None:
     """The same landmarks twice, far apart: no edge can tell, and half of the mass stays at either."""
     once = world(25)
-    apart = np.array([16.8, 0.0])  # farther than a landmark is seen; 70 of the coarsest cells
+    apart = np.array([33.6, 0.0])  # farther than a landmark is seen; 140 of the coarsest cells
     twice = LandmarkMap.from_points(
         np.concatenate([once.points, once.points + apart]), bottom_m=np.zeros(50), top_m=np.full(50, 2.0)
     )
