@@ -36,6 +36,7 @@ class Places(Protocol):
 
     @property
     def points(self) -> Array: ...  # noqa: D102
+    def landmark_cov(self) -> Array: ...  # noqa: D102
     def difference_cov(self, one: Index, other: Index) -> Array: ...  # noqa: D102
     def joint_difference_cov(self, one: Index, other: Index) -> Array: ...  # noqa: D102
 
@@ -55,6 +56,7 @@ def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
     contrary = np.isneginf(looks)
     fewer, together = _together(frame, built.of[built.used], one, other)
     may = (together <= np.maximum(_TOGETHER_SHARE * fewer, 1)) & ((looks >= _UNLIKE) | contrary)
+    may[may] = _within_reach(points, smoothed.landmark_cov(), one[may], other[may])
     one, other, looks, contrary = one[may], other[may], np.where(contrary, _CONTRARY, looks)[may], contrary[may]
     apart = points[one] - points[other]
     cov = smoothed.difference_cov(one, other) + _LEAST_SIGMA_M**2 * np.eye(2)
@@ -98,6 +100,16 @@ def _near(points: Array, known: Index) -> tuple[Index, Index]:
     reach = np.sqrt(_GATE) * _FARTHEST_SIGMA_M
     pairs = cKDTree(points[known]).query_pairs(reach, output_type="ndarray").reshape(-1, 2)
     return known[pairs[:, 0]], known[pairs[:, 1]]
+
+
+def _within_reach(points: Array, cov: Array, one: Index, other: Index) -> NDArray[np.bool_]:
+    """Return which pairs (P,) may pass the gate by the covariances (L, 2, 2) of single landmarks.
+
+    However two landmarks are correlated, the covariance of their difference is at most twice the sum of their own.
+    """
+    most = 2 * (cov[one] + cov[other]) + _LEAST_SIGMA_M**2 * np.eye(2)
+    apart = points[one] - points[other]
+    return np.asarray(np.einsum("pi,pij,pj->p", apart, np.linalg.inv(most), apart) < _GATE)
 
 
 def _together(frame: Index, landmark: Index, one: Index, other: Index) -> tuple[Index, Index]:

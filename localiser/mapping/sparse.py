@@ -18,8 +18,7 @@ from localiser.geometry import Array
 
 Index = NDArray[np.int64]
 
-_AT_ONCE = 512  # columns that are held as a dense matrix at one time
-_SUBSTITUTED = 32  # columns that are solved at one time
+_AT_ONCE = 512  # pairs of columns that are solved at one time
 _REGULAR = 1e-9  # added to the diagonal: no variable is wholly unknown
 
 
@@ -104,25 +103,42 @@ class Factor:
 
     def projected(self, columns: Any) -> Array:
         """Return XᵀA⁻¹X (P, 2, 2) of P pairs of columns X, sparse (V, 2 P): YᵀD⁻¹Y with L Y = X."""
-        from localiser.mapping.sparse_kernel import substitute
-
-        lower, diagonal, order = self._solver.factors()
-        right, count = columns[order], columns.shape[1]
-        result = np.zeros((count // 2, 2, 2))
-        for begin in range(0, count, _SUBSTITUTED):
-            part = right[:, begin : begin + _SUBSTITUTED].toarray(order="C")
-            substitute(lower.indptr, lower.indices, lower.data, part)
-            pairs = part.reshape(len(part), -1, 2)
-            result[begin // 2 : begin // 2 + pairs.shape[1]] = np.einsum(
-                "vpi,vpj->pij", pairs / diagonal[:, None, None], pairs
-            )
-        return result
+        parts = [np.zeros((0, 2, 2))]
+        for begin in range(0, columns.shape[1], 2 * _AT_ONCE):
+            offset, _, solved = self._substituted(columns[:, begin : begin + 2 * _AT_ONCE])
+            products = solved[:, :, None] * solved[:, None, :]
+            parts.append(np.add.reduceat(np.concatenate([products, np.zeros((1, 2, 2))]), offset[:-1]))
+            parts[-1][np.diff(offset) == 0] = 0.0
+        return np.concatenate(parts)
 
     def joint(self, columns: Any) -> Array:
-        """Return XᵀA⁻¹X (C, C) of all columns X, sparse (V, C), with each other."""
-        result = np.zeros((columns.shape[1], columns.shape[1]))
-        for begin in range(0, columns.shape[1], _AT_ONCE):
-            dense = columns[:, begin : begin + _AT_ONCE].T.toarray()
-            solved = np.array([self.solve(row) for row in dense]).reshape(-1, columns.shape[0])
-            result[:, begin : begin + len(solved)] = columns.T @ solved.T
-        return result
+        """Return XᵀA⁻¹X (C, C) of all columns X, sparse (V, C), C even, with each other."""
+        from scipy.sparse import csr_array
+
+        offset, reached, solved = self._substituted(columns)
+        column = 2 * np.repeat(np.arange(len(offset) - 1), np.diff(offset))[:, None] + np.arange(2)
+        entries = solved.ravel(), (np.repeat(reached, 2), column.ravel())
+        half = csr_array(entries, shape=columns.shape)
+        return np.asarray((half.T @ half).toarray())
+
+    def _substituted(self, columns: Any) -> tuple[Index, Index, Array]:
+        """Return D^-½ Y with L Y = X, of P pairs of columns X, sparse (V, 2 P): the rows of Y (M,), values (M, 2).
+
+        Rows of a pair are those from offset (P + 1,) on. Only what the values of X reach is computed.
+        """
+        from localiser.mapping.sparse_kernel import count_reached, substitute
+
+        lower, diagonal, order = self._solver.factors()
+        place, begin = np.empty(len(order), dtype=np.int64), columns.indptr[::2].astype(np.int64)
+        place[order] = np.arange(len(order))
+        right = np.zeros((columns.nnz, 2))
+        right[np.arange(columns.nnz), np.repeat(np.arange(columns.shape[1]), np.diff(columns.indptr)) % 2] = (
+            columns.data
+        )
+        offset, at = np.zeros(len(begin), dtype=np.int64), place[columns.indices]
+        count_reached(lower.indptr, lower.indices, begin, at, np.full(len(order), -1), offset)
+        reached, solved = np.empty(offset[-1], dtype=np.int64), np.empty((offset[-1], 2))
+        mark, work = np.full(len(order), -1), np.zeros((len(order), 2))
+        own = lower.indptr, lower.indices, lower.data
+        substitute(*own, begin, at, right, mark, work, offset, reached, solved)
+        return offset, reached, solved / np.sqrt(diagonal[reached])[:, None]

@@ -1,4 +1,4 @@
-"""Forward substitution by a sparse triangular matrix for several right sides at once."""
+"""Forward substitution by a sparse triangular matrix, for right sides of few values."""
 
 from __future__ import annotations
 
@@ -8,20 +8,64 @@ from localiser.mapping.sightings import Index
 
 
 @compiled
-def substitute(begin: Index, row: Index, value: Array, right: Array) -> None:
-    """Solve (I + L) Y = R in place.
+def count_reached(begin: Index, row: Index, right_begin: Index, right_row: Index, mark: Index, offset: Index) -> None:
+    """Count the rows in which Y of (I + L) Y = R has values, for each pair of columns of R: into `offset` (P + 1,).
 
-    begin (V + 1,), row, value: columns of L, strictly below the diagonal. right: R (V, C), then Y. Rows of zeros are
-    passed over: what involves few variables reaches only those that are eliminated after them.
+    A value at row j reaches the rows of column j of L: they all lie on the way from j to the root of the elimination
+    tree, in which the parent of j is the first row of its column. See `substitute`; mark: (V,) of -1.
     """
-    size, count = right.shape
-    for column in range(size):
-        is_zero = True
-        for side in range(count):
-            is_zero = is_zero and right[column, side] == 0.0
-        if is_zero:
-            continue
-        for entry in range(begin[column], begin[column + 1]):
-            factor, below = value[entry], row[entry]
-            for side in range(count):
-                right[below, side] -= factor * right[column, side]
+    for pair in range(len(right_begin) - 1):
+        count = 0
+        for entry in range(right_begin[pair], right_begin[pair + 1]):
+            node = right_row[entry]
+            while node >= 0 and mark[node] != pair:
+                mark[node] = pair
+                count += 1
+                node = row[begin[node]] if begin[node] < begin[node + 1] else -1
+        offset[pair + 1] = offset[pair] + count
+
+
+@compiled
+def substitute(
+    begin: Index,
+    row: Index,
+    value: Array,
+    right_begin: Index,
+    right_row: Index,
+    right_value: Array,
+    mark: Index,
+    work: Array,
+    offset: Index,
+    reached: Index,
+    solved: Array,
+) -> None:
+    """Solve (I + L) Y = R for P pairs of columns of R, into the rows `reached` (M,) and their values `solved` (M, 2).
+
+    begin (V + 1,), row, value: columns of L, strictly below the diagonal, rows in order. right_begin (P + 1,),
+    right_row, right_value (·, 2): the same of R, two columns at a time. offset (P + 1,): where the rows of each pair
+    begin, see `count_reached`. mark (V,) of -1, work (V, 2) of 0: as they are lent they are not given back.
+    """
+    for pair in range(len(right_begin) - 1):
+        first = offset[pair + 1]
+        for entry in range(right_begin[pair], right_begin[pair + 1]):
+            node, length = right_row[entry], 0
+            work[node, 0] += right_value[entry, 0]
+            work[node, 1] += right_value[entry, 1]
+            while node >= 0 and mark[node] != pair:
+                mark[node] = pair
+                length += 1
+                node = row[begin[node]] if begin[node] < begin[node + 1] else -1
+            # No row found before comes before these in the tree, so these go in front.
+            first -= length
+            node = right_row[entry]
+            for step in range(length):
+                reached[first + step] = node
+                node = row[begin[node]] if begin[node] < begin[node + 1] else -1
+        for index in range(offset[pair], offset[pair + 1]):
+            node = reached[index]
+            one, other = work[node, 0], work[node, 1]
+            solved[index, 0], solved[index, 1] = one, other
+            work[node, 0] = work[node, 1] = 0.0
+            for entry in range(begin[node], begin[node + 1]):
+                work[row[entry], 0] -= value[entry] * one
+                work[row[entry], 1] -= value[entry] * other

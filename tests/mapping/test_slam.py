@@ -183,6 +183,10 @@ class JointPlaces:
     points: Array
     cov: Array
 
+    def landmark_cov(self) -> Array:
+        blocks = self.cov.reshape(len(self.points), 2, len(self.points), 2)
+        return np.asarray(blocks[np.arange(len(blocks)), :, np.arange(len(blocks))])
+
     def joint_difference_cov(self, one: Index, other: Index) -> Array:
         pick = np.zeros((len(one), len(self.points)))
         pick[np.arange(len(one)), one] += 1
