@@ -22,10 +22,10 @@ from localiser.mapping.sightings import Index
 
 Signs = NDArray[np.int8] | np.int8
 
-_NARROWEST_SPAN_RAD = np.deg2rad(20.0)
-_SAME_SIDE = 0.7  # share of sides that show the same surface again
-_GREY_SIGMA = 12.0  # how much that differs: light that falls otherwise, blur, noise
-_GREY_SPAN = 128.0  # over which the grey values of other edges spread
+NARROWEST_SPAN_RAD = np.deg2rad(20.0)
+SAME_SIDE = 0.7  # share of sides that show the same surface again
+GREY_SIGMA = 12.0  # how much that differs: light that falls otherwise, blur, noise
+GREY_SPAN = 128.0  # over which the grey values of other edges spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ def association_scores(
     innovation = wrap_angle(heading[None] - predicted[:, None])
     variance = own_variance[:, None] + sigma[None] ** 2
     fit = -0.5 * innovation**2 / variance - 0.5 * np.log(2 * np.pi * variance)
-    span = max(float(np.ptp(heading)), _NARROWEST_SPAN_RAD)
+    span = max(float(np.ptp(heading)), NARROWEST_SPAN_RAD)
     odds = parameters.found / (1 - parameters.found)
     score = fit + looks + np.log(odds * span / max(parameters.new_share * len(heading), 1.0))
     return np.where(innovation**2 > parameters.gate_sigma**2 * variance, -np.inf, score)
@@ -65,8 +65,8 @@ def looks_alike(side: Array, polarity: Signs, other_side: Array, other_polarity:
     side, other_side: (..., 2) grey values left and right, nan unknown. polarity, other_polarity: (...), 0 unknown.
     -inf where polarities contradict each other.
     """
-    same = _SAME_SIDE * np.exp(-0.5 * ((side - other_side) / _GREY_SIGMA) ** 2) / (_GREY_SIGMA * np.sqrt(2 * np.pi))
-    ratio = np.log(same * _GREY_SPAN + 1 - _SAME_SIDE)
+    same = SAME_SIDE * np.exp(-0.5 * ((side - other_side) / GREY_SIGMA) ** 2) / (GREY_SIGMA * np.sqrt(2 * np.pi))
+    ratio = np.log(same * GREY_SPAN + 1 - SAME_SIDE)
     looks = np.where(np.isnan(ratio), 0.0, ratio).sum(axis=-1)
     product = polarity * other_polarity
     return np.asarray(np.where(product < 0, -np.inf, looks + np.log(2.0) * (product > 0)))

@@ -1,41 +1,12 @@
-"""Track edges from image to image: a Kalman filter of direction and inverse distance for each track, in batches."""
+"""Track edges from image to image: a Kalman filter of direction and inverse distance for each track."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from localiser.geometry import Array, wrap_angle
-from localiser.mapping.association import TrackParameters, assign, association_scores, looks_alike
-from localiser.mapping.inverse_depth import first_state, predicted, updated
+from localiser.geometry import Array
+from localiser.mapping.association import TrackParameters
 from localiser.mapping.sightings import Index, Sightings
-
-
-@dataclass(slots=True, eq=False)
-class _Tracks:
-    """The tracks that are alive, K of them, as columns.
-
-    id: (K,). origin: (K, 2) camera position at the first sighting. state, cov: (K, 2), (K, 2, 2), see `inverse_depth`.
-    last: (K,) latest sighting. missed: (K,) frames since.
-    """
-
-    id: Index
-    origin: Array
-    state: Array
-    cov: Array
-    last: Index
-    missed: Index
-
-    @classmethod
-    def begun(cls, id: Index, camera: Array, state: Array, cov: Array, last: Index) -> _Tracks:
-        return cls(id, np.tile(camera[:2], (len(id), 1)), state, cov, last, np.zeros(len(id), dtype=np.int64))
-
-    def take(self, index: Index) -> _Tracks:
-        return _Tracks(*(getattr(self, name)[index] for name in self.__slots__))
-
-    def join(self, other: _Tracks) -> _Tracks:
-        return _Tracks(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in self.__slots__))
 
 
 def follow(
@@ -47,30 +18,27 @@ def follow(
     error of the turn since the frame before, as far as it is known.
     margin: see `assign`; an edge that is no clear match of one track begins another.
     """
-    track, count, none = np.full(len(sightings), -1, dtype=np.int64), 0, np.zeros(0, dtype=np.int64)
-    alive = _Tracks.begun(none, np.zeros(3), *first_state(np.zeros(0), np.zeros(0), 1.0), none)
-    for frame, camera in enumerate(cameras):
-        seen = np.arange(sightings.first[frame], sightings.first[frame + 1])
-        heading = camera[2] - sightings.bearing[seen]
-        sigma = np.hypot(sightings.sigma[seen], pose_sigma_rad[frame])
-        expected, jacobian = predicted(alive.origin, alive.state, camera)
-        row, column = none, none
-        if len(seen) and len(alive.id):
-            own = np.einsum("ki,kij,kj->k", jacobian, alive.cov, jacobian)
-            side, polarity = sightings.side, sightings.polarity
-            looks = looks_alike(side[alive.last, None], polarity[alive.last, None], side[seen], polarity[seen])
-            row, column = assign(association_scores(expected, own, heading, sigma, looks, parameters), margin)
-        innovation = wrap_angle(heading[column] - expected[row])
-        alive.state[row], alive.cov[row] = updated(
-            alive.state[row], alive.cov[row], innovation, jacobian[row], sigma[column]
-        )
-        alive.missed += 1
-        alive.last[row], alive.missed[row] = seen[column], 0
-        track[seen[column]] = alive.id[row]
-        fresh = np.delete(np.arange(len(seen)), column)
-        track[seen[fresh]] = count + np.arange(len(fresh))
-        count += len(fresh)
-        begun = first_state(heading[fresh], sigma[fresh], parameters.nearest_m)
-        alive = alive.take(np.flatnonzero(alive.missed <= parameters.missed_most))
-        alive = alive.join(_Tracks.begun(track[seen[fresh]], camera, *begun, seen[fresh]))
+    from localiser.mapping.tracks_kernel import follow_loop
+
+    track, edges = np.full(len(sightings), -1, dtype=np.int64), np.diff(sightings.first)
+    # Each track that is alive was seen in one of the latest images.
+    alive = np.convolve(edges, np.ones(parameters.missed_most + 2, dtype=np.int64)).max(initial=0)
+    follow_loop(
+        sightings.first,
+        np.ascontiguousarray(sightings.bearing, dtype=np.float64),
+        np.ascontiguousarray(sightings.sigma, dtype=np.float64),
+        sightings.polarity,
+        np.ascontiguousarray(sightings.side, dtype=np.float64),
+        np.ascontiguousarray(cameras, dtype=np.float64),
+        np.ascontiguousarray(pose_sigma_rad, dtype=np.float64),
+        parameters.found,
+        parameters.new_share,
+        parameters.gate_sigma,
+        parameters.nearest_m,
+        parameters.missed_most,
+        float(margin),
+        int(alive),
+        int(edges.max(initial=0)),
+        track,
+    )
     return track
