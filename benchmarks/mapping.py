@@ -101,7 +101,7 @@ def two_laps(seeds: range, clutter: float) -> None:
             seconds = process_time() - begin
             cameras = found.cameras
             made = mapping.landmark_map_of(
-                sightings, found.built, cameras, found.sigma, found.camera, parameters, "", ""
+                sightings, found.built, cameras, found.sigma, drive.camera, parameters, "", ""
             )
             truth = drive.truth.poses
             lay = rigid(found.poses, truth)
@@ -309,7 +309,7 @@ def coarse(seeds: range) -> None:
             )
             cameras = found.cameras
             made = mapping.landmark_map_of(
-                drive.sightings, found.built, cameras, found.sigma, found.camera, MappingParameters(), "", ""
+                drive.sightings, found.built, cameras, found.sigma, CAMERA, MappingParameters(), "", ""
             )
             seconds = process_time() - begin
             lay = rigid(found.poses, drive.truth, scaled=True)
