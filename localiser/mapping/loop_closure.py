@@ -27,7 +27,8 @@ _TOGETHER_SHARE = 0.1  # of the frames of the rarer one, in which another edge m
 _CONTRARY = -3.0  # log-likelihood ratio of one edge being seen with either sign
 _CERTAIN_SIGMA_M = 0.02  # a difference known as well as this tells two edges by their places
 _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
-_MOST_PAIRS = 300  # that are compared with each other
+_MOST_PAIRS = 300  # of one place, that are compared with each other
+_PLACE_M = 4.0  # side of a place that is not divided further
 _AMBIGUOUS = 2.0  # a alternative this little worse (log-likelihood) forbids a choice
 
 
@@ -66,10 +67,10 @@ def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
     one, other, chi2, sigma, looks = one[fit], other[fit], chi2[fit], sigma[fit], looks[fit]
     # How much likelier it is that they are one than that the second is any other edge that happens to stand here.
     score = looks - 0.5 * chi2 - np.log(sigma)
-    likeliest = np.argsort(-score, kind="stable")[:_MOST_PAIRS]
-    one, other, sigma, score = one[likeliest], other[likeliest], sigma[likeliest], score[likeliest]
-    joint = smoothed.joint_difference_cov(one, other)
-    agree = compatible(points[one] - points[other], joint, _LEAST_SIGMA_M)
+    agree = np.zeros(len(one), dtype=bool)
+    for place in _places((points[one] + points[other]) / 2, score):
+        joint = smoothed.joint_difference_cov(one[place], other[place])
+        agree[place] = compatible((points[one] - points[other])[place], joint, _LEAST_SIGMA_M)
     one, other, sigma, score = one[agree], other[agree], sigma[agree], score[agree]
     clear = np.flatnonzero(_clear(one, other, score, count))
     clear = clear[np.argsort(sigma[clear], kind="stable")]
@@ -110,6 +111,23 @@ def _within_reach(points: Array, cov: Array, one: Index, other: Index) -> NDArra
     most = 2 * (cov[one] + cov[other]) + _LEAST_SIGMA_M**2 * np.eye(2)
     apart = points[one] - points[other]
     return np.asarray(np.einsum("pi,pij,pj->p", apart, np.linalg.inv(most), apart) < _GATE)
+
+
+def _places(middle: Array, score: Array) -> list[Index]:
+    """Return the pairs (K,) of each place, few enough to be compared with each other; middle (P, 2), score (P,) of all.
+
+    Too many are divided at their median, into pairs of two places. In a place that is small the likeliest are taken.
+    """
+    parts, places = [np.argsort(-score, kind="stable")], []
+    while parts:
+        part = parts.pop()
+        size = np.ptp(middle[part], axis=0) if len(part) else np.zeros(2)
+        if len(part) > _MOST_PAIRS and size.max() > _PLACE_M:
+            along = middle[part, size.argmax()]
+            parts += [part[along < np.median(along)], part[along >= np.median(along)]]
+        else:
+            places.append(part[:_MOST_PAIRS])
+    return places
 
 
 def _together(frame: Index, landmark: Index, one: Index, other: Index) -> tuple[Index, Index]:

@@ -41,11 +41,12 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
     np.minimum.at(first, landmark, frame)
     np.maximum.at(last, landmark, frame)
     known = built.parallax >= np.deg2rad(3.0)
+    # What has been recognised stands for itself no more: else a third visit would have two places to choose from.
     for start in range(0, end + 1, _STEP):
         within = slice(*np.searchsorted(frame, [start, start + _WINDOW]))
         group = np.unique(landmark[within])
         group = group[known[group] & (first[group] >= start - _OLDER)]
-        older = np.flatnonzero(known & (last < start - _OLDER))
+        older = np.flatnonzero(known & (last < start - _OLDER) & (number == np.arange(len(points))))
         for new, old in zip(*_same_by_move(points, group, older, built), strict=True):
             if number[new] == new and number[old] == old:
                 number[new] = old

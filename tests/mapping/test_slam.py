@@ -266,39 +266,57 @@ def test_a_camera_that_pans_gives_the_path_of_a_fixed_one() -> None:
 # -- large loops ------------------------------------------------------------------------------------------------------
 
 
-def visits(drift: Array, repeats: bool) -> tuple[Array, Built, Index]:
-    """Return landmarks of two visits to one place, the second moved by `drift` (3,), and the frames of sightings."""
+def visits(drifts: list[Array], repeats: bool = False) -> tuple[Array, Built, Index]:
+    """Return landmarks of visits to one place, the later ones moved by drifts (3,), and the frames of sightings."""
     rng = np.random.default_rng(4)
     first = rng.uniform(-3, 3, (12, 2))
     if repeats:  # doors at equal steps: the place looks like itself one step on
         first = np.stack([np.repeat(np.arange(6) * 1.0, 2), np.tile([0.0, 2.0], 6)], axis=-1)
-    cos, sin = np.cos(drift[2]), np.sin(drift[2])
-    second = first @ np.array([[cos, sin], [-sin, cos]]) + drift[:2] + 0.01 * rng.standard_normal(first.shape)
-    if repeats:
-        second = second[4:8]
-    count = len(first) + len(second)
-    seen = np.zeros((120, count), dtype=bool)
-    seen[:20, : len(first)] = True
-    seen[100:, len(first) :] = True
-    fit = triangulate(np.zeros(0, dtype=np.int64), count, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    parts = [first]
+    for drift in drifts:
+        cos, sin = np.cos(drift[2]), np.sin(drift[2])
+        moved = first @ np.array([[cos, sin], [-sin, cos]]) + drift[:2] + 0.01 * rng.standard_normal(first.shape)
+        parts.append(moved[4:8] if repeats else moved)
+    visit = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    seen = np.arange(100 * len(parts))[:, None] // 20 == 5 * visit
     frame, landmark = np.nonzero(seen)
-    built = Built(
-        of=landmark,
-        used=np.arange(len(landmark)),
-        fit=fit,
-        parallax=np.full(count, 0.5),
-        count=seen.sum(axis=0),
-        side=np.full((count, 2), np.nan),
-        polarity=np.zeros(count, dtype=np.int8),
-    )
-    return np.concatenate([first, second]), built, frame
+    return np.concatenate(parts), fitted_nowhere(landmark), frame
 
 
 def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
-    points, built, frame = visits(np.array([1.5, -0.8, 0.2]), repeats=False)
+    points, built, frame = visits([np.array([1.5, -0.8, 0.2])])
     assert recognised(points, built, frame).tolist() == [*range(12), *range(12)]
 
 
 def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
-    points, built, frame = visits(np.array([0.4, 0.0, 0.0]), repeats=True)
+    points, built, frame = visits([np.array([0.4, 0.0, 0.0])], repeats=True)
     assert recognised(points, built, frame).tolist() == list(range(len(points)))
+
+
+def test_a_third_visit_is_compared_with_the_first_alone() -> None:
+    points, built, frame = visits([np.array([1.5, -0.8, 0.2]), np.array([-0.6, 1.1, -0.1])])
+    assert recognised(points, built, frame).tolist() == [*range(12)] * 3
+
+
+def test_many_landmarks_of_a_second_visit_join_at_once() -> None:
+    count, rng = 500, np.random.default_rng(5)
+    first = np.stack([np.arange(count) * 0.1, rng.uniform(-3, 3, count)], axis=-1)
+    points = np.concatenate([first, first + 0.003 * rng.standard_normal(first.shape)])
+    frame = np.concatenate([np.arange(count), count + np.arange(count)])
+    built = fitted_nowhere(np.arange(2 * count))
+    joined = same_landmarks(JointPlaces(points, 1e-5 * np.eye(4 * count)), built, frame)
+    assert (joined[count:] == np.arange(count)).mean() > 0.95
+
+
+def fitted_nowhere(landmark: Index) -> Built:
+    """Return landmarks of sightings (K,) that look like nothing in particular."""
+    count = int(landmark.max()) + 1
+    return Built(
+        of=landmark,
+        used=np.arange(len(landmark)),
+        fit=triangulate(np.zeros(0, dtype=np.int64), count, np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
+        parallax=np.full(count, 0.5),
+        count=np.bincount(landmark),
+        side=np.full((count, 2), np.nan),
+        polarity=np.zeros(count, dtype=np.int8),
+    )
