@@ -156,7 +156,7 @@ def linearise(problem: Problem, state: State) -> Linearised:
     Variables: poses but the first, constants, landmarks. The gradient step solves (JᵀWJ) step = JᵀW r.
     """
     blocks = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
-    return Linearised.of([*blocks, _place_block(state)], variables(state))
+    return Linearised([*blocks, _place_block(state)], variables(state))
 
 
 def variables(state: State) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from localiser.geometry import Array, compose
 from localiser.mapping.factors import CONSTANTS, Problem, State, Wheels, cost_of, landmark_columns, linearise
 from localiser.mapping.sightings import Index
-from localiser.mapping.sparse import Factor
+from localiser.mapping.sparse import Factor, Pattern
 
 _ITERATIONS = 25
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
@@ -81,9 +81,9 @@ def smooth(
     """
     state = State(poses, points, constants, points)
     linear, cost = linearise(problem, state), cost_of(problem, state)
-    factor, damping, harder = Factor(), 1e-4, 2.0
+    pattern, factor, damping, harder = Pattern.of(linear), Factor(), 1e-4, 2.0
     for _ in range(iterations):
-        normal, gradient = linear.normal()
+        normal, gradient = linear.normal(pattern)
         while True:
             factor.update(normal, damping)
             step = factor.solve(gradient)
@@ -101,7 +101,7 @@ def smooth(
         state, cost, linear = moved, new_cost, linearise(problem, moved)
         if max(fell, promised) < converged * cost:
             break
-    factor.update(linear.normal()[0])
+    factor.update(linear.normal(pattern)[0])
     count = len(problem.bearings.bearing)
     return Smoothed(
         state.poses,

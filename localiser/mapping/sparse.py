@@ -45,33 +45,69 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """R measurements that are linear in V variables.
+    """Blocks of R measurements in all, one after the other, that are linear in V variables."""
 
-    jacobian: (R, V) sparse derivatives of the predictions. residual: (R,) measured minus predicted. weight: (R,).
-    """
+    blocks: list[Block]
+    size: int
 
-    jacobian: Any
-    residual: Array
-    weight: Array
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted (R,)."""
+        return np.concatenate([block.residual for block in self.blocks])
 
-    @classmethod
-    def of(cls, blocks: list[Block], size: int) -> Linearised:
-        """Return the measurements of all blocks, one block after the other, that involve `size` variables."""
+    @property
+    def weight(self) -> Array:
+        """The weights (R,)."""
+        return np.concatenate([block.weight for block in self.blocks])
+
+    @property
+    def jacobian(self) -> Any:
+        """The derivatives of the predictions (R, V), sparse."""
         from scipy.sparse import vstack
 
-        return cls(
-            vstack([block.jacobian(size) for block in blocks], format="csr"),
-            np.concatenate([block.residual for block in blocks]),
-            np.concatenate([block.weight for block in blocks]),
-        )
+        return vstack([block.jacobian(self.size) for block in self.blocks], format="csr")
 
-    def normal(self) -> tuple[Any, Array]:
-        """Return the upper triangle of JᵀWJ (V, V), sparse, and JᵀWr (V,)."""
+    def normal(self, pattern: Pattern | None = None) -> tuple[Any, Array]:
+        """Return the upper triangle of JᵀWJ (V, V), sparse, and JᵀWr (V,). pattern: `Pattern.of` the same columns."""
+        from scipy.sparse import csc_array
+
+        from localiser.mapping.sparse_kernel import add_products
+
+        pattern = pattern or Pattern.of(self)
+        value, gradient = np.zeros(len(pattern.row)), np.zeros(self.size)
+        for block, place in zip(self.blocks, pattern.place, strict=True):
+            add_products(block.column, block.value, block.residual, block.weight, place, value, gradient)
+        return csc_array((value, pattern.row, pattern.begin), shape=(self.size, self.size)), gradient
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """Where an upper triangle JᵀWJ has values: the rows of its columns, which begin at `begin` (V + 1,).
+
+    place: for each block, where the product of each two variables of a measurement goes, (K, C (C + 1) / 2).
+    """
+
+    begin: NDArray[np.int32]
+    row: NDArray[np.int32]
+    place: list[NDArray[np.int32]]
+
+    @classmethod
+    def of(cls, linear: Linearised) -> Pattern:
+        """Return the pattern that the columns of measurements make."""
         from scipy.sparse import triu
 
-        weighted = self.jacobian.copy()
-        weighted.data *= np.repeat(self.weight, np.diff(weighted.indptr))
-        return triu(weighted.T @ self.jacobian, format="csc"), weighted.T @ self.residual
+        from localiser.mapping.sparse_kernel import find_places
+
+        ones = linear.jacobian
+        ones.data[:] = 1.0
+        upper = triu(ones.T @ ones, format="csc")
+        upper.sort_indices()
+        begin, row, place = upper.indptr.astype(np.int32), upper.indices.astype(np.int32), []
+        for block in linear.blocks:
+            count = block.column.shape[1]
+            place.append(np.zeros((len(block.column), count * (count + 1) // 2), dtype=np.int32))
+            find_places(block.column, begin, row, place[-1])
+        return cls(begin, row, place)
 
 
 class Factor:

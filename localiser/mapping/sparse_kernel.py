@@ -1,10 +1,58 @@
-"""Forward substitution by a sparse triangular matrix, for right sides of few values."""
+"""Sums of products into a sparse matrix, and forward substitution by a triangular one for right sides of few values."""
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 from localiser.mapping.sightings import Index
+
+Index32 = NDArray[np.int32]
+
+
+@compiled
+def find_places(column: Index, begin: Index32, row: Index32, place: Index32) -> None:
+    """Write where products of two variables of measurements stand, (K, C (C + 1) / 2), in an upper triangle.
+
+    column: (K, C) variables, negative for none. begin (V + 1,), row: of the triangle's columns, rows in order.
+    """
+    for k in range(len(column)):
+        at = 0
+        for i in range(column.shape[1]):
+            for j in range(i + 1):
+                above, right = min(column[k, i], column[k, j]), max(column[k, i], column[k, j])
+                if above >= 0:
+                    low, high = begin[right], begin[right + 1] - 1
+                    while low < high:
+                        middle = (low + high) // 2
+                        if row[middle] < above:
+                            low = middle + 1
+                        else:
+                            high = middle
+                    place[k, at] = low
+                at += 1
+
+
+@compiled
+def add_products(
+    column: Index, derivative: Array, residual: Array, weight: Array, place: Index32, value: Array, gradient: Array
+) -> None:
+    """Add w j jᵀ to the values of a matrix at the places that `find_places` found, and w j r to the gradient (V,).
+
+    column, derivative j: (K, C), residual r, weight w: (K,) of the measurements.
+    """
+    for k in range(len(column)):
+        at = 0
+        for i in range(column.shape[1]):
+            weighted = weight[k] * derivative[k, i]
+            if column[k, i] >= 0:
+                gradient[column[k, i]] += weighted * residual[k]
+            for j in range(i + 1):
+                if column[k, i] >= 0 and column[k, j] >= 0:
+                    value[place[k, at]] += weighted * derivative[k, j]
+                at += 1
 
 
 @compiled

@@ -38,7 +38,7 @@ def dense(blocks: list[Block], size: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize(("size", "count", "most"), [(1, 0, 1), (2, 3, 2), (40, 0, 1), (40, 30, 3), (40, 60, 40)])
 def test_the_solution_is_that_of_dense_algebra(size: int, count: int, most: int) -> None:
     blocks, factor = some_blocks(size, count, most, seed=size), Factor()
-    upper, right = Linearised.of(blocks, size).normal()
+    upper, right = Linearised(blocks, size).normal()
     matrix, gradient = dense(blocks, size)
     np.testing.assert_allclose(upper.toarray(), np.triu(matrix), atol=1e-12)
     np.testing.assert_allclose(right, gradient, atol=1e-12)
@@ -53,8 +53,8 @@ def test_the_solution_is_that_of_dense_algebra(size: int, count: int, most: int)
 def test_a_factor_serves_other_matrices_whether_or_not_values_are_at_the_same_places(count: int) -> None:
     first, other, factor = some_blocks(60, 50, 4, seed=3), some_blocks(60, count, 4, seed=3 + (count < 50)), Factor()
     other[0].value[:] = 2 * other[0].value + 0.1
-    factor.update(Linearised.of(first, 60).normal()[0])
-    upper, right = Linearised.of(other, 60).normal()
+    factor.update(Linearised(first, 60).normal()[0])
+    upper, right = Linearised(other, 60).normal()
     factor.update(upper)
     np.testing.assert_allclose(factor.solve(right), np.linalg.solve(*dense(other, 60)), rtol=1e-6)
 
@@ -63,7 +63,7 @@ def test_a_factor_serves_other_matrices_whether_or_not_values_are_at_the_same_pl
 def test_the_inverse_between_sparse_columns_is_that_of_dense_algebra(pairs: int) -> None:
     blocks, rng, factor = some_blocks(50, 40, 4, seed=7), np.random.default_rng(8), Factor()
     columns = np.where(rng.random((50, 2 * pairs)) < 0.1, rng.standard_normal((50, 2 * pairs)), 0.0)
-    factor.update(Linearised.of(blocks, 50).normal()[0])
+    factor.update(Linearised(blocks, 50).normal()[0])
     of_pair = columns.T.reshape(pairs, 2, 50)
     expected = of_pair @ np.linalg.inv(dense(blocks, 50)[0]) @ of_pair.transpose(0, 2, 1)
     np.testing.assert_allclose(factor.projected(csc_array(columns)), expected, rtol=1e-6, atol=1e-9)
