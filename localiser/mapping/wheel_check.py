@@ -14,12 +14,13 @@ from localiser.mapping.sightings import Index
 
 _CONSTANTS_CHI2 = 16.3  # 99.7 % of a Gaussian of four dimensions
 _STRETCHES = (1, 10, 30, 100)  # steps between images, over which the noise is compared
-_STRETCH_CHI2 = 24.0  # 99.7 % of the largest of a hundred Gaussians of three dimensions
+_CHANCE = 0.003  # that the noise of right wheels alone contradicts a path
+_STEP_CHI2 = 24.0  # 99.7 % of the largest of a hundred Gaussians of three dimensions
 
 
 def contradicting_steps(wheels: Wheels, poses: Array, constants: Array) -> Index:
     """Return the steps (K,), each from image k to k + 1, in which a path contradicts the wheels."""
-    return np.flatnonzero((wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1) > _STRETCH_CHI2)
+    return np.flatnonzero((wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1) > _STEP_CHI2)
 
 
 def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) -> str | None:
@@ -32,11 +33,22 @@ def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) 
         worst = int(np.abs(sigmas).argmax())
         return f"the wheels' constant errors would be {abs(sigmas[worst]):.1f} sigmas off ({CONSTANTS[worst]})"
     residual = wheel_residuals(wheels, poses, constants)
+    gate = _largest_chi2(len(residual))
     for steps in _STRETCHES:
         count = len(residual) // steps
         sums = residual[: count * steps].reshape(count, steps, 3).sum(axis=1)
         chi2 = (sums**2).sum(axis=1) / steps
-        if count and chi2.max() > _STRETCH_CHI2:
+        if count and chi2.max() > gate:
             first = int(chi2.argmax()) * steps
             return f"the wheels would be {np.sqrt(chi2.max()):.1f} sigmas off from image {first} to {first + steps}"
     return None
+
+
+def _largest_chi2(count: int) -> float:
+    """Return what the largest χ² of `count` Gaussians of three dimensions exceeds with the probability `_CHANCE`.
+
+    The longer the drive, the farther off the noise of its worst step.
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(3, _CHANCE / max(count, 1)))

@@ -24,9 +24,10 @@ def driven(seed: int, steps: int = 200) -> tuple[Wheels, Array]:
     return Wheels(motion + noise, exact.path_m, cov), dead_reckoned(exact)
 
 
+@pytest.mark.parametrize("steps", [200, 20000])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_true_path_agrees(seed: int) -> None:
-    wheels, poses = driven(seed)
+def test_the_true_path_agrees(seed: int, steps: int) -> None:
+    wheels, poses = driven(seed, steps)
     assert contradiction(wheels, PRIOR, poses, np.zeros(4)) is None
 
 
