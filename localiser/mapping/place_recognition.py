@@ -26,6 +26,7 @@ _CLOSE_M = 0.08  # so near a moved landmark must fall to the older one
 _BASELINE_M = 0.7  # two landmarks nearer to each other say little of a turn
 _REFINEMENTS = 3
 _MOST_MOVES = 3000  # that are tried for one group
+_MOST_OLDER = 300  # landmarks near a group that are looked at, those that most images show
 _FEWEST, _SHARE, _CLEARLY = 5, 0.5, 1.4
 _OTHER_M = 0.4  # moves that differ by more are other moves
 
@@ -64,7 +65,9 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tu
     near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
     looks = looks_alike(built.side[group, None], built.polarity[group, None], built.side[older], built.polarity[older])
     may_be = near & (looks >= 0)
-    older, may_be = older[may_be.any(axis=0)], may_be[:, may_be.any(axis=0)]
+    likely = np.flatnonzero(may_be.any(axis=0))
+    likely = np.sort(likely[np.argsort(-built.count[older[likely]], kind="stable")[:_MOST_OLDER]])
+    older, may_be = older[likely], may_be[:, likely]
     if len(older) < _FEWEST:
         return nothing
     row, column = np.nonzero(may_be)
