@@ -83,6 +83,7 @@ def smooth(
     linear, cost = linearise(problem, state), cost_of(problem, state)
     pattern, factor, damping, harder = Pattern.of(linear), Factor(), 1e-4, 2.0
     for _ in range(iterations):
+        pattern = pattern if pattern.holds(linear) else Pattern.of(linear)
         normal, gradient = linear.normal(pattern)
         while True:
             factor.update(normal, damping)
@@ -101,7 +102,7 @@ def smooth(
         state, cost, linear = moved, new_cost, linearise(problem, moved)
         if max(fell, promised) < converged * cost:
             break
-    factor.update(linear.normal(pattern)[0])
+    factor.update(linear.normal(pattern if pattern.holds(linear) else None)[0])
     count = len(problem.bearings.bearing)
     return Smoothed(
         state.poses,

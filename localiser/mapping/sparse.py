@@ -84,12 +84,18 @@ class Linearised:
 class Pattern:
     """Where an upper triangle JᵀWJ has values: the rows of its columns, which begin at `begin` (V + 1,).
 
-    place: for each block, where the product of each two variables of a measurement goes, (K, C (C + 1) / 2).
+    place: for each block, where the product of each two variables of a measurement goes, (K, C (C + 1) / 2), -1 where
+    one of them has no influence. known: for each block, which derivatives (K, C) may be other than 0.
     """
 
     begin: NDArray[np.int32]
     row: NDArray[np.int32]
     place: list[NDArray[np.int32]]
+    known: list[NDArray[np.bool_]]
+
+    def holds(self, linear: Linearised) -> bool:
+        """Return whether these measurements have no value where the pattern has none."""
+        return not any((block.value != 0)[~known].any() for block, known in zip(linear.blocks, self.known, strict=True))
 
     @classmethod
     def of(cls, linear: Linearised) -> Pattern:
@@ -99,15 +105,16 @@ class Pattern:
         from localiser.mapping.sparse_kernel import find_places
 
         ones = linear.jacobian
-        ones.data[:] = 1.0
+        ones.data[:] = ones.data != 0
         upper = triu(ones.T @ ones, format="csc")
+        upper.eliminate_zeros()
         upper.sort_indices()
         begin, row, place = upper.indptr.astype(np.int32), upper.indices.astype(np.int32), []
         for block in linear.blocks:
             count = block.column.shape[1]
-            place.append(np.zeros((len(block.column), count * (count + 1) // 2), dtype=np.int32))
+            place.append(np.full((len(block.column), count * (count + 1) // 2), -1, dtype=np.int32))
             find_places(block.column, begin, row, place[-1])
-        return cls(begin, row, place)
+        return cls(begin, row, place, [block.value != 0 for block in linear.blocks])
 
 
 class Factor:

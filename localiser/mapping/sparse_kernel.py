@@ -14,7 +14,7 @@ Index32 = NDArray[np.int32]
 
 @compiled
 def find_places(column: Index, begin: Index32, row: Index32, place: Index32) -> None:
-    """Write where products of two variables of measurements stand, (K, C (C + 1) / 2), in an upper triangle.
+    """Write where products of two variables of measurements stand in an upper triangle, (K, C (C + 1) / 2), if they do.
 
     column: (K, C) variables, negative for none. begin (V + 1,), row: of the triangle's columns, rows in order.
     """
@@ -31,7 +31,8 @@ def find_places(column: Index, begin: Index32, row: Index32, place: Index32) -> 
                             low = middle + 1
                         else:
                             high = middle
-                    place[k, at] = low
+                    if low <= high and row[low] == above:
+                        place[k, at] = low
                 at += 1
 
 
@@ -46,12 +47,12 @@ def add_products(
     for k in range(len(column)):
         at = 0
         for i in range(column.shape[1]):
-            weighted = weight[k] * derivative[k, i]
             if column[k, i] >= 0:
-                gradient[column[k, i]] += weighted * residual[k]
+                gradient[column[k, i]] += weight[k] * derivative[k, i] * residual[k]
             for j in range(i + 1):
-                if column[k, i] >= 0 and column[k, j] >= 0:
-                    value[place[k, at]] += weighted * derivative[k, j]
+                if place[k, at] >= 0:
+                    above, right = (i, j) if column[k, i] < column[k, j] else (j, i)
+                    value[place[k, at]] += weight[k] * derivative[k, above] * derivative[k, right]
                 at += 1
 
 
