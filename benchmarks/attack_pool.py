@@ -76,13 +76,14 @@ class Worker:
         assert process.stdout is not None
         awake, worked = time.monotonic(), processor_s(process.pid)
         while True:
-            if select.select([process.stdout], [], [], LOOK_S)[0]:
+            used = resident_mb(process.pid)  # before what it answers: a worker that is too large ends, however quick
+            if used <= MEMORY_MB and select.select([process.stdout], [], [], LOOK_S)[0]:
                 line = process.stdout.readline()
                 if line:
                     found: dict[str, Any] = json.loads(line)
                     return found
                 return {"end": f"died ({process.wait()})", "at": "", "text": self._told(), "seconds": 0.0}
-            seconds, used = processor_s(process.pid) - worked, resident_mb(process.pid)
+            seconds = processor_s(process.pid) - worked
             if not is_asleep(process.pid):  # it may wait for a processor that others have, which is no fault
                 awake = time.monotonic()
             if used > MEMORY_MB or seconds > limit_s or time.monotonic() - awake > _PATIENCE * limit_s:

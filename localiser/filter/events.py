@@ -11,6 +11,7 @@ from localiser.edges import Edges
 from localiser.filter.attitude import Attitude
 from localiser.filter.confidence import MapWarning, Reason
 from localiser.filter.height import Height
+from localiser.filter.map_error import MapError
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.observation import Sighting
 from localiser.particles import Clusters, Estimate, Particles
@@ -59,8 +60,9 @@ class Located:
     since the last image. odometry: odometry's pose (3,) at the image. p_correct: probability that the estimate is
     within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
     first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. height: by how
-    much the camera's height above the floor does. sighting: what particles were weighed by, edges corrected by both.
-    warning: what a user should look at, else "".
+    much the camera's height above the floor does. map_error: how far landmarks are from where the map has them.
+    sighting: what particles were weighed by, edges corrected by attitude and height. warning: what a user should look
+    at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     """
 
@@ -76,6 +78,7 @@ class Located:
     clusters: Clusters | None = None
     attitude: Attitude | None = None
     height: Height = field(default_factory=Height)
+    map_error: MapError = field(default_factory=MapError)
     sighting: Sighting | None = None
     warning: MapWarning = ""
     wheels_are_wrong: bool = False

@@ -414,6 +414,7 @@ def _located(state: FilterState, weighed: Particles | None, measured: Sighting, 
         clusters=clusters,
         attitude=state.attitude,
         height=state.height,
+        map_error=state.map_error,
         sighting=image.sighting,
     )
 

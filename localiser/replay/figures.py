@@ -246,8 +246,7 @@ def _height(run: Replay) -> dict[str, float]:
 
 def _map_scale(run: Replay) -> dict[str, float]:
     """Return by how much landmarks are farther from where the map has them than it says."""
-    sighting = run.frames[-1].located.sighting
-    return {} if sighting is None else {"map_scale_found": round(sighting.map_scale, 6)}
+    return {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
 
 
 def _height_warnings(run: Replay) -> list[str]:
