@@ -29,8 +29,8 @@ COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", 
 TIMES = {"frame_ms_median", "frame_ms_p95", "stage_ms"}
 METRICS = {
     "log", "observation", "seed", "particles", "frames", "position_rmse_m", "position_median_m", "position_max_m",
-    "position_end_m", "heading_rmse_deg", "odometry_position_rmse_m", "nees_mean", "pcrb_position_m", "efficiency", "map_scale_found",
-    "edges_per_frame",
+    "position_end_m", "heading_rmse_deg", "odometry_position_rmse_m", "nees_mean", "pcrb_position_m", "efficiency",
+    "edges_per_frame", "map_scale_found",
 }  # fmt: skip
 
 
