@@ -66,9 +66,13 @@ class Height:
         return float(self.probability @ OFFSETS_M)
 
     @property
+    def _variance(self) -> float:
+        return float(self.probability @ (OFFSETS_M - self.mean_m) ** 2)
+
+    @property
     def sigma_m(self) -> float:
         """How certain the offset is, 1 sigma, on a floor that is as even as floors are."""
-        return float(np.sqrt(self.probability @ (OFFSETS_M - self.mean_m) ** 2 + UNEVEN_M**2))
+        return float(np.sqrt(self._variance + UNEVEN_M**2))
 
     def warning(self, stated_m: float) -> str:
         """Return what a user should know of the stated height, "" where it may be right."""
@@ -84,7 +88,7 @@ class Height:
     @property
     def is_unknown(self) -> bool:
         """Whether a pose is needed as much for the height as the height for a pose."""
-        return bool(self.probability @ (OFFSETS_M - self.mean_m) ** 2 > UNKNOWN_M**2)
+        return self._variance > UNKNOWN_M**2
 
     def with_poses(self, log_likelihood: Callable[[float], float], novelty: float) -> Height:
         """Return what is known after an image, over all poses that the robot may have.
@@ -124,7 +128,7 @@ class Height:
         stated = camera.at(edges.mount).mount
         if (measured_sigma_m := height_sigma_of_image(stated)) is not None:
             return replace(edges, height_sigma_m=measured_sigma_m)
-        sigma_m = float(np.sqrt(self.probability @ (OFFSETS_M - self.mean_m) ** 2))
+        sigma_m = float(np.sqrt(self._variance))
         if is_tracked and sigma_m > UNEVEN_M:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
         if abs(self.mean_m) < _USED * self.sigma_m:

@@ -6,8 +6,8 @@ scale is learnt on a grid from how well edges fit where the robot is sure to be,
 factor of two.
 
 The error of a landmark is the same in every image that shows it. The larger it is beside what an image adds of its own,
-the farther the robot must drive before an image tells something new. So the novelty of images decays by `decorrelation`
-times the path that it decays by otherwise.
+the farther the robot must drive before an image tells something new. So errors of edges are taken to repeat along a
+path that is longer by the factor `decorrelation`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from localiser.geometry import Array
 SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0.1 m
 MEMORY_IMAGES = 100.0  # independent images after which what is in view may have been mapped in another way
 REPEATED = 0.3  # what an image counts for: it shows for the most part landmarks whose errors were seen before
-LEAST_NOVELTY = 0.2  # between images that are learnt from
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view
 _LOG_PRIOR: Array = -0.5 * np.log2(SCALES) ** 2
 

@@ -54,7 +54,7 @@ from localiser.observation import (
     matches_of,
     novelty_of,
 )
-from localiser.particles import POSE, Estimate, Particles, log_sum, only, systematic_resample
+from localiser.particles import POSE, Estimate, Particles, log_sum, systematic_resample, thinned
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer
 
@@ -256,7 +256,7 @@ def _checked(
     """
     if state.particles is None:
         return drive, None
-    few = only(state.particles, slice(None, None, max(len(state.particles) // FEW, 1)))
+    few = thinned(state.particles, FEW)
     driven, seen, seconds = mcl.moved(few, drive.moves, rng), state.seen, (sighting.t_ns - state.at_ns) / 1e9
     odometer, observation = mcl.odometer, mcl.observation
     if odometer is None or odometer.follows_edges or not state.weighed or seen is None or seconds <= 0:
@@ -280,7 +280,7 @@ def _checked(
 
     follows = continued if isinstance(observation, PredictsScenes) else None
     state.wheels, other = state.wheels.after(
-        Evidence(odometer, seen.edges, sighting.edges, fit, follows),
+        Evidence(odometer, earlier.edges, now.edges, fit, follows),
         drive.increment,
         covariance_of(mcl.motion, drive.increment),
         driven,

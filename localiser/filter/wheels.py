@@ -25,7 +25,7 @@ import numpy as np
 
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between
-from localiser.particles import Estimate, Particles, log_sum, only
+from localiser.particles import Estimate, Particles, log_sum, thinned
 from localiser.visual_odometry import (
     Frames,
     Gaussian,
@@ -56,7 +56,7 @@ LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that edges are compa
 class Evidence:
     """What an image says of how the robot moved.
 
-    odometer: follows edges from one image to the next. before, after: edges of the last image and of this one. fit:
+    odometer: follows edges from one image to the next. before, after: longest edges of the last image and of this. fit:
     returns the log-likelihood (N,) of the image at particles. continued: returns the log-density of its edges, as those
     of the last image predict them after a motion; None where the observation cannot.
     """
@@ -82,9 +82,8 @@ class Evidence:
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
-        before, after = self.before.longest(MOST_EDGES), self.after.longest(MOST_EDGES)
-        frames = Frames.of(before, after, self.odometer.camera)
-        likely = frames.likely_motions(prior) if len(before) and len(after) else []
+        frames = Frames.of(self.before, self.after, self.odometer.camera)
+        likely = frames.likely_motions(prior) if len(self.before) and len(self.after) else []
         if not likely:
             return seen_increment(motion_gaussian(prior)), 0.0
         miss_rad, var = likely[0][2] - prior.mean[2], prior.cov[2, 2]
@@ -108,7 +107,7 @@ class Evidence:
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
         """Return the motion by edges alone, of a robot that had this twist per second."""
-        return self.odometer.seen(self.before.longest(MOST_EDGES), self.after.longest(MOST_EDGES), seconds, pace)[0]
+        return self.odometer.seen(self.before, self.after, seconds, pace)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +147,7 @@ class Wheels:
         the same particles by another motion. seconds: since the last image. The motion comes with particles moved by
         it.
         """
-        by_map = evidence.by_map(only(driven, slice(None, None, max(len(driven) // FEW, 1))))
+        by_map = evidence.by_map(thinned(driven, FEW))
         right = np.array([by_map, evidence.by_last_image(increment)])
         fits = (right >= UNUSUAL * self.usual).all()
         usual = MEMORY * self.usual + (1.0 - MEMORY) * right

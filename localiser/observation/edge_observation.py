@@ -48,18 +48,16 @@ from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
 from localiser.observation.protocols import EarlierImage, EndOffsets, Matches, Sighting, Targets
 from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
-from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate, only, take
+from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate, take, thinned
 
 Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 _FAR_SIGMAS = 12.0  # beyond this a normal density is below 1e-31 of its peak: nothing beside clutter
-SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
+_SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
 _FEW = 64  # particles that tell how wide the cloud is
-_FIT_STEPS = 3
-_LEAST_SIGMA: Array = np.array(
-    [0.002, 0.002, np.radians(0.05)]
-)  # m, m, rad: of any estimate, so that it has an inverse
+_FIT_STEPS = 3  # of Gauss and Newton, until the pose hardly moves
+_LEAST_SIGMA: Array = np.array([0.002, 0.002, np.radians(0.05)])  # m, m, rad: so that any covariance has an inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,8 +243,7 @@ class EdgeObservation:
         seen = expected.seen
         measured, measured_var = self.angle.measured(edges)
         count = len(seen.landmark)
-        some = only(particles, slice(None, None, max(len(particles) // _FEW, 1)))
-        spread_var = self._spread_var(some, landmark_map.points[seen.landmark])
+        spread_var = self._spread_var(thinned(particles, _FEW), landmark_map.points[seen.landmark])
         variance = (expected.variance + spread_var)[:, None] + measured_var
         pair, edge = np.nonzero((measured - expected.angle[:, None]) ** 2 < _FAR_SIGMAS**2 * variance)
         own = np.zeros((count, len(edges)))
@@ -294,7 +291,7 @@ class EdgeObservation:
         expected = self._expected_from(pose, landmark_map, map_scale)
         seen = expected.seen
         matches = Matches.none(len(edges), len(landmark_map))
-        matches.visible[seen.landmark[expected.in_the_open >= SHOWN]] = True
+        matches.visible[seen.landmark[expected.in_the_open >= _SHOWN]] = True
         if not len(edges) or not len(seen.pose):
             return matches
         pair, edge, density = self._near(edges, expected)
@@ -326,9 +323,11 @@ class EdgeObservation:
         landmarks.
         """
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
+        if not len(edges):
+            return np.zeros(len(scales))
         fitted, log_room = self._fitted(located, sighting, landmark_map, scales)
         expected = self._expected_from(fitted, landmark_map, float(scales[-1]))
-        if not len(edges) or not len(expected.angle):
+        if not len(expected.angle):
             return np.zeros(len(scales))
         pair, edge = self._pairs(edges, expected, 0.0)
         measured, measured_var = self.angle.measured(edges)
@@ -343,8 +342,8 @@ class EdgeObservation:
     ) -> tuple[Array, Array]:
         """Return the pose (3,) among those of the estimate at which edges lie nearest to their landmarks, and its room.
 
-        By Gauss-Newton steps, each with the landmarks that edges have from the pose before. The room (K,) is the
-        logarithm of the part of the estimate's poses at which edges fit as well, for each scale (K,) of the map.
+        It is found by Gauss-Newton steps, each with the landmarks that edges have from the pose before. The room (K,)
+        is the logarithm of the part of the estimate's poses at which edges fit as well, for each scale (K,) of the map.
         """
         pose = fitted = located.pose_as_seen
         known = np.linalg.inv(located.pose_cov + np.diag(_LEAST_SIGMA**2))

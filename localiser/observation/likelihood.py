@@ -96,19 +96,19 @@ def scene_of(
     in each of V views of it, at most `likelihood_kernel.VIEWS`.
     """
     camera, sight = angle.camera, parameters.sight
-    mount = camera.mount
+    mount, farthest_m = camera.mount, sight.far.range_max_m
     table, bins, largest_var, missed = _edges(angle, sighting.edges, blur_rad)
     view, widest = _view(camera, sight)
     return Scene(
         landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale),
         visibility=visibility,
-        reach=reach_of(landmark_map, sight.far.range_max_m),
+        reach=reach_of(landmark_map, farthest_m),
         edges=table,
         bins=bins,
         offset=(mount.right_m, mount.back_m, mount.yaw_rad),
         view=view,
         ends=(endpoints.TOLERANCE_PX / camera.focal_px, missed),
-        range_m=(sight.range_min_m, sight.far.range_max_m, sight.range_max_m),
+        range_m=(sight.range_min_m, farthest_m, sight.range_max_m),
         widest=widest,
         gate=(GATE_SIGMAS, largest_var),
         span=angle.span_rad,

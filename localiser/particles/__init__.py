@@ -16,6 +16,7 @@ from localiser.particles.cloud import (
     only,
     spread,
     take,
+    thinned,
 )
 from localiser.particles.clusters import CELL_M, CELL_RAD, Clusters, cells_of, find_clusters
 from localiser.particles.resampling import multinomial_resample, systematic_resample

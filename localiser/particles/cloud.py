@@ -167,6 +167,11 @@ def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
     return replace(particles, columns=particles.columns[:, chosen], log_weight=particles.log_weight[chosen])
 
 
+def thinned(particles: Particles, count: int) -> Particles:
+    """Return every k-th of the particles, with its weight: `count` of them, or somewhat more."""
+    return only(particles, slice(None, None, max(len(particles) // count, 1)))
+
+
 def estimate(particles: Particles) -> Estimate:
     """Return the weighted mean and covariance over all columns; circular columns are averaged as directions.
 
