@@ -18,7 +18,7 @@ import numpy as np
 
 from localiser.geometry import Array
 
-SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0.1 m
+SCALES: Array = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # of sigmas of 6 mm: 0.8 mm to 0.1 m
 MEMORY_IMAGES = 100.0  # independent images after which what is in view may have been mapped in another way
 REPEATED = 0.3  # what an image counts for: it shows for the most part landmarks whose errors were seen before
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view

@@ -30,6 +30,7 @@ from localiser.filter.height import (
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
+from localiser.filter.repetition import Repetition
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering
 from localiser.filter.wheels import MOST_EDGES, Evidence, Wheels
@@ -50,6 +51,7 @@ from localiser.observation import (
     ScalesMaps,
     Sighting,
     TempersByScale,
+    correlation_of,
     likelihood_by_rate,
     matches_of,
     novelty_of,
@@ -125,6 +127,7 @@ class FilterState:
     attitude: Attitude | None = None
     height: Height = field(default_factory=Height)
     map_error: MapError = field(default_factory=MapError)
+    repetition: Repetition = field(default_factory=Repetition)
     seen: Sighting | None = None
     pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
@@ -147,11 +150,12 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
                 cloud = mcl.motion.at_start(cloud, rng)
             state.particles = cloud
             state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
-            state.wheels = Wheels()
+            state.wheels, state.repetition = Wheels(), state.repetition.interrupted()
             state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
         case Anywhere():
             state.particles, state.at_ns, state.weighed, state.seen = None, event.t_ns, False, None
             state.scene, state.wheels, state.pace, state.belief = Scene(), Wheels(), None, Belief.anywhere()
+            state.repetition = state.repetition.interrupted()
         case Odometry():
             state.odometry.append(event)
         case Sighting():
@@ -190,6 +194,11 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     weighed = _compared(mcl, state, few, weighed, image, rng)
     # Estimate: before resampling, which only adds noise.
     located = _located(state, weighed, measured, image)
+    if weighed is not None:
+        # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
+        matches = _matches(mcl, located.estimate, image.sighting)
+        state.belief = state.belief.seen(matches, image.jump.novelty)
+        state.repetition = _repetition(mcl, state, located, image, matches)
     state.height = _height(mcl, state, located, image)
     state.map_error = _map_error(mcl, state, located, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
@@ -218,7 +227,7 @@ class _Image:
 
     moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now.
     sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1, of the errors
-    of its edges; jump: how new what it shows is.
+    of its edges; least_novelty: the same if all errors repeated. jump: how new what it shows is.
     """
 
     moves: list[Increment]
@@ -226,6 +235,7 @@ class _Image:
     odometry: Array
     sighting: Sighting
     novelty: float
+    least_novelty: float
     jump: Jump
 
 
@@ -297,8 +307,12 @@ def _checked(
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
     """Return what the motion and earlier images tell of an image."""
     motion, seen, increment = mcl.motion, state.seen, drive.increment
-    novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
-    jump, clutter = Jump(novelty), None
+    novelty = least_novelty = 1.0
+    if state.weighed:
+        longer = state.map_error.decorrelation
+        novelty = novelty_of(increment, mcl.correlation, longer, state.repetition.share)
+        least_novelty = novelty_of(increment, mcl.correlation, longer)
+    jump, clutter = Jump(least_novelty), None
     if mcl.search is not None and isinstance(mcl.observation, PredictsScenes):
         state.scene, clutter, jump = state.scene.followed(mcl.observation, motion, sighting, increment)
     if seen is not None and novelty < 1.0 and isinstance(mcl.observation, FollowsClutter):
@@ -306,9 +320,9 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
         sighting = mcl.observation.with_persistent_clutter(sighting, seen, increment, turn_var)
     sighting = replace(sighting, clutter=clutter)
     if mcl.level is not None:
-        edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
+        edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, least_novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(drive.moves, increment, drive.odometry, sighting, novelty, jump)
+    return _Image(drive.moves, increment, drive.odometry, sighting, novelty, least_novelty, jump)
 
 
 def _proposed(
@@ -375,16 +389,8 @@ def _compared(
         weighed, belief = found
     elif weighed is not None and belief.here < RELEASED:
         belief, weighed = belief.released(weighed), None
-    if weighed is not None:
-        belief = belief.seen(_matches(mcl, particles.estimate(weighed), image.sighting), image.jump.novelty)
     state.belief = belief
     return weighed
-
-
-def _matches(mcl: Mcl, estimate: Estimate, sighting: Sighting) -> Matches:
-    """Return which landmark each edge shows from the estimate, whether or not an earlier image showed it too."""
-    edges = replace(sighting.edges, clutter=np.ones(len(sighting.edges)))
-    return matches_of(mcl.observation, estimate.pose_as_seen, replace(sighting, edges=edges), mcl.landmark_map)
 
 
 def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Particles:
@@ -473,7 +479,7 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
     if mcl.level is None or not isinstance(observation, ComparesEnds) or state.particles is None or not len(edges):
         return state.height
     stated = mcl.level.camera.at(located.edges.mount)
-    height = state.height.seen(image.novelty if state.weighed else 0.0)
+    height = state.height.seen(image.least_novelty if state.weighed else 0.0)
     if height.novelty < LEAST_NOVELTY or height.is_unknown or height_sigma_of_image(stated.mount) is not None:
         return height
     as_stated = image.sighting
@@ -482,13 +488,27 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
     return height.after(observation.end_offsets(located.estimate.pose_as_seen, as_stated, mcl.landmark_map), stated)
 
 
+def _matches(mcl: Mcl, estimate: Estimate, sighting: Sighting) -> Matches:
+    """Return which landmark each edge shows from the estimate, whether or not an earlier image showed it too."""
+    edges = replace(sighting.edges, clutter=np.ones(len(sighting.edges)))
+    return matches_of(mcl.observation, estimate.pose_as_seen, replace(sighting, edges=edges), mcl.landmark_map)
+
+
+def _repetition(mcl: Mcl, state: FilterState, located: Located, image: _Image, matches: Matches) -> Repetition:
+    """Return what is known of the share of errors that repeats after an image, where the pose is sure."""
+    if located.p_correct < SURE or not state.weighed:
+        return state.repetition.interrupted()
+    longer = state.map_error.decorrelation
+    return state.repetition.after(matches, correlation_of(image.increment, mcl.correlation, longer))
+
+
 def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> MapError:
     """Return what is known of the landmarks' errors after an image, where the pose is sure."""
     observation, sighting = mcl.observation, image.sighting
     is_sure = state.particles is not None and located.p_correct >= SURE
     if not isinstance(observation, ScalesMaps) or not len(sighting.edges) or not is_sure:
         return state.map_error
-    found = state.map_error.seen(image.novelty)
+    found = state.map_error.seen(image.least_novelty)
     if found.novelty < LEAST_NOVELTY:
         return found
     estimate, rate = located.estimate, state.inliers.mean

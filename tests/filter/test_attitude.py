@@ -152,7 +152,7 @@ def test_a_camera_without_tilt_tells_it_by_bearings_alone() -> None:
     np.testing.assert_array_equal(found.lean, edges.lean)
 
 
-def located(kind: str, level: Level | None) -> tuple[Array, Array]:
+def located(kind: str, level: Level | None, seed: int = 1) -> tuple[Array, Array]:
     """Errors (F, 3) of a filter that sees by a camera that hangs otherwise than stated, and their covariances."""
     parameters = ObservationParameters(kind=kind, landmark_sigma_m=0.003)  # type: ignore[arg-type]
     filter_ = mcl.Mcl(
@@ -163,7 +163,7 @@ def located(kind: str, level: Level | None) -> tuple[Array, Array]:
         parameters,
         level=level,
     )
-    truth, state, rng = drive(), mcl.FilterState(), np.random.default_rng(1)
+    truth, state, rng = drive(), mcl.FilterState(), np.random.default_rng(seed)
     events: list[mcl.Event] = [mcl.Start(0, truth.poses[0], np.diag([0.1, 0.1, 0.05]) ** 2)]
     for t_ns, pose, edges in zip(truth.t_ns, truth.poses, frames_of(HANGING), strict=True):
         events += [mcl.Odometry(int(t_ns), pose), mcl.Sighting(int(t_ns), edges)]
@@ -176,8 +176,10 @@ def located(kind: str, level: Level | None) -> tuple[Array, Array]:
 @pytest.mark.parametrize("kind", ["line", "slope"])
 def test_a_robot_whose_camera_hangs_otherwise_than_stated_is_where_it_says(kind: str) -> None:
     """Without that, half a degree of tilt biases every image in the same way, and the filter knows nothing of it."""
-    error, cov = located(kind, Level(STATED, PLUMB))
+    drives = [located(kind, Level(STATED, PLUMB), seed) for seed in (1, 2, 3)]
+    error, cov = np.concatenate([one[0] for one in drives]), np.concatenate([one[1] for one in drives])
     astray, claimed = located(kind, None)
-    assert np.mean(nees(error, cov)) < 5.0 < np.mean(nees(astray, claimed))
+    assert np.mean(nees(error, cov)) < 3.0
+    assert np.mean(nees(astray, claimed)) > 5.0
     rmse, without = (np.sqrt(np.mean(np.square(e[:, :2]).sum(axis=1))) for e in (error, astray))
     assert rmse < 0.5 * without
