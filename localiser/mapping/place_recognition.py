@@ -49,8 +49,8 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
         group = np.unique(landmark[within])
         group = group[known[group] & (first[group] >= start - _OLDER)]
         older = np.flatnonzero(known & (last < start - _OLDER) & (number == np.arange(len(points))))
-        newer, known_before, move = _same_by_move(points, group, older, built)
-        for new, old in zip(newer, known_before, strict=True):
+        move, *pairs = _same_by_move(points, group, older, built)
+        for new, old in zip(*pairs, strict=True):
             if number[new] == new and number[old] == old:
                 number[new] = old
         later = first >= start - _OLDER
@@ -58,12 +58,12 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
     return number
 
 
-def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Index, Index, Array]:
-    """Return the pairs (P,), (P,) of a landmark of the group and an older one that may be the same, and the move (1, 3).
+def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Array, Index, Index]:
+    """Return the best rigid move (1, 3) of the group, and the pairs (P,), (P,) of its landmarks and older ones.
 
-    They are those that the best rigid move of the group explains; none where no move is clearly the best.
+    The pairs are those that the move explains. None, and a move of 0, where no move is clearly the best.
     """
-    nothing = group[:0], older[:0], np.zeros((1, 3))
+    nothing = np.zeros((1, 3)), group[:0], older[:0]
     if len(group) < _FEWEST:
         return nothing
     near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
@@ -93,7 +93,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tu
         pose, _ = fitted_motion(points[older[match[new]]], points[group[new]])
         move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
     new = new[_unambiguous(points, group, older, row, column, move)[new]]
-    return group[new], older[match[new]], move
+    return move, group[new], older[match[new]]
 
 
 def _unambiguous(

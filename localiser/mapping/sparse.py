@@ -153,28 +153,27 @@ class Factor:
             part = order[begin : begin + _AT_ONCE]
             offset, _, solved = self._substituted(columns, part)
             pairs = solved.reshape(len(solved), TOGETHER // 2, 2)
-            for group in range(len(offset) - 1):
-                own, of_group = pairs[offset[group] : offset[group + 1]], part[group * pairs.shape[1] :][: pairs.shape[1]]
+            for group, first in enumerate(range(0, len(part), TOGETHER // 2)):
+                own, of_group = pairs[offset[group] : offset[group + 1]], part[first : first + TOGETHER // 2]
                 result[of_group] = np.einsum("mpi,mpj->pij", own, own)[: len(of_group)]
         return result
 
     def joint(self, columns: Any) -> Array:
         """Return XᵀA⁻¹X (C, C) of all columns X, sparse (V, C), C even, with each other."""
-        from scipy.sparse import csr_array
-
         from localiser.mapping.sparse_kernel import TOGETHER
 
         order = self._by_place(columns)
         offset, reached, solved = self._substituted(columns, order)
-        column = TOGETHER * np.repeat(np.arange(len(offset) - 1), np.diff(offset))[:, None] + np.arange(TOGETHER)
-        entries = solved.ravel(), (np.repeat(reached, TOGETHER), column.ravel())
-        half = csr_array(entries, shape=(columns.shape[0], TOGETHER * (len(offset) - 1)))
+        row, place = np.unique(reached, return_inverse=True)
+        half = np.zeros((len(row), len(offset) - 1, TOGETHER))
+        half[place, np.repeat(np.arange(len(offset) - 1), np.diff(offset))] = solved
+        half = half.reshape(len(row), TOGETHER * (len(offset) - 1))[:, : columns.shape[1]]
         back = np.empty(columns.shape[1], dtype=np.int64)
         back[(2 * order[:, None] + np.arange(2)).ravel()] = np.arange(columns.shape[1])
-        return np.asarray((half.T @ half).toarray()[np.ix_(back, back)])
+        return np.asarray((half.T @ half)[np.ix_(back, back)])
 
     def _by_place(self, columns: Any) -> Index:
-        """Return the pairs (P,) of columns, sparse (V, 2 P), in the order in which their first variable is eliminated."""
+        """Return the pairs (P,) of columns, sparse (V, 2 P), as the first variable of each is eliminated."""
         place = self._places()[columns.indices]
         begin = columns.indptr[:-1:2]
         first = np.minimum.reduceat(np.append(place, len(place)), begin) if len(begin) else begin
