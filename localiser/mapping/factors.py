@@ -6,6 +6,7 @@ Every residual is measured minus predicted, in sigmas. Variables: poses but the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Prior:
         return cls(np.zeros(len(CONSTANTS)), np.maximum(sigma, _LEAST_SIGMA))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Wheels:
     """Odometry between consecutive frames: motion (T - 1, 3) in the robot frame, and the path driven (T - 1,).
 
@@ -47,7 +48,7 @@ class Wheels:
     path_m: Array
     cov: Array
 
-    @property
+    @cached_property
     def whitening(self) -> Array:
         """W (T - 1, 3, 3) with W cov Wᵀ = 1: residuals times W are in sigmas, and independent."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.cov)))

@@ -40,20 +40,35 @@ def compatible(difference: Array, cov: Array, noise_m: float) -> Mask:
 
 
 def _grown(seed: int, difference: Array, cov: Array, noise_m: float) -> Mask:
-    """Return the pairs (P,) that agree with the pair `seed` and with each other; those that agree best come first."""
+    """Return the pairs (P,) that agree with the pair `seed` and with each other; those that agree best come first.
+
+    Each pair taken is a measurement of its own difference. What it tells of all others is a factor (2 P, 2): the
+    covariance that is left is `cov` less the sum of factor · factorᵀ. Of it, only what is asked for is computed.
+    """
     count = len(difference)
     chosen, fits = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
-    mean, left, noise = difference.ravel(), cov, noise_m**2 * np.eye(2)
+    mean, told, noise = difference.ravel().copy(), np.zeros((2 * count, 2 * count)), noise_m**2 * np.eye(2)
+    own_cov = cov.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)] + noise
     pair = seed
-    while True:
+    for taken in range(0, 2 * count, 2):
         own = slice(2 * pair, 2 * pair + 2)
-        gain = np.linalg.solve(left[own, own] + noise, left[own]).T
-        mean, left = mean - gain @ mean[own], left - gain @ left[own]
+        with_all = cov[:, own] - told[:, :taken] @ told[own, :taken].T
+        whitening = np.linalg.inv(np.linalg.cholesky(with_all[own] + noise)).T
+        factor = with_all @ whitening
+        mean -= factor @ (whitening.T @ mean[own])
+        told[:, taken : taken + 2] = factor
+        of_pair = factor.reshape(count, 2, 2)
+        own_cov -= of_pair @ of_pair.transpose(0, 2, 1)
         chosen[pair] = True
-        offset, blocks = mean.reshape(count, 2), left.reshape(count, 2, count, 2)
-        own_cov = blocks[np.arange(count), :, np.arange(count)] + noise
-        chi2 = np.einsum("pi,pij,pj->p", offset, np.linalg.inv(own_cov), offset)
+        chi2 = _chi2(mean.reshape(count, 2), own_cov)
         fits &= (chi2 < _GATE) & ~chosen
         if not fits.any():
-            return chosen
+            break
         pair = int(np.where(fits, chi2, np.inf).argmin())
+    return chosen
+
+
+def _chi2(offset: Array, cov: Array) -> Array:
+    """Return the squared sigmas (P,) of offsets (P, 2) with covariances (P, 2, 2)."""
+    (x, z), (xx, xz, zz) = offset.T, (cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1])
+    return np.asarray((zz * x**2 - 2 * xz * x * z + xx * z**2) / (xx * zz - xz**2))

@@ -26,6 +26,7 @@ _UNLIKE = 0.0  # log-likelihood ratio of looks below which two are not one
 _TOGETHER_SHARE = 0.1  # of the frames of the rarer one, in which another edge may have been taken for the other
 _CONTRARY = -3.0  # log-likelihood ratio of one edge being seen with either sign
 _CERTAIN_SIGMA_M = 0.02  # a difference known as well as this tells two edges by their places
+_KNOWN_SIGMA_M = 0.01  # as well as this, it tells them whatever others say
 _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
 _MOST_PAIRS = 300  # of one place, that are compared with each other
 _PLACE_M = 4.0  # side of a place that is not divided further
@@ -67,8 +68,11 @@ def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
     one, other, chi2, sigma, looks = one[fit], other[fit], chi2[fit], sigma[fit], looks[fit]
     # How much likelier it is that they are one than that the second is any other edge that happens to stand here.
     score = looks - 0.5 * chi2 - np.log(sigma)
-    agree = np.zeros(len(one), dtype=bool)
-    for place in _places((points[one] + points[other]) / 2, score):
+    # Where places are known so well, no drift is left on which pairs would have to agree.
+    agree = sigma < _KNOWN_SIGMA_M
+    vague = np.flatnonzero(~agree)
+    for near in _places(((points[one] + points[other]) / 2)[vague], score[vague]):
+        place = vague[near]
         joint = smoothed.joint_difference_cov(one[place], other[place])
         agree[place] = compatible((points[one] - points[other])[place], joint, _LEAST_SIGMA_M)
     one, other, sigma, score = one[agree], other[agree], sigma[agree], score[agree]
@@ -118,10 +122,10 @@ def _places(middle: Array, score: Array) -> list[Index]:
 
     Too many are divided at their median, into pairs of two places. In a place that is small the likeliest are taken.
     """
-    parts, places = [np.argsort(-score, kind="stable")], []
+    parts, places = [np.argsort(-score, kind="stable")] if len(score) else [], []
     while parts:
         part = parts.pop()
-        size = np.ptp(middle[part], axis=0) if len(part) else np.zeros(2)
+        size = np.ptp(middle[part], axis=0)
         if len(part) > _MOST_PAIRS and size.max() > _PLACE_M:
             along = middle[part, size.argmax()]
             parts += [part[along < np.median(along)], part[along >= np.median(along)]]

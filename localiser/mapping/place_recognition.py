@@ -34,9 +34,10 @@ _OTHER_M = 0.4  # moves that differ by more are other moves
 def recognised(points: Array, built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the older one that it is; its own where there is none.
 
-    points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order.
+    points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order. A
+    move that recognises a group moves all that is seen later, too: only the drift since then is looked for.
     """
-    number, landmark = np.arange(len(points)), built.of[built.used]
+    number, landmark, points = np.arange(len(points)), built.of[built.used], points.copy()
     end = int(frame.max(initial=0))
     first, last = np.full(len(points), end), np.zeros(len(points), dtype=np.int64)
     np.minimum.at(first, landmark, frame)
@@ -48,18 +49,21 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
         group = np.unique(landmark[within])
         group = group[known[group] & (first[group] >= start - _OLDER)]
         older = np.flatnonzero(known & (last < start - _OLDER) & (number == np.arange(len(points))))
-        for new, old in zip(*_same_by_move(points, group, older, built), strict=True):
+        move, *pairs = _same_by_move(points, group, older, built)
+        for new, old in zip(*pairs, strict=True):
             if number[new] == new and number[old] == old:
                 number[new] = old
+        later = first >= start - _OLDER
+        points[later] = _moved(points[later], move)
     return number
 
 
-def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Index, Index]:
-    """Return the pairs (P,), (P,) of a landmark of the group and an older one that may be the same.
+def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Array, Index, Index]:
+    """Return the best rigid move (1, 3) of the group, and the pairs (P,), (P,) of its landmarks and older ones.
 
-    They are those that the best rigid move of the group explains; none where no move is clearly the best.
+    The pairs are those that the move explains. None, and a move of 0, where no move is clearly the best.
     """
-    nothing = group[:0], older[:0]
+    nothing = np.zeros((1, 3)), group[:0], older[:0]
     if len(group) < _FEWEST:
         return nothing
     near = np.hypot(*(points[group].T[:, :, None] - points[older].T[:, None])) < _FARTHEST_M
@@ -89,7 +93,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tu
         pose, _ = fitted_motion(points[older[match[new]]], points[group[new]])
         move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
     new = new[_unambiguous(points, group, older, row, column, move)[new]]
-    return group[new], older[match[new]]
+    return move, group[new], older[match[new]]
 
 
 def _unambiguous(

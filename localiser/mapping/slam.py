@@ -39,6 +39,7 @@ _CONSTANTS_GATE = 16.3  # 99.7 % of a Gaussian of four dimensions
 _TRUE_TURN_RAD = 7e-4  # how far turns of smoothed poses may be off between two frames
 _ROUGHLY = 2e-3  # fall of the cost that ends a solution which is only a step on the way
 _RECOGNITION_ROUNDS = 4
+_SMALL_LOOP_M = 0.2  # drift that single landmarks can be told in spite of
 _LOOSE = (100.0, 20.0, 4.0, 1.0)  # bearings are taken to be so much worse while a large loop is pulled together
 _LOOP_ROUNDS, _LAST_LOOP_ROUNDS = 12, 4
 _PARTING_ROUNDS = 4
@@ -208,8 +209,10 @@ class _Solver:
     def close_all_loops(self) -> None:
         """Close large loops, then small ones, and associate all edges again, until nothing changes."""
         for _ in range(_RECOGNITION_ROUNDS):
-            of = self.joined(recognised(self.smoothed.points, self.built, self.frames_used))
-            if of is None:
+            points = self.smoothed.points
+            number = recognised(points, self.built, self.frames_used)
+            of = self.joined(number)
+            if of is None or np.linalg.norm(points - points[number], axis=1).max() < _SMALL_LOOP_M:
                 break
             # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
             for loose in _LOOSE:

@@ -19,6 +19,7 @@ from localiser.mapping.sparse import Factor, Pattern
 
 _ITERATIONS = 25
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+_FEW_LANDMARKS = 150  # whose covariances with each other are computed at one time
 CONVERGED = 1e-4
 """Relative fall of the cost below which nothing changes any more."""
 
@@ -44,11 +45,24 @@ class Smoothed:
 
     def difference_cov(self, one: Index, other: Index) -> Array:
         """Return the covariance (P, 2, 2) m² of the differences of pairs of landmarks."""
-        return self.factor.projected(self._columns(one) - self._columns(other))
+        result = np.empty((len(one), 2, 2))
+        for near in _of_few_landmarks(self.points, one, other):
+            cov, i, j = self._joint_cov(one[near], other[near])
+            result[near] = cov[i, i] + cov[j, j] - cov[i, j] - cov[j, i]
+        return result
 
     def joint_difference_cov(self, one: Index, other: Index) -> Array:
         """Return the covariance (2 P, 2 P) m² of the differences of P pairs of landmarks, all with each other."""
-        return self.factor.joint(self._columns(one) - self._columns(other))
+        cov, i, j = self._joint_cov(one, other)
+        of_pairs = cov[i] - cov[j]
+        return np.asarray((of_pairs[:, i] - of_pairs[:, j]).transpose(0, 2, 1, 3).reshape(2 * len(one), -1))
+
+    def _joint_cov(self, one: Index, other: Index) -> tuple[Array, Index, Index]:
+        """Return the covariances (A, A, 2, 2) m² of the landmarks in pairs (P,), and which of them pairs consist of."""
+        landmark, index = np.unique(np.stack([one, other]), return_inverse=True)
+        count, (i, j) = len(landmark), index.reshape(2, -1)
+        cov = self.factor.joint(self._columns(landmark))
+        return cov.reshape(count, 2, count, 2).transpose(0, 2, 1, 3), i, j
 
     def constants_cov(self) -> Array:
         """Return the covariance (4, 4) of the constants."""
@@ -64,6 +78,21 @@ class Smoothed:
 
         size = int(landmark_columns(len(self.poses), np.array([len(self.points)]))[0, 0])
         return csc_array((np.ones(len(row)), (row, np.arange(len(row)))), shape=(size, len(row)))
+
+
+def _of_few_landmarks(points: Array, one: Index, other: Index) -> list[Index]:
+    """Return pairs (P,) of landmarks (L, 2) in parts of few landmarks each: those that are near each other."""
+    parts, done = [np.arange(len(one))] if len(one) else [], []
+    while parts:
+        part = parts.pop()
+        place = points[one[part]]
+        along = place[:, np.ptp(place, axis=0).argmax()]
+        left = along < np.median(along)
+        if len(np.unique(np.stack([one[part], other[part]]))) <= _FEW_LANDMARKS or not left.any():
+            done.append(part)
+        else:
+            parts += [part[left], part[~left]]
+    return done
 
 
 def smooth(

@@ -146,42 +146,63 @@ class Factor:
 
     def projected(self, columns: Any) -> Array:
         """Return XᵀA⁻¹X (P, 2, 2) of P pairs of columns X, sparse (V, 2 P): YᵀD⁻¹Y with L Y = X."""
-        parts = [np.zeros((0, 2, 2))]
-        for begin in range(0, columns.shape[1], 2 * _AT_ONCE):
-            offset, _, solved = self._substituted(columns[:, begin : begin + 2 * _AT_ONCE])
-            products = solved[:, :, None] * solved[:, None, :]
-            parts.append(np.add.reduceat(np.concatenate([products, np.zeros((1, 2, 2))]), offset[:-1]))
-            parts[-1][np.diff(offset) == 0] = 0.0
-        return np.concatenate(parts)
+        from localiser.mapping.sparse_kernel import TOGETHER
+
+        order, result = self._by_place(columns), np.zeros((columns.shape[1] // 2, 2, 2))
+        for begin in range(0, len(order), _AT_ONCE):
+            part = order[begin : begin + _AT_ONCE]
+            offset, _, solved = self._substituted(columns, part)
+            pairs = solved.reshape(len(solved), TOGETHER // 2, 2)
+            for group, first in enumerate(range(0, len(part), TOGETHER // 2)):
+                own, of_group = pairs[offset[group] : offset[group + 1]], part[first : first + TOGETHER // 2]
+                result[of_group] = np.einsum("mpi,mpj->pij", own, own)[: len(of_group)]
+        return result
 
     def joint(self, columns: Any) -> Array:
         """Return XᵀA⁻¹X (C, C) of all columns X, sparse (V, C), C even, with each other."""
-        from scipy.sparse import csr_array
+        from localiser.mapping.sparse_kernel import TOGETHER
 
-        offset, reached, solved = self._substituted(columns)
-        column = 2 * np.repeat(np.arange(len(offset) - 1), np.diff(offset))[:, None] + np.arange(2)
-        entries = solved.ravel(), (np.repeat(reached, 2), column.ravel())
-        half = csr_array(entries, shape=columns.shape)
-        return np.asarray((half.T @ half).toarray())
+        order = self._by_place(columns)
+        offset, reached, solved = self._substituted(columns, order)
+        row, place = np.unique(reached, return_inverse=True)
+        half = np.zeros((len(row), len(offset) - 1, TOGETHER))
+        half[place, np.repeat(np.arange(len(offset) - 1), np.diff(offset))] = solved
+        half = half.reshape(len(row), TOGETHER * (len(offset) - 1))[:, : columns.shape[1]]
+        back = np.empty(columns.shape[1], dtype=np.int64)
+        back[(2 * order[:, None] + np.arange(2)).ravel()] = np.arange(columns.shape[1])
+        return np.asarray((half.T @ half)[np.ix_(back, back)])
 
-    def _substituted(self, columns: Any) -> tuple[Index, Index, Array]:
-        """Return D^-½ Y with L Y = X, of P pairs of columns X, sparse (V, 2 P): the rows of Y (M,), values (M, 2).
+    def _by_place(self, columns: Any) -> Index:
+        """Return the pairs (P,) of columns, sparse (V, 2 P), as the first variable of each is eliminated."""
+        place = self._places()[columns.indices]
+        begin = columns.indptr[:-1:2]
+        first = np.minimum.reduceat(np.append(place, len(place)), begin) if len(begin) else begin
+        return np.argsort(first, kind="stable")
 
-        Rows of a pair are those from offset (P + 1,) on. Only what the values of X reach is computed.
-        """
-        from localiser.mapping.sparse_kernel import count_reached, substitute
-
-        lower, diagonal, order = self._solver.factors()
-        place, begin = np.empty(len(order), dtype=np.int64), columns.indptr[::2].astype(np.int64)
+    def _places(self) -> Index:
+        """Return for each variable (V,) when it is eliminated."""
+        order = self._solver.factors()[2]
+        place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
-        right = np.zeros((columns.nnz, 2))
-        right[np.arange(columns.nnz), np.repeat(np.arange(columns.shape[1]), np.diff(columns.indptr)) % 2] = (
-            columns.data
-        )
-        offset, at = np.zeros(len(begin), dtype=np.int64), place[columns.indices]
-        count_reached(lower.indptr, lower.indices, begin, at, np.full(len(order), -1), offset)
-        reached, solved = np.empty(offset[-1], dtype=np.int64), np.empty((offset[-1], 2))
-        mark, work = np.full(len(order), -1), np.zeros((len(order), 2))
-        own = lower.indptr, lower.indices, lower.data
-        substitute(*own, begin, at, right, mark, work, offset, reached, solved)
+        return place
+
+    def _substituted(self, columns: Any, pairs: Index) -> tuple[Index, Index, Array]:
+        """Return D^-½ Y with L Y = X, of the pairs (P,) of columns X, sparse (V, ·), by groups of `TOGETHER` columns.
+
+        Rows of a group are those from offset (G + 1,) on: reached (M,), and their values (M, TOGETHER). Only what the
+        values of X reach is computed.
+        """
+        from localiser.mapping.sparse_kernel import TOGETHER, count_reached, substitute
+
+        lower, diagonal, _ = self._solver.factors()
+        own = columns[:, (2 * pairs[:, None] + np.arange(2)).ravel()]
+        ends = np.append(np.arange(0, own.shape[1], TOGETHER), own.shape[1])
+        begin, at = own.indptr[ends].astype(np.int64), self._places()[own.indices]
+        column = np.repeat(np.arange(own.shape[1]), np.diff(own.indptr)) % TOGETHER
+        offset, size = np.zeros(len(begin), dtype=np.int64), len(diagonal)
+        count_reached(lower.indptr, lower.indices, begin, at, np.full(size, -1), offset)
+        reached, solved = np.empty(offset[-1], dtype=np.int64), np.empty((offset[-1], TOGETHER))
+        mark, work = np.full(size, -1), np.zeros((size, TOGETHER))
+        of_lower = lower.indptr, lower.indices, lower.data
+        substitute(*of_lower, begin, at, column, own.data, mark, work, offset, reached, solved)
         return offset, reached, solved / np.sqrt(diagonal[reached])[:, None]

@@ -11,6 +11,9 @@ from localiser.mapping.sightings import Index
 
 Index32 = NDArray[np.int32]
 
+TOGETHER = 16
+"""Columns of a right side that are substituted at one time."""
+
 
 @compiled
 def find_places(column: Index, begin: Index32, row: Index32, place: Index32) -> None:
@@ -58,20 +61,20 @@ def add_products(
 
 @compiled
 def count_reached(begin: Index, row: Index, right_begin: Index, right_row: Index, mark: Index, offset: Index) -> None:
-    """Count the rows in which Y of (I + L) Y = R has values, for each pair of columns of R: into `offset` (P + 1,).
+    """Count the rows in which Y of (I + L) Y = R has values, for each group of columns of R: into `offset` (G + 1,).
 
     A value at row j reaches the rows of column j of L: they all lie on the way from j to the root of the elimination
     tree, in which the parent of j is the first row of its column. See `substitute`; mark: (V,) of -1.
     """
-    for pair in range(len(right_begin) - 1):
+    for group in range(len(right_begin) - 1):
         count = 0
-        for entry in range(right_begin[pair], right_begin[pair + 1]):
+        for entry in range(right_begin[group], right_begin[group + 1]):
             node = right_row[entry]
-            while node >= 0 and mark[node] != pair:
-                mark[node] = pair
+            while node >= 0 and mark[node] != group:
+                mark[node] = group
                 count += 1
                 node = row[begin[node]] if begin[node] < begin[node + 1] else -1
-        offset[pair + 1] = offset[pair] + count
+        offset[group + 1] = offset[group] + count
 
 
 @compiled
@@ -81,6 +84,7 @@ def substitute(
     value: Array,
     right_begin: Index,
     right_row: Index,
+    right_column: Index,
     right_value: Array,
     mark: Index,
     work: Array,
@@ -88,20 +92,21 @@ def substitute(
     reached: Index,
     solved: Array,
 ) -> None:
-    """Solve (I + L) Y = R for P pairs of columns of R, into the rows `reached` (M,) and their values `solved` (M, 2).
+    """Solve (I + L) Y = R for G groups of `TOGETHER` columns, into rows `reached` (M,), values `solved` (M, TOGETHER).
 
-    begin (V + 1,), row, value: columns of L, strictly below the diagonal, rows in order. right_begin (P + 1,),
-    right_row, right_value (·, 2): the same of R, two columns at a time. offset (P + 1,): where the rows of each pair
-    begin, see `count_reached`. mark (V,) of -1, work (V, 2) of 0: as they are lent they are not given back.
+    begin (V + 1,), row, value: columns of L, strictly below the diagonal, rows in order. right_begin (G + 1,),
+    right_row, right_column (in the group), right_value: the values of R. offset (G + 1,): where the rows of each group
+    begin, see `count_reached`. mark (V,) of -1, work (V, TOGETHER) of 0: as they are lent they are not given back.
+    Columns of a group share what is read of L, so they should reach nearly the same rows.
     """
-    for pair in range(len(right_begin) - 1):
-        first = offset[pair + 1]
-        for entry in range(right_begin[pair], right_begin[pair + 1]):
+    own = np.empty(TOGETHER)
+    for group in range(len(right_begin) - 1):
+        first = offset[group + 1]
+        for entry in range(right_begin[group], right_begin[group + 1]):
             node, length = right_row[entry], 0
-            work[node, 0] += right_value[entry, 0]
-            work[node, 1] += right_value[entry, 1]
-            while node >= 0 and mark[node] != pair:
-                mark[node] = pair
+            work[node, right_column[entry]] += right_value[entry]
+            while node >= 0 and mark[node] != group:
+                mark[node] = group
                 length += 1
                 node = row[begin[node]] if begin[node] < begin[node + 1] else -1
             # No row found before comes before these in the tree, so these go in front.
@@ -110,11 +115,13 @@ def substitute(
             for step in range(length):
                 reached[first + step] = node
                 node = row[begin[node]] if begin[node] < begin[node + 1] else -1
-        for index in range(offset[pair], offset[pair + 1]):
+        for index in range(offset[group], offset[group + 1]):
             node = reached[index]
-            one, other = work[node, 0], work[node, 1]
-            solved[index, 0], solved[index, 1] = one, other
-            work[node, 0] = work[node, 1] = 0.0
+            for column in range(TOGETHER):
+                own[column] = work[node, column]
+                solved[index, column] = own[column]
+                work[node, column] = 0.0
             for entry in range(begin[node], begin[node + 1]):
-                work[row[entry], 0] -= value[entry] * one
-                work[row[entry], 1] -= value[entry] * other
+                below, factor = row[entry], value[entry]
+                for column in range(TOGETHER):
+                    work[below, column] -= factor * own[column]

@@ -15,12 +15,12 @@ from localiser.mapping.sightings import Index
 _CONSTANTS_CHI2 = 16.3  # 99.7 % of a Gaussian of four dimensions
 _STRETCHES = (1, 10, 30, 100)  # steps between images, over which the noise is compared
 _CHANCE = 0.003  # that the noise of right wheels alone contradicts a path
-_STEP_CHI2 = 24.0  # 99.7 % of the largest of a hundred Gaussians of three dimensions
 
 
 def contradicting_steps(wheels: Wheels, poses: Array, constants: Array) -> Index:
     """Return the steps (K,), each from image k to k + 1, in which a path contradicts the wheels."""
-    return np.flatnonzero((wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1) > _STEP_CHI2)
+    chi2 = (wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1)
+    return np.flatnonzero(chi2 > _largest_chi2(len(chi2)))
 
 
 def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) -> str | None:

@@ -298,6 +298,11 @@ def test_a_third_visit_is_compared_with_the_first_alone() -> None:
     assert recognised(points, built, frame).tolist() == [*range(12)] * 3
 
 
+def test_drift_is_followed_from_visit_to_visit_however_far_it_goes() -> None:
+    points, built, frame = visits([number * np.array([2.0, -1.5, 0.25]) for number in range(1, 8)])
+    assert recognised(points, built, frame).tolist() == [*range(12)] * 8
+
+
 def test_many_landmarks_of_a_second_visit_join_at_once() -> None:
     count, rng = 500, np.random.default_rng(5)
     first = np.stack([np.arange(count) * 0.1, rng.uniform(-3, 3, count)], axis=-1)

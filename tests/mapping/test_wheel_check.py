@@ -29,6 +29,7 @@ def driven(seed: int, steps: int = 200) -> tuple[Wheels, Array]:
 def test_the_true_path_agrees(seed: int, steps: int) -> None:
     wheels, poses = driven(seed, steps)
     assert contradiction(wheels, PRIOR, poses, np.zeros(4)) is None
+    assert len(contradicting_steps(wheels, poses, np.zeros(4))) == 0
 
 
 def test_a_path_that_a_wrong_loop_bent_contradicts_the_noise() -> None:
