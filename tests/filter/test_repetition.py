@@ -83,10 +83,10 @@ def test_an_image_counts_for_what_the_mean_of_many_is_worth(share: float) -> Non
 @pytest.fixture(scope="module")
 def on_an_exact_map() -> list[Drive]:
     """Return drives whose edges err independently in each image, on a map without errors."""
-    setting = efficiency.setting_of("corridor", 250)
+    setting = efficiency.setting_of("corridor", 150)
     moves = [Increment.from_mean(m) for m in between(setting.odometry.poses[:-1], setting.odometry.poses[1:])]
     drives = []
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng([21, seed])
         truth = efficiency.strayed(setting.odometry, moves, rng)
         edges = simulated_edges(setting.landmark_map, setting.camera, truth, rng, visible=setting.visible)
@@ -96,7 +96,7 @@ def on_an_exact_map() -> list[Drive]:
     return drives
 
 
-@pytest.mark.parametrize("kind", ["line", "slope"])
+@pytest.mark.parametrize("kind", ["line", pytest.param("slope", marks=pytest.mark.slow)])
 def test_on_an_exact_map_images_count_for_more_and_the_pose_is_better(
     kind: str, on_an_exact_map: list[Drive], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,4 +108,4 @@ def test_on_an_exact_map_images_count_for_more_and_the_pose_is_better(
     repeated_m = [rmse_m(drive) for drive in on_an_exact_map]
     ratio = np.divide(learnt_m, repeated_m)
     assert ratio.max() < 1.0
-    assert np.median(ratio) < 0.95
+    assert ratio.mean() < 0.95
