@@ -150,12 +150,11 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
                 cloud = mcl.motion.at_start(cloud, rng)
             state.particles = cloud
             state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
-            state.wheels, state.repetition = Wheels(), state.repetition.interrupted()
+            state.wheels = Wheels()
             state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
         case Anywhere():
             state.particles, state.at_ns, state.weighed, state.seen = None, event.t_ns, False, None
             state.scene, state.wheels, state.pace, state.belief = Scene(), Wheels(), None, Belief.anywhere()
-            state.repetition = state.repetition.interrupted()
         case Odometry():
             state.odometry.append(event)
         case Sighting():
@@ -194,11 +193,11 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     weighed = _compared(mcl, state, few, weighed, image, rng)
     # Estimate: before resampling, which only adds noise.
     located = _located(state, weighed, measured, image)
-    if weighed is not None:
-        # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
-        matches = _matches(mcl, located.estimate, image.sighting)
+    # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
+    matches = None if weighed is None else _matches(mcl, located.estimate, image.sighting)
+    if matches is not None:
         state.belief = state.belief.seen(matches, image.jump.novelty)
-        state.repetition = _repetition(mcl, state, located, image, matches)
+    state.repetition = _repetition(mcl, state, located, image, matches)
     state.height = _height(mcl, state, located, image)
     state.map_error = _map_error(mcl, state, located, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
@@ -494,9 +493,12 @@ def _matches(mcl: Mcl, estimate: Estimate, sighting: Sighting) -> Matches:
     return matches_of(mcl.observation, estimate.pose_as_seen, replace(sighting, edges=edges), mcl.landmark_map)
 
 
-def _repetition(mcl: Mcl, state: FilterState, located: Located, image: _Image, matches: Matches) -> Repetition:
-    """Return what is known of the share of errors that repeats after an image, where the pose is sure."""
-    if located.p_correct < SURE or not state.weighed:
+def _repetition(mcl: Mcl, state: FilterState, located: Located, image: _Image, matches: Matches | None) -> Repetition:
+    """Return what is known of the share of errors that repeats after an image, where the pose is sure.
+
+    matches: None where no place is tracked. Images with an unknown motion between them are not compared.
+    """
+    if matches is None or state.seen is None or located.p_correct < SURE:
         return state.repetition.interrupted()
     longer = state.map_error.decorrelation
     return state.repetition.after(matches, correlation_of(image.increment, mcl.correlation, longer))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import efficiency
 import numpy as np
 import pytest
 from belief_run import Drive, run
 from simulated_edges import simulated_edges
 
+from localiser import Localiser, read_config
 from localiser.filter.repetition import LEAST_SHARE, Repetition
 from localiser.geometry import Array, Increment, between
 from localiser.observation import Matches, ObservationParameters, correlation_of, novelty_of
@@ -94,6 +97,26 @@ def on_an_exact_map() -> list[Drive]:
             Drive("exact", setting.landmark_map, setting.camera, setting.odometry, truth.t_ns, edges, truth.poses)
         )
     return drives
+
+
+@pytest.mark.parametrize("unknown", [Localiser.forget_wheels, Localiser.look_everywhere])
+def test_after_an_unknown_motion_no_earlier_image_is_compared(
+    unknown: Callable[[Localiser, int], object], on_an_exact_map: list[Drive]
+) -> None:
+    drive = on_an_exact_map[0]
+    robot = Localiser(drive.landmark_map, drive.camera, read_config(), 0)
+    robot.start(drive.truth[0], np.diag([0.1, 0.1, 0.05]) ** 2, int(drive.t_ns[0]))
+
+    def see(image: int) -> None:
+        robot.odometry(int(drive.t_ns[image]), drive.odometry.poses[image])
+        robot.edges(int(drive.t_ns[image]), drive.edges[image])
+
+    for image in range(40):
+        see(image)
+    assert robot.state.repetition.last is not None
+    unknown(robot, int(drive.t_ns[40]) - 1)
+    see(40)
+    assert robot.state.repetition.last is None
 
 
 @pytest.mark.parametrize("kind", ["line", pytest.param("slope", marks=pytest.mark.slow)])
