@@ -85,7 +85,7 @@ def fitted(sightings: Sightings, of: Index, cameras: Array, sigma: Array) -> Bui
     fit = triangulate(landmark, count, seen_from, direction, sigma[used])
     good = fit.weight > 0.5
     heading, _ = direction_of(fit.points[landmark], seen_from)
-    frames = np.unique(np.stack([landmark[good], sightings.frame[used][good]]), axis=1)[0]
+    frames = np.unique(landmark[good] * sightings.frames + sightings.frame[used][good]) // max(sightings.frames, 1)
     return Built(
         of=of,
         used=used,

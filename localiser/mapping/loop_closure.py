@@ -88,13 +88,15 @@ def without_outvoted_tracks(built: Built, weight: Array, track: Index) -> Index:
     track: (S,) as followed.
     """
     used, landmark = built.used, built.of[built.used]
-    part, index = np.unique(np.stack([landmark, track[used]]), axis=1, return_inverse=True)
-    count = np.bincount(index.ravel())
-    fits = np.bincount(index.ravel(), weight) > _OUTVOTED * count
-    several = np.bincount(part[0], minlength=len(built))[part[0]] > 1
-    leaves = (several & ~fits & (part[1] >= 0))[index.ravel()]
+    tracks = int(track.max(initial=-1)) + 2
+    part, index = np.unique(landmark * tracks + track[used] + 1, return_inverse=True)
+    owner, followed = part // tracks, part % tracks > 0
+    count = np.bincount(index)
+    fits = np.bincount(index, weight) > _OUTVOTED * count
+    several = np.bincount(owner, minlength=len(built))[owner] > 1
+    leaves = (several & ~fits & followed)[index]
     of = built.of.copy()
-    of[used[leaves]] = len(built) + index.ravel()[leaves]
+    of[used[leaves]] = len(built) + index[leaves]
     return of
 
 

@@ -8,6 +8,8 @@ group than any other move.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,8 +33,40 @@ _FEWEST, _SHARE, _CLEARLY = 5, 0.5, 1.4
 _OTHER_M = 0.4  # moves that differ by more are other moves
 
 
-def recognised(points: Array, built: Built, frame: Index) -> Index:
-    """Return for each landmark (L) the number of the older one that it is; its own where there is none.
+@dataclass(frozen=True, slots=True, eq=False)
+class Recognised:
+    """Which landmarks are older ones, and how everything moves so that they stand where these do.
+
+    number: (L,) of the older landmark that each one is; its own where there is none. frame, move: (M,), (M, 3) the
+    groups that were recognised, by their middle image, and the move of each since the one before.
+    """
+
+    number: Index
+    frame: Index
+    move: Array
+
+    def far(self, points: Array, apart_m: float) -> bool:
+        """Return whether a whole group of landmarks (L, 2) stands farther than `apart_m` from what it is.
+
+        Among thousands of images a few landmarks are always taken for others.
+        """
+        return bool((np.linalg.norm(points - points[self.number], axis=1) > apart_m).sum() >= _FEWEST)
+
+    def moved(self, poses: Array) -> Array:
+        """Return poses (T, 3) without the drift that was found, which grew evenly from group to group."""
+        moved = poses.copy()
+        begin = 0
+        for end, (x, z, turn) in zip(self.frame.tolist(), self.move, strict=True):
+            share = np.clip((np.arange(begin, len(poses)) - begin) / max(end - begin, 1), 0.0, 1.0)
+            late = moved[begin:]
+            late[:, :2] += share[:, None] * (_moved(late[:, :2], np.array([[x, z, turn]])) - late[:, :2])
+            late[:, 2] = wrap_angle(late[:, 2] - share * turn)  # headings turn the other way round in the plane (x, z)
+            begin = end
+        return moved
+
+
+def recognised(points: Array, built: Built, frame: Index) -> Recognised:
+    """Return which landmarks (L) are older ones that were seen before.
 
     points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order. A
     move that recognises a group moves all that is seen later, too: only the drift since then is looked for.
@@ -43,6 +77,7 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
     np.minimum.at(first, landmark, frame)
     np.maximum.at(last, landmark, frame)
     known = built.parallax >= np.deg2rad(3.0)
+    middle, moves = [], []
     # What has been recognised stands for itself no more: else a third visit would have two places to choose from.
     for start in range(0, end + 1, _STEP):
         within = slice(*np.searchsorted(frame, [start, start + _WINDOW]))
@@ -53,9 +88,12 @@ def recognised(points: Array, built: Built, frame: Index) -> Index:
         for new, old in zip(*pairs, strict=True):
             if number[new] == new and number[old] == old:
                 number[new] = old
-        later = first >= start - _OLDER
-        points[later] = _moved(points[later], move)
-    return number
+        if len(pairs[0]):
+            later = first >= start - _OLDER
+            points[later] = _moved(points[later], move)
+            middle.append(min(start + _WINDOW // 2, end))
+            moves.append(move[0])
+    return Recognised(number, np.array(middle, dtype=np.int64), np.array(moves).reshape(-1, 3))
 
 
 def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Array, Index, Index]:

@@ -209,11 +209,12 @@ class _Solver:
     def close_all_loops(self) -> None:
         """Close large loops, then small ones, and associate all edges again, until nothing changes."""
         for _ in range(_RECOGNITION_ROUNDS):
-            points = self.smoothed.points
-            number = recognised(points, self.built, self.frames_used)
-            of = self.joined(number)
-            if of is None or np.linalg.norm(points - points[number], axis=1).max() < _SMALL_LOOP_M:
+            found = recognised(self.smoothed.points, self.built, self.frames_used)
+            of = self.joined(found.number)
+            if of is None or not found.far(self.smoothed.points, _SMALL_LOOP_M):
                 break
+            # From where drift left them, poses may end in a minimum of the cost that is not the least one.
+            self.poses, self.places[:] = found.moved(self.poses), np.nan
             # Drift looks like wrong bearings to a robust cost: it must see it as noise first.
             for loose in _LOOSE:
                 self.solve(of, _POSE_BEARING_RAD, loose, converged=_ROUGHLY)

@@ -122,6 +122,7 @@ class Factor:
 
     def __init__(self) -> None:
         self._solver: Any = None
+        self._parts: tuple[Any, Array, Index] | None = None
         self._pattern: tuple[Index, Index] | None = None
 
     def update(self, upper: Any, damping: float = 0.0) -> None:
@@ -134,7 +135,7 @@ class Factor:
         # In sorted columns of an upper triangle the diagonal comes last.
         diagonal = damped.indptr[1:] - 1
         damped.data[diagonal] += damping * damped.data[diagonal] + _REGULAR
-        pattern = damped.indptr, damped.indices
+        pattern, self._parts = (damped.indptr, damped.indices), None
         if self._pattern is not None and all(map(np.array_equal, self._pattern, pattern)):
             self._solver.update(damped, upper=True)
         else:
@@ -174,17 +175,19 @@ class Factor:
 
     def _by_place(self, columns: Any) -> Index:
         """Return the pairs (P,) of columns, sparse (V, 2 P), as the first variable of each is eliminated."""
-        place = self._places()[columns.indices]
+        place = self._factors()[2][columns.indices]
         begin = columns.indptr[:-1:2]
         first = np.minimum.reduceat(np.append(place, len(place)), begin) if len(begin) else begin
         return np.argsort(first, kind="stable")
 
-    def _places(self) -> Index:
-        """Return for each variable (V,) when it is eliminated."""
-        order = self._solver.factors()[2]
-        place = np.empty(len(order), dtype=np.int64)
-        place[order] = np.arange(len(order))
-        return place
+    def _factors(self) -> tuple[Any, Array, Index]:
+        """Return L, D, and for each variable (V,) when it is eliminated. The solver copies L whenever it is asked."""
+        if self._parts is None:
+            lower, diagonal, order = self._solver.factors()
+            place = np.empty(len(order), dtype=np.int64)
+            place[order] = np.arange(len(order))
+            self._parts = lower, diagonal, place
+        return self._parts
 
     def _substituted(self, columns: Any, pairs: Index) -> tuple[Index, Index, Array]:
         """Return D^-½ Y with L Y = X, of the pairs (P,) of columns X, sparse (V, ·), by groups of `TOGETHER` columns.
@@ -194,10 +197,10 @@ class Factor:
         """
         from localiser.mapping.sparse_kernel import TOGETHER, count_reached, substitute
 
-        lower, diagonal, _ = self._solver.factors()
+        lower, diagonal, places = self._factors()
         own = columns[:, (2 * pairs[:, None] + np.arange(2)).ravel()]
         ends = np.append(np.arange(0, own.shape[1], TOGETHER), own.shape[1])
-        begin, at = own.indptr[ends].astype(np.int64), self._places()[own.indices]
+        begin, at = own.indptr[ends].astype(np.int64), places[own.indices]
         column = np.repeat(np.arange(own.shape[1]), np.diff(own.indptr)) % TOGETHER
         offset, size = np.zeros(len(begin), dtype=np.int64), len(diagonal)
         count_reached(lower.indptr, lower.indices, begin, at, np.full(size, -1), offset)
