@@ -42,6 +42,7 @@ _RECOGNITION_ROUNDS = 4
 _SMALL_LOOP_M = 0.2  # drift that single landmarks can be told in spite of
 _LOOSE = (100.0, 20.0, 4.0, 1.0)  # bearings are taken to be so much worse while a large loop is pulled together
 _LOOP_ROUNDS, _LAST_LOOP_ROUNDS = 12, 4
+_STILL_SHARE = 0.5  # of a landmark's own error: a round of small loops that moves the path (RMS) by less is the last
 _PARTING_ROUNDS = 4
 _REPEATED = 2.0  # errors of an edge repeat from frame to frame: four sightings say what one independent one would
 _ASSOCIATION_ROUNDS = 3
@@ -231,15 +232,20 @@ class _Solver:
                 break
 
     def close_loops(self, rounds: int) -> None:
-        """Join landmarks that are one, and solve again, until no more are."""
+        """Join landmarks that are one, and solve again, until no more are or the path stands still.
+
+        In a long log each place is tied by many landmarks: joining one more of them changes nothing.
+        """
+        still_m = _STILL_SHARE * self.parameters.place_sigma_m
         for _ in range(rounds):
-            before = self.built.of
+            before, path = self.built.of, self.poses[:, :2]
             of = self.joined(same_landmarks(self.smoothed, self.built, self.frames_used))
             if of is None:
                 break
             self.solve(of, _POSE_BEARING_RAD)
             self.open_wrong_loops()
-            if same_groups(self.built.of, before):
+            moved = np.sqrt(np.square(self.poses[:, :2] - path).sum(axis=1).mean())
+            if same_groups(self.built.of, before) or moved < still_m:
                 break
 
     def open_wrong_loops(self) -> None:

@@ -20,7 +20,7 @@ from localiser.mapping.factors import Problem, State, cost_of, linearise
 from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
 from localiser.mapping.landmarks import fitted
 from localiser.mapping.loop_closure import same_landmarks
-from localiser.mapping.place_recognition import recognised
+from localiser.mapping.place_recognition import Recognised, recognised
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import dead_reckoned, smooth
 from localiser.mapping.triangulate import triangulate
@@ -301,6 +301,30 @@ def test_a_third_visit_is_compared_with_the_first_alone() -> None:
 def test_drift_is_followed_from_visit_to_visit_however_far_it_goes() -> None:
     points, built, frame = visits([number * np.array([2.0, -1.5, 0.25]) for number in range(1, 8)])
     assert recognised(points, built, frame).number.tolist() == [*range(12)] * 8
+
+
+def test_what_drifted_is_moved_back_and_the_way_to_it_evenly() -> None:
+    drift = np.array([1.5, -0.8, 0.2])
+    points, built, frame = visits([drift])
+    found = recognised(points, built, frame)
+    poses = np.stack([np.linspace(-1, 1, 200), np.linspace(2, -2, 200), np.linspace(0, 1, 200)], axis=-1)
+    cos, sin = np.cos(drift[2]), np.sin(drift[2])
+    drifted = np.column_stack([poses[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + drift[:2], poses[:, 2] - drift[2]])
+    middle = int(found.frame[0])
+    moved = found.moved(np.concatenate([poses[:100], drifted[100:]]))
+    np.testing.assert_allclose(moved[120:], poses[120:], atol=0.03)
+    np.testing.assert_array_equal(moved[0], poses[0])
+    turned = wrap_angle(found.moved(np.tile(poses[:1], (200, 1)))[:, 2] - poses[0, 2])
+    np.testing.assert_allclose(np.diff(turned[: middle + 1]), turned[middle] / middle, atol=1e-9)
+
+
+def test_a_few_landmarks_taken_for_others_are_no_drift() -> None:
+    points = np.arange(40.0).reshape(-1, 2)
+    number = np.arange(20)
+    number[:4] = number[4:8]
+    few = Recognised(number, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    assert not few.far(points, 0.2)
+    assert replace(few, number=np.where(np.arange(20) < 5, number + 10, number)).far(points, 0.2)
 
 
 def test_many_landmarks_of_a_second_visit_join_at_once() -> None:
