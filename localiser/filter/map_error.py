@@ -3,7 +3,8 @@
 A map says how certain its landmarks are, or the configuration does. A plan may be off by centimetres all the same, and
 a map of exact positions by nothing. So all sigmas of the map are taken to be `scale` times as large as stated. The
 scale is learnt on a grid from how well edges fit where the robot is sure to be, p(edges | scale), with a prior of a
-factor of two.
+factor of two. A map may be good in one part and poor in another, so now and then the scale changes to any other
+(a hidden Markov model).
 
 The error of a landmark is the same in every image that shows it. The larger it is beside what an image adds of its own,
 the farther the robot must drive before an image tells something new. So errors of edges are taken to repeat along a
@@ -19,23 +20,24 @@ import numpy as np
 from localiser.geometry import Array
 
 SCALES: Array = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # of sigmas of 6 mm: 0.8 mm to 0.1 m
-MEMORY_IMAGES = 100.0  # independent images after which what is in view may have been mapped in another way
+CHANGES = 0.003  # for an independent image: how often what comes into view was mapped in another way
 REPEATED = 0.3  # what an image counts for: it shows for the most part landmarks whose errors were seen before
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view
 _LOG_PRIOR: Array = -0.5 * np.log2(SCALES) ** 2
+_PRIOR: Array = np.exp(_LOG_PRIOR) / np.exp(_LOG_PRIOR).sum()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapError:
-    """The scale of the map's sigmas. log_weight: (K,) of each of `SCALES`. novelty: of images not yet learnt from."""
+    """The scale of the map's sigmas. probability: (K,) of each of `SCALES`. novelty: of images not yet learnt from."""
 
-    log_weight: Array = field(default_factory=_LOG_PRIOR.copy)
+    probability: Array = field(default_factory=_PRIOR.copy)
     novelty: float = 0.0
 
     @property
     def scale(self) -> float:
-        """The likeliest scale."""
-        return float(SCALES[self.log_weight.argmax()])
+        """The scale: its geometric mean."""
+        return float(np.exp(self.probability @ np.log(SCALES)))
 
     @property
     def decorrelation(self) -> float:
@@ -48,6 +50,7 @@ class MapError:
 
     def after(self, by_scale: Array) -> MapError:
         """Return what is known after an image with log p(edges | scale) (K,)."""
-        kept = np.exp(-self.novelty / MEMORY_IMAGES)
-        told = REPEATED * self.novelty * by_scale
-        return MapError(_LOG_PRIOR + kept * (self.log_weight - _LOG_PRIOR) + told)
+        changed = 1.0 - np.exp(-CHANGES * self.novelty)
+        predicted = (1.0 - changed) * self.probability + changed * _PRIOR
+        joint = predicted * np.exp(REPEATED * self.novelty * (by_scale - by_scale.max()))
+        return MapError(joint / joint.sum())

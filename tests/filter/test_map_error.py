@@ -64,15 +64,15 @@ def test_an_image_without_edges_or_landmarks_in_view_tells_nothing() -> None:
 def test_what_is_learnt_needs_more_than_one_image_and_is_forgotten() -> None:
     told = np.where(SCALES > 3.9, 6.0, 0.0)
     known = MapError()
-    assert known.scale == 1.0
-    assert known.seen(0.5).after(told).scale == 1.0
+    assert known.scale == pytest.approx(1.0)
+    assert known.seen(0.5).after(told).scale < 2.0
     for _ in range(20):
         known = known.seen(0.5).after(told)
-    assert known.scale == 4.0
+    assert known.scale > 4.0
     assert known.decorrelation == LONGEST
     for _ in range(2000):
         known = known.seen(0.5).after(np.zeros(len(SCALES)))
-    assert known.scale == 1.0
+    assert known.scale == pytest.approx(1.0, abs=0.15)
 
 
 def test_better_maps_do_not_make_images_count_for_more() -> None:
@@ -81,6 +81,23 @@ def test_better_maps_do_not_make_images_count_for_more() -> None:
         known = known.seen(1.0).after(np.where(SCALES < 0.8, 2.0, 0.0))
     assert known.scale < 1.0
     assert known.decorrelation == 1.0
+
+
+def told_by(scale: float) -> Array:
+    """Return log p(edges | scale) (K,) of an image with ten edges whose errors are the map's, at this scale."""
+    return -10 * (np.log(SCALES) + (scale / SCALES) ** 2 / 2)
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.25, 4.0), (4.0, 0.25)])
+def test_where_the_map_becomes_another_a_few_images_tell(before: float, after: float) -> None:
+    known = MapError()
+    for _ in range(1000):
+        known = known.seen(1.0).after(told_by(before))
+    assert known.scale == pytest.approx(before, rel=0.2)
+    images = 0
+    while abs(np.log(known.scale / after)) > np.log(1.5):
+        known, images = known.seen(1.0).after(told_by(after)), images + 1
+    assert images <= 10
 
 
 @pytest.mark.parametrize("kind", ["line", "slope"])
