@@ -20,11 +20,11 @@ import numpy as np
 from localiser.geometry import Array
 
 SCALES: Array = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # of sigmas of 6 mm: 0.8 mm to 0.1 m
-CHANGES = 0.003  # for an independent image: how often what comes into view was mapped in another way
+CHANGES = 0.003  # the rate, for each independent image, at which what comes into view was mapped in another way
 REPEATED = 0.3  # what an image counts for: it shows for the most part landmarks whose errors were seen before
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view
-_LOG_PRIOR: Array = -0.5 * np.log2(SCALES) ** 2
-_PRIOR: Array = np.exp(_LOG_PRIOR) / np.exp(_LOG_PRIOR).sum()
+_PRIOR: Array = np.exp(-0.5 * np.log2(SCALES) ** 2)
+_PRIOR /= _PRIOR.sum()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,7 @@ class MapError:
 
     @property
     def scale(self) -> float:
-        """The scale: its geometric mean."""
+        """The scale that is expected: the geometric mean."""
         return float(np.exp(self.probability @ np.log(SCALES)))
 
     @property
