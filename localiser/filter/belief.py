@@ -43,7 +43,7 @@ MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
-OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one
+OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
 FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
@@ -69,6 +69,7 @@ class Belief:
     towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
     proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
     detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
+    overlooked: probability that no image has proposed the true place, if it was an image that proposed this one.
     """
 
     tracked: float
@@ -83,6 +84,7 @@ class Belief:
     support: float = 0.0
     visibility: Visibility = field(default_factory=Visibility)
     shown: DetectionRate = field(default_factory=DetectionRate.unknown)
+    overlooked: float = 0.0
 
     @classmethod
     def stated(cls) -> Belief:
@@ -97,7 +99,7 @@ class Belief:
     @classmethod
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
-        return cls(0.0, 0.0, 0.5, 0.5)
+        return cls(0.0, 0.0, 0.5, 0.5, overlooked=1.0)
 
     @property
     def here(self) -> float:
@@ -128,7 +130,7 @@ class Belief:
         told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
-        may_be_lost = 1.0 - belief.here >= search.parameters.doubt
+        may_be_lost = 1.0 - belief.here * (1.0 - belief.overlooked) >= search.parameters.doubt
         if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):
             return replace(belief, unproposed=new)
         if may_be_lost:
@@ -208,11 +210,12 @@ class Belief:
         scene in proportion to it.
         """
         is_first = not is_tracked and self.elsewhere == 0.0
-        effort = min(new, MOST_EFFORT) if is_tracked else FIRST_EFFORT if is_first else 1.0
-        proposed, log_evidence = search.proposed(like, clues, effort, rng, is_first=is_first)
-        overlooked = OVERLOOKED ** (effort if is_tracked else new)
+        is_known = is_tracked and self.overlooked < search.parameters.doubt
+        effort = min(new, MOST_EFFORT) if is_known else FIRST_EFFORT if is_first else 1.0
+        proposed, log_evidence, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
+        overlooked = max(OVERLOOKED ** (effort if is_known or is_first else new), float(np.exp(-hits)))
         found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
-        belief = replace(self, unexplored=overlooked * self.unexplored)
+        belief = replace(self, unexplored=overlooked * self.unexplored, overlooked=overlooked * self.overlooked)
         if proposed is not None and found > 0:
             belief = belief._with(proposed, found)
         return belief._normalised()
@@ -278,13 +281,22 @@ class Belief:
             off_map=self.off_map,
             candidates=None if near.all() else self.candidates.only(~near),
             unproposed=self.unproposed,
+            overlooked=1.0 if is_tracked else self.overlooked,
         )
 
     def released(self, cloud: Particles) -> Belief:
         """Return the belief in which the particles that were tracked are candidates."""
         belief = self._with(Candidates.of(cloud, self.detections), self.here)
         unknown = DetectionRate.unknown()
-        return replace(belief, tracked=0.0, unmapped=0.0, detections=unknown, visibility=Visibility(), shown=unknown)
+        return replace(
+            belief,
+            tracked=0.0,
+            unmapped=0.0,
+            detections=unknown,
+            visibility=Visibility(),
+            shown=unknown,
+            overlooked=1.0,
+        )
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
@@ -304,7 +316,8 @@ class Belief:
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
-        return (self.here if is_tracked else self.elsewhere) * near_weight(cloud, pose)
+        place = self.here if is_tracked else self.elsewhere
+        return place * (1.0 - self.overlooked) * near_weight(cloud, pose)
 
     def reason(self, p_correct: float, sighting: Sighting) -> Reason:
         """Return why p_correct is low, "" where it is not."""

@@ -141,14 +141,14 @@ class GlobalLocalisation:
 
     def proposed(
         self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator, *, is_first: bool = False
-    ) -> tuple[Candidates | None, float]:
-        """Return candidates drawn over the whole region, and the logarithm of their evidence.
+    ) -> tuple[Candidates | None, float, float]:
+        """Return candidates drawn over the whole region, the logarithm of their evidence, and the expected hits.
 
         Poses that explain the edges no better than clutter does are left out; None where all do. like: particles whose
         other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort: how much
         is tried, 1 for an image that stands for itself. is_first: whether nothing has been proposed before, so that
         draws must be dense everywhere. Evidence: the mean of p(edges | pose) over the region, relative to all edges
-        being clutter.
+        being clutter. Expected hits: how many of the poses tried are the true one, if it is in the region.
         """
         count = self.most if is_first else max(round(effort * self.parameters.fresh), 1)
         unknown = DetectionRate.unknown()
@@ -158,15 +158,17 @@ class GlobalLocalisation:
 
         parameters = ProposalParameters().scaled(effort)
         places = self.places.seen_by(clues.view.camera)
-        poses, log_prior_over_q = propose(clues.view, places, log_likelihood, rng, parameters).drawn(count, rng)
+        proposals = propose(clues.view, places, log_likelihood, rng, parameters)
+        hits = proposals.expected_hits(count)
+        poses, log_prior_over_q = proposals.drawn(count, rng)
         by_rate = clues.by_pose(poses)
         fits = (unknown.log_mean(by_rate) > 0.0) & np.isfinite(log_prior_over_q)
         if not fits.any():
-            return None, -np.inf
+            return None, -np.inf, hits
         robots = self._robots(like, poses[fits], log_prior_over_q[fits], clues.view.camera, rng)
         candidates = Candidates.unknown(robots)
         candidates, _ = candidates.weighed(by_rate[:, fits], 1.0, needs_landmarks=False)
-        return candidates, log_sum(candidates.particles.log_weight) - float(np.log(count))
+        return candidates, log_sum(candidates.particles.log_weight) - float(np.log(count)), hits
 
     def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
         """Return `count` candidates drawn evenly over the region; like: as for `proposed`."""

@@ -21,32 +21,35 @@ AT_ONCE = 8  # pairs of edges looked up together
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
 MANY_PAIRS = 400_000  # of landmarks, beyond which pairs of edges are preferred that few of them can be
 FEWEST_TRIED = 4  # pairs of edges, on such a map
+BOTH_RIGHT = 0.3  # part of the pairs of edges that are both landmarks and pass the gates at the true pose
 WORST_RANGE = 0.25  # relative error of a range that still tells something
 
 
-def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) -> Array:
+def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return robot poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
 
     Two edges with ranges make two points, and only pairs of landmarks as far apart as these can be them. The bearings
-    are then held exactly; of the ranges only the ratio counts.
+    are then held exactly; of the ranges only the ratio counts. The second value is how many of the poses are expected
+    to be the true one: `BOTH_RIGHT` for each pair of edges, times the part of its pairs of landmarks that is tried.
     """
     i, j = _wide_pairs(view, np.flatnonzero(~view.cut & np.isfinite(view.foot)))
     if len(i) == 0 or count == 0:
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), 0.0
     ranges, sigmas = _foot_ranges(view, places)
     pairs, merit = np.stack([i, j], axis=-1), _merit(view, sigmas, i, j)
     if len(places.pair) > MANY_PAIRS:
-        return view.robot_poses(_from_rare_pairs(view, places, pairs, merit, ranges, sigmas, count, rng))
+        cameras, part = _from_rare_pairs(view, places, pairs, merit, ranges, sigmas, count, rng)
+        return view.robot_poses(cameras), BOTH_RIGHT * len(pairs) * part
     order = np.argsort(rng.exponential(size=len(i)) / merit)
-    found, total = [], 0
+    found, total, tried = [], 0, 0
     for chunk in np.array_split(order, -(-len(order) // AT_ONCE)):
         queries = _queries(view, places, pairs[chunk], ranges, sigmas)
         query, entry = _entries(queries.first, _at_most(queries.last - queries.first, count - total))
         found.append(queries.poses(view, places, query, entry))
-        total += len(found[-1])
+        total, tried = total + len(found[-1]), tried + len(chunk)
         if total >= count:
             break
-    return view.robot_poses(np.concatenate(found)[:count])
+    return view.robot_poses(np.concatenate(found)[:count]), BOTH_RIGHT * tried
 
 
 def _from_rare_pairs(
@@ -58,11 +61,11 @@ def _from_rare_pairs(
     sigmas: Array,
     count: int,
     rng: np.random.Generator,
-) -> Array:
+) -> tuple[Array, float]:
     """Return `count` camera poses (K ≤ count, 3) from pairs of edges (P, 2) that few pairs of landmarks can be.
 
     On a large map most pairs of edges can be more landmarks than an image can try. Those that can be few tell more for
-    the same work. Of what can be still more, a random part is tried.
+    the same work. Of what can be still more, a random part is tried. The second value is the part tried of all.
     """
     queries = _queries(view, places, pairs, ranges, sigmas)
     each = queries.last - queries.first
@@ -77,7 +80,8 @@ def _from_rare_pairs(
     spread = ((entry - queries.first[keep][query] + rng.random(len(entry))) / part[query]).astype(np.int64)
     entry = queries.first[keep][query] + np.minimum(spread, each[keep][query] - 1)
     some = rng.permutation(len(entry))[:count]
-    return queries.poses(view, places, keep[query[some]], entry[some])
+    part_tried = len(some) / max(int(each.sum()), 1)
+    return queries.poses(view, places, keep[query[some]], entry[some]), part_tried
 
 
 def _merit(view: View, sigmas: Array, i: Indices, j: Indices) -> Array:

@@ -8,6 +8,8 @@ import numpy as np
 
 from localiser.geometry import Array, wrap_angle
 
+NEAR_M2_RAD = np.pi * 0.5**2 * np.radians(20.0)  # of the poses within 0.5 m and 10° of one
+
 
 @dataclass(frozen=True, slots=True)
 class Region:
@@ -49,7 +51,8 @@ class Proposals:
         q(x) = (1 - even) Σ_c π_c N(x; mean_c, cov_c) + even / volume
 
     log_weight: (C,) log π_c, of sum 1, most likely first. mean: (C, 3) x, z, heading; cov: (C, 3, 3). even: 0 … 1, and
-    1 where there is no component.
+    1 where there is no component. hits: how many of the poses that were tried for the Gaussians are expected to be the
+    true one.
     """
 
     log_weight: Array
@@ -57,6 +60,7 @@ class Proposals:
     cov: Array
     region: Region
     even: float
+    hits: float = 0.0
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -65,6 +69,10 @@ class Proposals:
     def blind(cls, region: Region) -> Proposals:
         """Return the density that knows nothing: even over the region."""
         return cls(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)), region, even=1.0)
+
+    def expected_hits(self, count: int) -> float:
+        """Return how many poses are expected to be near the true one: of those tried, and of `count` even draws."""
+        return self.hits + self.even * count * NEAR_M2_RAD * float(np.exp(self.region.log_density))
 
     def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return poses (count, 3) drawn from q and their importance weights log(prior / q) (count,).

@@ -64,32 +64,37 @@ def propose(
     parameters = parameters or ProposalParameters()
     if len(view) < FEWEST:
         return Proposals.blind(places.region)
-    candidates = _best_hypotheses(view, places, rng, parameters)
+    candidates, hits = _best_hypotheses(view, places, rng, parameters)
     poses, covs = refined(view, places, candidates)
     inside = places.region.contains(poses)
     poses, covs = poses[inside], covs[inside]
     if len(poses) == 0:
-        return Proposals.blind(places.region)
+        return replace(Proposals.blind(places.region), hits=hits)
     # Laplace: the mass of a mode is its height times its volume.
     mass = log_likelihood(poses) + 0.5 * np.linalg.slogdet(covs)[1]
     best = _distinct(poses, mass)[: parameters.kept]
     likely = parameters.tempered * mass[best]
     weight = (1.0 - EQUAL) * np.exp(likely - np.logaddexp.reduce(likely)) + EQUAL / len(best)
     log_weight = np.log(weight)
-    return Proposals(log_weight, poses[best], covs[best] * parameters.widened**2, places.region, parameters.even)
+    return Proposals(log_weight, poses[best], covs[best] * parameters.widened**2, places.region, parameters.even, hits)
 
 
-def _best_hypotheses(view: View, places: Places, rng: np.random.Generator, parameters: ProposalParameters) -> Array:
-    """Return the poses (K, 3) that the quick score likes best, none beside another."""
+def _best_hypotheses(
+    view: View, places: Places, rng: np.random.Generator, parameters: ProposalParameters
+) -> tuple[Array, float]:
+    """Return the poses (K, 3) that the quick score likes best, none beside another.
+
+    The second value is how many of those tried are expected to be the true one.
+    """
     count = parameters.hypotheses
-    poses = hypotheses.from_feet(view, places, count, rng)
+    poses, hits = hypotheses.from_feet(view, places, count, rng)
     if len(poses) < count // 2:
         more = hypotheses.from_bearings(view, places, count - len(poses), rng)
-        poses = np.concatenate([poses, more])
+        poses, hits = np.concatenate([poses, more]), hits if len(more) == 0 else np.inf
     poses = poses[places.region.contains(poses)]
     evidence = evidence_of(view, SEARCH_BLUR_RAD)
     score = score_poses(evidence, places, poses)
-    return np.asarray(poses[_distinct(poses, score)[: parameters.refined]])
+    return np.asarray(poses[_distinct(poses, score)[: parameters.refined]]), hits
 
 
 def _distinct(poses: Array, score: Array) -> NDArray[np.int64]:

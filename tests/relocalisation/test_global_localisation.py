@@ -287,6 +287,28 @@ def test_a_place_takes_over_when_nothing_else_explains_the_edges() -> None:
     assert found is not None and found[1].tracked == pytest.approx(0.6) and len(found[0]) == 500
 
 
+def test_a_place_that_an_image_proposed_is_sure_when_the_true_one_can_hardly_have_been_overlooked() -> None:
+    """A stated place needs no search. One that was found does, and is looked for as long as it is not sure."""
+    driven, pose = drive(1), drive(1).truth[0]
+    assert Belief.stated().p_correct(cloud(pose[None]), pose, is_tracked=True) == pytest.approx(0.7)
+    found = Belief(0.999, 0.0, 0.0, 0.001, overlooked=1.0)
+    p_correct = []
+    for _ in range(4):
+        found = seen(found, driven.events[1], pose)  # type: ignore[arg-type]
+        p_correct.append(found.p_correct(cloud(pose[None]), pose, is_tracked=True))
+    assert p_correct == pytest.approx([0.7, 0.91, 0.973, 0.992], abs=0.01)
+
+
+def test_a_place_that_takes_over_or_is_given_up_may_have_been_overlooked() -> None:
+    one = places(np.random.default_rng(0).normal(0, 0.05, (500, 3)))
+    assert Belief.anywhere().overlooked == 1.0 and Belief.stated().overlooked == 0.0
+    carried = Belief(0.0005, 0.9, 0.0, 0.0995, one).found(is_tracked=True)
+    looked_for = Belief(0.0, 0.9, 0.0, 0.1, one, overlooked=0.2).found(is_tracked=False)
+    assert carried is not None and carried[1].overlooked == 1.0
+    assert looked_for is not None and looked_for[1].overlooked == 0.2
+    assert Belief(4e-4, 0.8, 0.0, 0.1996, one).released(cloud(np.zeros((5, 3)))).overlooked == 1.0
+
+
 def test_candidates_are_not_where_the_robot_is_tracked() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [3.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     belief = Belief(0.5, 0.4, 0.0, 0.1, places(poses)).beside(np.zeros(3))
@@ -306,7 +328,7 @@ def test_proposed_poses_keep_the_constant_errors_and_see_through_them() -> None:
     straight, turned = (
         Particles((*POSE, CAMERA_YAW), np.array([[0.0, 0.0, 0.0, yaw]]).T, np.zeros(1)) for yaw in (0.0, 0.02)
     )
-    (first, evidence), (second, same) = (
+    (first, evidence, _), (second, same, _) = (
         SEARCH.proposed(like, clues, 0.5, np.random.default_rng(0)) for like in (straight, turned)
     )
     assert first is not None and second is not None

@@ -11,6 +11,7 @@ import pytest
 from folders import ROOT
 from proposal_room import CAMERA, drawn_frames, room
 
+from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.relocalisation import Places, hypotheses, places, view_of
 
@@ -79,10 +80,45 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monke
     )
     near = []
     for pose, edges in zip(drive.truth, drive.edges, strict=True):
-        poses = hypotheses.from_feet(view_of(drive.camera, edges), many, 5000, np.random.default_rng(0))
+        poses, _ = hypotheses.from_feet(view_of(drive.camera, edges), many, 5000, np.random.default_rng(0))
         near.append((np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3).any())
     assert 0 < max(looked_up) <= 5000
     assert np.mean(near) > 0.3
+
+
+@pytest.mark.parametrize("landmarks", [3000, 10_000])
+def test_how_often_a_pose_that_is_tried_is_the_true_one_is_foretold(scale, landmarks):
+    """Of 100 images, as many as expected within three standard deviations and a factor of two."""
+    floor = scale.building.floor_of(landmarks)
+    drive = scale.building.drive_of(floor, 40, 100)
+    many, rng = Places.of(floor.landmark_map, drive.camera), np.random.default_rng(0)
+    found, foretold = [], []
+    for pose, edges in zip(drive.truth, drive.edges, strict=True):
+        poses, hits = hypotheses.from_feet(view_of(drive.camera, edges), many, 12_500, rng)
+        near = np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3
+        near &= np.abs(wrap_angle(poses[:, 2] - pose[2])) < np.radians(6.0)
+        found.append(near.any())
+        foretold.append(1.0 - np.exp(-hits))
+    chance = np.array(foretold)
+    spread = 3 * np.sqrt((chance * (1.0 - chance)).sum())
+    assert 0.5 * chance.sum() - spread < np.sum(found) < 2.0 * chance.sum() + spread
+
+
+def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one(scale):
+    floor = scale.building.floor_of(3000)
+    drive = scale.building.drive_of(floor, 40, 1)
+    view, many = view_of(drive.camera, drive.edges[0]), Places.of(floor.landmark_map, drive.camera)
+    hits = [hypotheses.from_feet(view, many, count, np.random.default_rng(0))[1] for count in (1000, 2000, 8000)]
+    assert hits == pytest.approx([hits[0], 2 * hits[0], 8 * hits[0]], rel=1e-3)
+
+
+def test_no_place_of_a_large_building_is_sure_before_others_were_looked_at(scale):
+    """A pair of edges may be any of thousands, and each image tries a few of them."""
+    drive = scale.building.drive_of(scale.building.floor_of(10_000), 40, 40)
+    record = scale.run(drive, "line", 0, start=None)
+    found, sure = np.argmax(record.right), np.argmax(record.sure)
+    assert record.right[found:].all() and record.right[-1]
+    assert sure > found + 3 and record.sure[sure:].all() and record.sure[-1]
 
 
 def test_a_robot_is_found_in_a_building_of_a_thousand_landmarks(scale):
@@ -106,5 +142,7 @@ def test_few_hypotheses_on_a_small_map_are_the_first_of_many():
     _, frames = drawn_frames(landmark_map, 40, seed=1, clutter=10)
     edges = max(frames, key=len)
     small = Places.of(landmark_map, CAMERA)
-    few, many = (hypotheses.from_feet(view_of(CAMERA, edges), small, n, np.random.default_rng(3)) for n in (50, 20_000))
+    few, many = (
+        hypotheses.from_feet(view_of(CAMERA, edges), small, n, np.random.default_rng(3))[0] for n in (50, 20_000)
+    )
     np.testing.assert_array_equal(few, many[:50])
