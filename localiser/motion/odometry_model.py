@@ -104,14 +104,20 @@ def direction_of_travel(increment: Increment) -> float:
 class Step:
     """How N particles are about to move.
 
-    poses: (3, N) where the step that is expected leads, with the camera's heading. axes: (3, 3, N), their derivatives
-    by the standardised step, which is three standard normal draws. by_constant_error: (3, B) of (along, left, turn).
+    poses: (3, N) where the step that is expected leads, with the camera's heading. cos, sin: (N,) of the directions of
+    travel. by_constant_error: (3, B) of (along, left, turn).
     """
 
     poses: Array
-    axes: Array
+    cos: Array
+    sin: Array
     by_constant_error: Array
     spread: StepSpread
+
+    @property
+    def axes(self) -> Array:
+        """Derivatives (3, 3, N) of the poses by the standardised step, which is three standard normal draws."""
+        return _in_map(self.spread.root[..., None], self.cos, self.sin)
 
 
 def expected_step(particles: Particles, increment: Increment, parameters: MotionParameters) -> Step:
@@ -128,16 +134,21 @@ def expected_step(particles: Particles, increment: Increment, parameters: Motion
         way = way + particles[CAMERA_YAW]
     cos, sin = cos_sin(way + direction_of_travel(increment))
     expected = by_constant_error @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
-    poses = np.stack([particles["x"], particles["z"], way]) + _in_map(expected, cos, sin)
-    return Step(poses, _in_map(spread.root[..., None], cos, sin), by_constant_error, spread)
+    poses = _in_map(expected, cos, sin)
+    for row, before in enumerate((particles["x"], particles["z"], way)):
+        poses[row] += before
+    return Step(poses, cos, sin, by_constant_error, spread)
 
 
 def stepped(
     particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
 ) -> Particles:
     """Return the particles after steps drawn as `normal` (3, N), and what these told them of the constant errors."""
-    constant_errors, cov = learnt(particles, step.by_constant_error, step.spread, normal)
-    columns = np.concatenate([step.poses + np.einsum("pkn,kn->pn", step.axes, normal), constant_errors])
+    from localiser.motion.step_kernel import step_to
+
+    columns = np.empty_like(particles.columns, order="C")
+    step_to(step.poses, step.cos, step.sin, step.spread.root, normal, columns)
+    columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
     if CAMERA_YAW in particles.names:
         columns[2] -= columns[particles.names.index(CAMERA_YAW)]
     columns[2] = wrap_angle(columns[2])
@@ -211,8 +222,11 @@ def _step_from_robot(increment: Increment) -> Array:
 def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
     """Return (x, z, heading) (3, ..., N) of (along, left, turn) (3, ..., N or 1) by directions of travel (N,)."""
     along, left, turn = steps
-    x = -sin * along - cos * left
-    return np.stack([x, sin * left - cos * along, np.broadcast_to(turn, x.shape)])
+    moved = np.empty((3, *np.broadcast_shapes(along.shape, cos.shape)))
+    moved[0] = -sin * along - cos * left
+    moved[1] = sin * left - cos * along
+    moved[2] = turn
+    return moved
 
 
 def _map_from_step(pose: Array, increment: Increment) -> Array:
