@@ -93,10 +93,10 @@ def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -
     """Return the optimal proposal of the steps of particles, from odometry and the new part of the edges' evidence."""
     from localiser.filter import optimal_proposal_kernel as kernel
 
-    mount, angle, heading = camera.mount, targets.angle, step.poses[2]
+    mount, angle, poses = camera.mount, targets.angle, step.poses
     table = np.column_stack([targets.points, np.cos(angle), np.sin(angle), novelty / targets.variance])
     offset = (mount.right_m, mount.back_m, float(np.cos(mount.yaw_rad)), float(np.sin(mount.yaw_rad)))
-    steps = np.concatenate([step.poses[:2], cos_sin(heading), step.axes.reshape(9, -1)])
+    steps = np.concatenate([poses[:2], cos_sin(poses[2]), step.axes.reshape(9, -1)])
     found = kernel.linearised(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
     root = found[:6]
     return StepDensity(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))

@@ -104,15 +104,21 @@ def direction_of_travel(increment: Increment) -> float:
 class Step:
     """How N particles are about to move.
 
-    poses: (3, N) where the step that is expected leads, with the camera's heading. cos, sin: (N,) of the directions of
-    travel. by_constant_error: (3, B) of (along, left, turn).
+    start: (3, N) poses, with the camera's heading. cos, sin: (N,) of the directions of travel. expected: (3, N) steps
+    (along, left, turn). by_constant_error: (3, B), their derivatives.
     """
 
-    poses: Array
+    start: Array
     cos: Array
     sin: Array
+    expected: Array
     by_constant_error: Array
     spread: StepSpread
+
+    @property
+    def poses(self) -> Array:
+        """Where (3, N) the steps that are expected lead."""
+        return self.start + _in_map(self.expected, self.cos, self.sin)
 
     @property
     def axes(self) -> Array:
@@ -129,15 +135,13 @@ def expected_step(particles: Particles, increment: Increment, parameters: Motion
     """
     by_constant_error = _by_bias(particles.names[3:], increment)
     spread = StepSpread.of(particles, by_constant_error, step_noise(increment, parameters))
-    way = particles["heading"]  # of the camera, by which the constant errors are seen
+    start = particles.columns[:3].copy()
     if CAMERA_YAW in particles.names:
-        way = way + particles[CAMERA_YAW]
-    cos, sin = cos_sin(way + direction_of_travel(increment))
-    expected = by_constant_error @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
-    poses = _in_map(expected, cos, sin)
-    for row, before in enumerate((particles["x"], particles["z"], way)):
-        poses[row] += before
-    return Step(poses, cos, sin, by_constant_error, spread)
+        start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
+    cos, sin = cos_sin(start[2] + direction_of_travel(increment))
+    expected = by_constant_error @ particles.columns[3:]
+    expected += np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+    return Step(start, cos, sin, expected, by_constant_error, spread)
 
 
 def stepped(
@@ -147,7 +151,7 @@ def stepped(
     from localiser.motion.step_kernel import step_to
 
     columns = np.empty_like(particles.columns, order="C")
-    step_to(step.poses, step.cos, step.sin, step.spread.root, normal, columns)
+    step_to(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
     columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
     if CAMERA_YAW in particles.names:
         columns[2] -= columns[particles.names.index(CAMERA_YAW)]
@@ -161,7 +165,7 @@ def predict(
 ) -> Particles:
     """Return the particles moved by `increment`, each with its own draw of the noise."""
     step = expected_step(particles, increment, parameters)
-    return stepped(particles, step, rng.standard_normal(step.poses.shape), increment, parameters)
+    return stepped(particles, step, rng.standard_normal(step.expected.shape), increment, parameters)
 
 
 def step_noise(increment: Increment, parameters: MotionParameters) -> Array:

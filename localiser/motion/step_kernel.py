@@ -7,18 +7,19 @@ from localiser.geometry.compiled import compiled
 
 
 @compiled
-def step_to(expected: Array, cos: Array, sin: Array, root: Array, normal: Array, columns: Array) -> None:
-    """Write the poses of N particles after a step into the first three rows of `columns` (D, N).
+def step_to(start: Array, cos: Array, sin: Array, expected: Array, root: Array, normal: Array, end: Array) -> None:
+    """Write the poses of N particles after a step into the first three rows of `end` (D, N).
 
-    expected: (3, N) poses after the step that is expected. cos, sin: (N,) of the directions of travel. root: (3, 3), by
-    which standard normal draws (3, N) become (along, left, turn).
+    start: (3, N) poses. cos, sin: (N,) of the directions of travel. expected: (3, N) steps (along, left, turn). root:
+    (3, 3), by which standard normal draws (3, N) become what a step differs from that.
     """
     for n in range(len(cos)):
-        x, z, turn = 0.0, 0.0, 0.0
+        along, left, turn = expected[0, n], expected[1, n], expected[2, n]
+        x, z, turned = 0.0, 0.0, 0.0  # by what is drawn
         for k in range(3):
             x += (-sin[n] * root[0, k] - cos[n] * root[1, k]) * normal[k, n]
             z += (sin[n] * root[1, k] - cos[n] * root[0, k]) * normal[k, n]
-            turn += root[2, k] * normal[k, n]
-        columns[0, n] = expected[0, n] + x
-        columns[1, n] = expected[1, n] + z
-        columns[2, n] = expected[2, n] + turn
+            turned += root[2, k] * normal[k, n]
+        end[0, n] = start[0, n] + (-sin[n] * along - cos[n] * left) + x
+        end[1, n] = start[1, n] + (sin[n] * left - cos[n] * along) + z
+        end[2, n] = start[2, n] + turn + turned
