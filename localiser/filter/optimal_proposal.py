@@ -24,9 +24,9 @@ import numpy as np
 from localiser import particles
 from localiser.camera import Camera
 from localiser.geometry import MANY, Array, Increment, cos_sin
-from localiser.motion import LinearisedMotion, Step
+from localiser.motion import LinearisedMotion, MotionParameters, Step
 from localiser.observation import Targets
-from localiser.particles import MOST_STAGES, Particles, systematic_resample
+from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 
 BLIND = 0.1  # fraction of steps drawn from odometry alone, and of particles resampled by what they weighed before
 
@@ -93,10 +93,10 @@ def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -
     """Return the optimal proposal of the steps of particles, from odometry and the new part of the edges' evidence."""
     from localiser.filter import optimal_proposal_kernel as kernel
 
-    mount, angle, heading = camera.mount, targets.angle, step.poses[2]
+    mount, angle, poses = camera.mount, targets.angle, step.poses
     table = np.column_stack([targets.points, np.cos(angle), np.sin(angle), novelty / targets.variance])
     offset = (mount.right_m, mount.back_m, float(np.cos(mount.yaw_rad)), float(np.sin(mount.yaw_rad)))
-    steps = np.concatenate([step.poses[:2], cos_sin(heading), step.axes.reshape(9, -1)])
+    steps = np.concatenate([poses[:2], cos_sin(poses[2]), step.axes.reshape(9, -1)])
     found = kernel.linearised(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
     root = found[:6]
     return StepDensity(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))
@@ -107,6 +107,8 @@ def warm_up() -> None:
     from localiser.filter import optimal_proposal_kernel as kernel
 
     cos_sin(np.zeros(MANY))
+    one = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
+    MotionParameters().predict(one, Increment.from_mean(np.zeros(3)), np.random.default_rng(0))
     for is_slope in (False, True):
         found = kernel.linearised(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
     kernel.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 MANY = 256  # angles, from which on a compiled loop is worth calling
+_SEVERAL = 64  # angles, from which on it is worth looking whether any needs to be wrapped
 
 
 def wrap_angle(angle: float | ArrayLike) -> Array:
@@ -15,7 +16,7 @@ def wrap_angle(angle: float | ArrayLike) -> Array:
     if isinstance(angle, float):
         return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
     turned = np.asarray(np.asarray(angle, dtype=np.float64) + np.pi)
-    if turned.ndim and turned.size and turned.min() >= 0 and turned.max() < 2 * np.pi:
+    if turned.size >= _SEVERAL and turned.min() >= 0 and turned.max() < 2 * np.pi:
         return np.asarray(turned - np.pi)  # what the remainder would leave as it is, ten times as fast
     return np.asarray(turned % (2 * np.pi) - np.pi)
 

@@ -40,8 +40,8 @@ def robot_from_map(pose: ArrayLike, point_in_map: ArrayLike) -> Array:
 def compose(pose: ArrayLike, delta: ArrayLike) -> Array:
     """Return the pose (..., 3) reached from `pose` by the motion `delta` (..., 3), given in the frame of `pose`."""
     pose, delta = np.asarray(pose, dtype=np.float64), np.asarray(delta, dtype=np.float64)
-    if pose.ndim == delta.ndim == 1:
-        return _composed(*pose.tolist(), *delta.tolist())
+    if pose.size == delta.size == 3 and delta.ndim == 1:
+        return _composed(*pose.ravel().tolist(), *delta.tolist()).reshape(pose.shape)
     heading = wrap_angle(pose[..., 2] + delta[..., 2])
     return np.concatenate([map_from_robot(pose, delta[..., :2]), heading[..., None]], axis=-1)
 

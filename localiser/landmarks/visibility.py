@@ -90,25 +90,18 @@ def sight(
     )
     pose, column = np.nonzero(possible)
     right, ahead, landmark = right[pose, column], ahead[pose, column], near[column]
-    length_px = visible_length_px(
-        camera,
-        right / ahead,
-        ahead,
-        landmark_map.bottom_m[landmark],
-        landmark_map.top_m[landmark],
-        parameters.margin_px,
-    )
-    seen = length_px >= max(parameters.length_min_px, 1e-9)
-    ahead, landmark = ahead[seen], landmark[seen]
+    tangent = right / ahead
     e_bottom, e_top = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
+    length_px = _length_px(camera, tangent, e_bottom, e_top, parameters.margin_px)
+    seen = length_px >= max(parameters.length_min_px, 1e-9)
     return Sight(
         pose=pose[seen],
-        landmark=landmark,
-        tangent=right[seen] / ahead,
+        landmark=landmark[seen],
+        tangent=tangent[seen],
         range_m=np.sqrt(range_squared[pose, column][seen]),
         length_px=length_px[seen],
-        e_bottom=e_bottom,
-        e_top=e_top,
+        e_bottom=e_bottom[seen],
+        e_top=e_top[seen],
     )
 
 
@@ -145,13 +138,20 @@ def visible_length_px(
     """Return the length (P,) in pixels of the part of vertical edges that lies inside the image, 0 where none does.
 
     tangent: (P,) tan(bearing). ahead_m: (P,) distance along the camera's level axis, > 0. bottom_m, top_m: (P,)
-    heights above the floor, nan where unknown. The edge is the line a = tan b (c + e s) of the upright image; its
-    ends are cut to the rectangle of the image, widened by `margin_px`.
+    heights above the floor, nan where unknown. The edge's ends are cut to the rectangle of the image, widened by
+    `margin_px`.
+    """
+    return _length_px(camera, tangent, *image_heights(camera, ahead_m, bottom_m, top_m), margin_px)
+
+
+def _length_px(camera: Camera, tangent: Array, e_bottom: Array, e_top: Array, margin_px: float) -> Array:
+    """Return `visible_length_px` of edges whose ends have these upright image heights (P,).
+
+    An edge is the line a = tan b (c + e s) of the upright image.
     """
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     margin = margin_px / camera.focal_px
     a_left, a_right, e_low, e_high = np.array(camera.upright_bounds) + margin * np.array([-1.0, 1.0, -1.0, 1.0])
-    e_bottom, e_top = image_heights(camera, ahead_m, bottom_m, top_m)
     start, end = np.maximum(e_bottom, e_low), np.minimum(e_top, e_high)
     # Left and right border: (c + e s) <= limit, which bounds e from above (tilt down) or from below (tilt up).
     with np.errstate(divide="ignore"):

@@ -130,7 +130,8 @@ def projected(particles: Particles) -> Particles:
     variance, axes = np.linalg.eigh(pose_cov / np.outer(unit, unit))
     axes /= np.sqrt(np.where(variance > 1e-9 * variance[-1], variance, np.inf)) * unit[:, None]
     inverse = axes @ axes.T
-    rest = (bias * weight) @ pose.T @ inverse @ pose - bias
+    rest = (bias * weight) @ pose.T @ inverse @ pose
+    rest -= bias
     lost = (rest * weight) @ rest.T
     return replace(_moved(particles, rest), constant_error_cov=particles.constant_error_cov + lost)
 

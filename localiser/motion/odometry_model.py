@@ -104,14 +104,26 @@ def direction_of_travel(increment: Increment) -> float:
 class Step:
     """How N particles are about to move.
 
-    poses: (3, N) where the step that is expected leads, with the camera's heading. axes: (3, 3, N), their derivatives
-    by the standardised step, which is three standard normal draws. by_constant_error: (3, B) of (along, left, turn).
+    start: (3, N) poses, with the camera's heading. cos, sin: (N,) of the directions of travel. expected: (3, N) steps
+    (along, left, turn). by_constant_error: (3, B), their derivatives.
     """
 
-    poses: Array
-    axes: Array
+    start: Array
+    cos: Array
+    sin: Array
+    expected: Array
     by_constant_error: Array
     spread: StepSpread
+
+    @property
+    def poses(self) -> Array:
+        """Where (3, N) the steps that are expected lead."""
+        return self.start + _in_map(self.expected, self.cos, self.sin)
+
+    @property
+    def axes(self) -> Array:
+        """Derivatives (3, 3, N) of the poses by the standardised step, which is three standard normal draws."""
+        return _in_map(self.spread.root[..., None], self.cos, self.sin)
 
 
 def expected_step(particles: Particles, increment: Increment, parameters: MotionParameters) -> Step:
@@ -123,21 +135,24 @@ def expected_step(particles: Particles, increment: Increment, parameters: Motion
     """
     by_constant_error = _by_bias(particles.names[3:], increment)
     spread = StepSpread.of(particles, by_constant_error, step_noise(increment, parameters))
-    way = particles["heading"]  # of the camera, by which the constant errors are seen
+    start = particles.columns[:3].copy()
     if CAMERA_YAW in particles.names:
-        way = way + particles[CAMERA_YAW]
-    cos, sin = cos_sin(way + direction_of_travel(increment))
-    expected = by_constant_error @ particles.columns[3:] + np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
-    poses = np.stack([particles["x"], particles["z"], way]) + _in_map(expected, cos, sin)
-    return Step(poses, _in_map(spread.root[..., None], cos, sin), by_constant_error, spread)
+        start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
+    cos, sin = cos_sin(start[2] + direction_of_travel(increment))
+    expected = by_constant_error @ particles.columns[3:]
+    expected += np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+    return Step(start, cos, sin, expected, by_constant_error, spread)
 
 
 def stepped(
     particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
 ) -> Particles:
     """Return the particles after steps drawn as `normal` (3, N), and what these told them of the constant errors."""
-    constant_errors, cov = learnt(particles, step.by_constant_error, step.spread, normal)
-    columns = np.concatenate([step.poses + np.einsum("pkn,kn->pn", step.axes, normal), constant_errors])
+    from localiser.motion.step_kernel import step_to
+
+    columns = np.empty_like(particles.columns, order="C")
+    step_to(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
+    columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
     if CAMERA_YAW in particles.names:
         columns[2] -= columns[particles.names.index(CAMERA_YAW)]
     columns[2] = wrap_angle(columns[2])
@@ -150,7 +165,7 @@ def predict(
 ) -> Particles:
     """Return the particles moved by `increment`, each with its own draw of the noise."""
     step = expected_step(particles, increment, parameters)
-    return stepped(particles, step, rng.standard_normal(step.poses.shape), increment, parameters)
+    return stepped(particles, step, rng.standard_normal(step.expected.shape), increment, parameters)
 
 
 def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
@@ -211,8 +226,11 @@ def _step_from_robot(increment: Increment) -> Array:
 def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
     """Return (x, z, heading) (3, ..., N) of (along, left, turn) (3, ..., N or 1) by directions of travel (N,)."""
     along, left, turn = steps
-    x = -sin * along - cos * left
-    return np.stack([x, sin * left - cos * along, np.broadcast_to(turn, x.shape)])
+    moved = np.empty((3, *np.broadcast_shapes(along.shape, cos.shape)))
+    moved[0] = -sin * along - cos * left
+    moved[1] = sin * left - cos * along
+    moved[2] = turn
+    return moved
 
 
 def _map_from_step(pose: Array, increment: Increment) -> Array:

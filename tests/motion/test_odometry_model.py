@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localiser.geometry import Array, Increment, arc_motion, compose, wrap_angle
-from localiser.motion import SLIP, MotionParameters, direction_of_travel, linearised, noise_variances, predict
+from localiser.motion import (
+    SLIP,
+    MotionParameters,
+    direction_of_travel,
+    expected_step,
+    linearised,
+    noise_variances,
+    predict,
+)
 from localiser.particles import POSE, Particles
 
 PARAMETERS = MotionParameters(alpha1=1.2e-3, alpha2=7e-4, alpha3=9e-4, alpha4=1e-4)
@@ -209,3 +219,26 @@ def test_same_generator_same_particles() -> None:
     first, again, other = (predict(at(START, 9), increment, PARAMETERS, np.random.default_rng(s)) for s in (8, 8, 9))
     np.testing.assert_array_equal(first.columns, again.columns)
     assert (first.columns != other.columns).any()
+
+
+def test_particles_move_along_the_axes_of_their_step_to_the_last_bit() -> None:
+    cloud = Particles(POSE, np.random.default_rng(0).uniform(-3.0, 3.0, (3, 300)), np.zeros(300))
+    increment, normal = Increment.from_mean([0.02, -0.1, 0.02]), np.random.default_rng(1).standard_normal((3, 300))
+    step = expected_step(cloud, increment, PARAMETERS)
+    plain = step.poses + np.einsum("pkn,kn->pn", step.axes, normal)
+    plain[2] = wrap_angle(plain[2])
+    moved = PARAMETERS.stepped(cloud, step, normal, increment).columns
+    assert moved.tobytes() == plain.tobytes()
+
+
+def test_moving_takes_little_memory_beside_the_particles() -> None:
+    """Much more than this made the system hand out new pages for large clouds in every step."""
+    cloud, rng = at(START), np.random.default_rng(0)
+    predict(cloud, Increment.from_mean(MOTIONS["arc"]), PARAMETERS, rng)  # compiles
+    tracemalloc.start()
+    try:
+        predict(cloud, Increment.from_mean(MOTIONS["arc"]), PARAMETERS, rng)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 6 * cloud.columns.nbytes
