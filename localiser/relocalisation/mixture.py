@@ -72,7 +72,7 @@ class Proposals:
 
     def expected_hits(self, count: int) -> float:
         """Return how many poses are expected to be near the true one: of those tried, and of `count` even draws."""
-        return self.hits + self.even * count * NEAR_M2_RAD * float(np.exp(self.region.log_density))
+        return float(self.hits + self.even * count * NEAR_M2_RAD * np.exp(self.region.log_density))
 
     def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return poses (count, 3) drawn from q and their importance weights log(prior / q) (count,).
