@@ -42,8 +42,10 @@ BARE = 0.1  # how much rarer scenes without any landmark are on the map than off
 MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
+SURELY_CARRIED = 0.5  # probability from which on it may take all
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
+KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
 FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
@@ -69,7 +71,8 @@ class Belief:
     towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
     proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
     detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
-    overlooked: probability that no image has proposed the true place, if it was an image that proposed this one.
+    is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
+    overlooked: probability that no image has looked at the true place since a place was last known.
     """
 
     tracked: float
@@ -84,7 +87,8 @@ class Belief:
     support: float = 0.0
     visibility: Visibility = field(default_factory=Visibility)
     shown: DetectionRate = field(default_factory=DetectionRate.unknown)
-    overlooked: float = 0.0
+    is_known: bool = True
+    overlooked: float = 1.0
 
     @classmethod
     def stated(cls) -> Belief:
@@ -99,7 +103,7 @@ class Belief:
     @classmethod
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
-        return cls(0.0, 0.0, 0.5, 0.5, overlooked=1.0)
+        return cls(0.0, 0.0, 0.5, 0.5, is_known=False)
 
     @property
     def here(self) -> float:
@@ -130,11 +134,14 @@ class Belief:
         told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
-        may_be_lost = 1.0 - belief.here * (1.0 - belief.overlooked) >= search.parameters.doubt
+        may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
         if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):
             return replace(belief, unproposed=new)
         if may_be_lost:
-            belief = belief._explored(search, like, clues, new, rng, is_tracked=is_tracked)
+            most = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
+            belief = belief._explored(search, like, clues, new, most, rng, is_tracked=is_tracked)
+        if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
+            belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.most) if is_tracked else search.most
         return replace(belief, unproposed=0.0)._resampled(most, rng)
 
@@ -180,6 +187,7 @@ class Belief:
             elsewhere=stays * elsewhere,
             unexplored=self.unexplored + lost + entered + carried * (tracked - mistaken + unmapped + elsewhere),
             off_map=self.off_map - entered + mistaken + self.elsewhere - elsewhere,
+            overlooked=self.overlooked + carried * (1.0 - self.overlooked),
         )
 
     def _weighed(self, log_tracked: float, log_elsewhere: float, log_unmapped: float) -> Belief:
@@ -200,6 +208,7 @@ class Belief:
         like: Particles,
         clues: Clues,
         new: float,
+        most: float,
         rng: np.random.Generator,
         *,
         is_tracked: bool,
@@ -207,13 +216,13 @@ class Belief:
         """Return the belief with the poses that an image proposes among the candidates.
 
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
-        scene in proportion to it.
+        scene in proportion to it, at most so much in one. On a large map they do so when the place is known.
         """
-        is_first = not is_tracked and self.elsewhere == 0.0
-        is_known = is_tracked and self.overlooked < search.parameters.doubt
-        effort = min(new, MOST_EFFORT) if is_known else FIRST_EFFORT if is_first else 1.0
+        is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
+        shares = is_tracked and (self.is_known or not search.places.are_many)
+        effort = min(new, most) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, log_evidence, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
-        overlooked = max(OVERLOOKED ** (effort if is_known or is_first else new), float(np.exp(-hits)))
+        overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
         found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
         belief = replace(self, unexplored=overlooked * self.unexplored, overlooked=overlooked * self.overlooked)
         if proposed is not None and found > 0:
@@ -281,7 +290,8 @@ class Belief:
             off_map=self.off_map,
             candidates=None if near.all() else self.candidates.only(~near),
             unproposed=self.unproposed,
-            overlooked=1.0 if is_tracked else self.overlooked,
+            is_known=False,
+            overlooked=self.overlooked,
         )
 
     def released(self, cloud: Particles) -> Belief:
@@ -295,7 +305,7 @@ class Belief:
             detections=unknown,
             visibility=Visibility(),
             shown=unknown,
-            overlooked=1.0,
+            is_known=False,
         )
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
@@ -316,8 +326,12 @@ class Belief:
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
-        place = self.here if is_tracked else self.elsewhere
-        return place * (1.0 - self.overlooked) * near_weight(cloud, pose)
+        return self._looked_at * (self.here if is_tracked else self.elsewhere) * near_weight(cloud, pose)
+
+    @property
+    def _looked_at(self) -> float:
+        """The probability that the true place was not overlooked."""
+        return 1.0 if self.is_known else 1.0 - self.overlooked
 
     def reason(self, p_correct: float, sighting: Sighting) -> Reason:
         """Return why p_correct is low, "" where it is not."""
@@ -325,7 +339,8 @@ class Belief:
             return ""
         if len(sighting.edges) == 0 and sighting.measurement is None:
             return "no edges"
-        return "edges contradict the map" if self.off_map > self.elsewhere + self.unexplored else "several places fit"
+        others = self.elsewhere + self.unexplored + (1.0 - self._looked_at) * self.here
+        return "edges contradict the map" if self.off_map > others else "several places fit"
 
     @property
     def warning(self) -> MapWarning:

@@ -19,9 +19,9 @@ GATE_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more 
 MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
 AT_ONCE = 8  # pairs of edges looked up together
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
-MANY_PAIRS = 400_000  # of landmarks, beyond which pairs of edges are preferred that few of them can be
 FEWEST_TRIED = 4  # pairs of edges, on such a map
-BOTH_RIGHT = 0.3  # part of the pairs of edges that are both landmarks and pass the gates at the true pose
+# Part of the pairs, and of the triples, of edges that are all landmarks and pass the gates at the true pose.
+BOTH_RIGHT, ALL_RIGHT = 0.3, 0.16
 WORST_RANGE = 0.25  # relative error of a range that still tells something
 
 
@@ -30,23 +30,24 @@ def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) 
 
     Two edges with ranges make two points, and only pairs of landmarks as far apart as these can be them. The bearings
     are then held exactly; of the ranges only the ratio counts. The second value is how many of the poses are expected
-    to be the true one: `BOTH_RIGHT` for each pair of edges, times the part of its pairs of landmarks that is tried.
+    to be the true one: `BOTH_RIGHT` of the pairs of edges, times the part of their pairs of landmarks that is tried.
     """
     i, j = _wide_pairs(view, np.flatnonzero(~view.cut & np.isfinite(view.foot)))
     if len(i) == 0 or count == 0:
         return np.zeros((0, 3)), 0.0
     ranges, sigmas = _foot_ranges(view, places)
     pairs, merit = np.stack([i, j], axis=-1), _merit(view, sigmas, i, j)
-    if len(places.pair) > MANY_PAIRS:
+    if places.are_many:
         cameras, part = _from_rare_pairs(view, places, pairs, merit, ranges, sigmas, count, rng)
         return view.robot_poses(cameras), BOTH_RIGHT * len(pairs) * part
     order = np.argsort(rng.exponential(size=len(i)) / merit)
-    found, total, tried = [], 0, 0
+    found, total, tried = [], 0, 0.0
     for chunk in np.array_split(order, -(-len(order) // AT_ONCE)):
         queries = _queries(view, places, pairs[chunk], ranges, sigmas)
-        query, entry = _entries(queries.first, _at_most(queries.last - queries.first, count - total))
+        able = queries.last - queries.first
+        query, entry = _entries(queries.first, _at_most(able, count - total))
         found.append(queries.poses(view, places, query, entry))
-        total, tried = total + len(found[-1]), tried + len(chunk)
+        total, tried = total + len(entry), tried + len(chunk) * len(entry) / max(int(able.sum()), 1)
         if total >= count:
             break
     return view.robot_poses(np.concatenate(found)[:count]), BOTH_RIGHT * tried
@@ -169,19 +170,19 @@ def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
     return np.where(told, range_m, np.nan), np.where(told, sigma_m, np.nan)
 
 
-def from_bearings(view: View, places: Places, count: int, rng: np.random.Generator) -> Array:
-    """Return robot poses (K ≤ count, 3) at which three edges are three landmarks.
+def from_bearings(view: View, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return robot poses (K ≤ count, 3) at which three edges are three landmarks, and how many are expected to be true.
 
     None where the map is so large that three right edges would hardly ever be drawn with their three landmarks.
     """
     if len(places) ** 3 > MOST_TRIPLES * count:
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), 0.0
     if len(view) < 3 or len(places) < 3:
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), 0.0
     edges = _distinct(len(view), 3, count, rng)
-    landmarks = _neighbours(places, len(edges), rng)
+    landmarks, triples = _neighbours(places, len(edges), rng)
     cameras = from_three_bearings(places.points[landmarks], view.bearing[edges])
-    return view.robot_poses(cameras[np.isfinite(cameras).all(axis=1)])
+    return view.robot_poses(cameras[np.isfinite(cameras).all(axis=1)]), ALL_RIGHT * len(landmarks) / max(triples, 1)
 
 
 def _wide_pairs(view: View, usable: Indices) -> tuple[Indices, Indices]:
@@ -199,16 +200,20 @@ def _distinct(size: int, members: int, count: int, rng: np.random.Generator) -> 
     return np.asarray(subset[np.argpartition(keys, members - 1, axis=1)[:, :members]])
 
 
-def _neighbours(places: Places, count: int, rng: np.random.Generator) -> Indices:
-    """Return `count` triples (count, 3) of distinct landmarks, of which the last two are paired with the first."""
+def _neighbours(places: Places, count: int, rng: np.random.Generator) -> tuple[Indices, int]:
+    """Return `count` triples (count, 3) of distinct landmarks, of which the last two are paired with the first.
+
+    The second value is how many such triples there are.
+    """
     order = np.argsort(places.pair[:, 0], kind="stable")
     first = np.searchsorted(places.pair[order, 0], np.arange(len(places) + 1))
     degree = np.diff(first)
     able = np.flatnonzero(degree >= 2)
     if len(able) == 0:
-        return np.zeros((0, 3), dtype=np.int64)
+        return np.zeros((0, 3), dtype=np.int64), 0
     centre = able[rng.integers(0, len(able), count)]
     one = (rng.random(count) * degree[centre]).astype(np.int64)
     other = (one + 1 + (rng.random(count) * (degree[centre] - 1)).astype(np.int64)) % degree[centre]
     beside = places.pair[order, 1]
-    return np.stack([centre, beside[first[centre] + one], beside[first[centre] + other]], axis=-1)
+    drawn = np.stack([centre, beside[first[centre] + one], beside[first[centre] + other]], axis=-1)
+    return drawn, int((degree * np.maximum(degree - 1, 0)).sum())

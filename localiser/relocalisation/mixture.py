@@ -8,7 +8,7 @@ import numpy as np
 
 from localiser.geometry import Array, wrap_angle
 
-NEAR_M2_RAD = np.pi * 0.5**2 * np.radians(20.0)  # of the poses within 0.5 m and 10° of one
+NEAR_M2_RAD = np.pi * 0.3**2 * np.radians(12.0)  # of the poses within 0.3 m and 6° of one
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched t
 ENDLESS_M = 1e3
 _WIDER_RAD = np.radians(5.0)  # steps of the half view that tables are made for while a mount moves
 FEWEST_AS_INTEGERS = 400_000  # pairs, which are sorted faster so
+MANY_PAIRS = 400_000  # beyond which pairs of edges are preferred that few pairs of landmarks can be
 MOST_PAIRS = 5_000_000  # of landmarks in the table, 16 bytes each; those farthest apart are left out
 
 
@@ -52,6 +53,11 @@ class Places:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def are_many(self) -> bool:
+        """Whether there are so many that an image can try but a part of what it may be."""
+        return len(self.pair) > MANY_PAIRS
 
     @property
     def sigma_max_m(self) -> float:

@@ -89,8 +89,8 @@ def _best_hypotheses(
     count = parameters.hypotheses
     poses, hits = hypotheses.from_feet(view, places, count, rng)
     if len(poses) < count // 2:
-        more = hypotheses.from_bearings(view, places, count - len(poses), rng)
-        poses, hits = np.concatenate([poses, more]), hits if len(more) == 0 else np.inf
+        more, more_hits = hypotheses.from_bearings(view, places, count - len(poses), rng)
+        poses, hits = np.concatenate([poses, more]), hits + more_hits
     poses = poses[places.region.contains(poses)]
     evidence = evidence_of(view, SEARCH_BLUR_RAD)
     score = score_poses(evidence, places, poses)

@@ -69,8 +69,8 @@ def test_knowing_nothing_is_even_and_weighs_nothing():
 def test_expected_hits_of_even_draws_are_how_many_are_near_a_pose():
     blind, pose = Proposals.blind(REGION), np.array([0.5, 0.25, 1.0])
     poses, _ = blind.drawn(200_000, np.random.default_rng(5))
-    near = np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.5
-    near &= np.abs(wrap_angle(poses[:, 2] - pose[2])) < np.radians(10.0)
+    near = np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3
+    near &= np.abs(wrap_angle(poses[:, 2] - pose[2])) < np.radians(6.0)
     assert blind.expected_hits(200_000) == pytest.approx(near.sum(), rel=0.1)
     assert replace(MIXTURE, hits=3.0).expected_hits(0) == 3.0
 

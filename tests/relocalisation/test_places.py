@@ -72,7 +72,7 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monke
     floor = scale.building.floor_of(3000)
     drive = scale.building.drive_of(floor, 40, 30)
     many = Places.of(floor.landmark_map, drive.camera)
-    assert len(many.pair) > hypotheses.MANY_PAIRS
+    assert many.are_many
     looked_up = []
     from_bearings = hypotheses.from_two_bearings
     monkeypatch.setattr(
@@ -86,22 +86,36 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monke
     assert np.mean(near) > 0.3
 
 
-@pytest.mark.parametrize("landmarks", [3000, 10_000])
+@pytest.mark.parametrize("landmarks", [1000, 3000, 10_000])
 def test_how_often_a_pose_that_is_tried_is_the_true_one_is_foretold(scale, landmarks):
-    """Of 100 images, as many as expected within three standard deviations and a factor of two."""
+    """In 100 images, half to four times as often as expected, with the 99.7 % range of what is expected then."""
     floor = scale.building.floor_of(landmarks)
     drive = scale.building.drive_of(floor, 40, 100)
     many, rng = Places.of(floor.landmark_map, drive.camera), np.random.default_rng(0)
-    found, foretold = [], []
+    found, expected = 0, []
     for pose, edges in zip(drive.truth, drive.edges, strict=True):
         poses, hits = hypotheses.from_feet(view_of(drive.camera, edges), many, 12_500, rng)
         near = np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3
         near &= np.abs(wrap_angle(poses[:, 2] - pose[2])) < np.radians(6.0)
-        found.append(near.any())
-        foretold.append(1.0 - np.exp(-hits))
-    chance = np.array(foretold)
-    spread = 3 * np.sqrt((chance * (1.0 - chance)).sum())
-    assert 0.5 * chance.sum() - spread < np.sum(found) < 2.0 * chance.sum() + spread
+        found += near.any()
+        expected.append(hits)
+    least, most = (1.0 - np.exp(-factor * np.array(expected)) for factor in (0.5, 4.0))
+    assert found > least.sum() - 3 * np.sqrt((least * (1.0 - least)).sum()) > 0
+    assert found < most.sum() + 3 * np.sqrt((most * (1.0 - most)).sum())
+
+
+def test_how_often_three_edges_are_the_right_landmarks_is_foretold():
+    """On a small map whose landmarks have no feet, as many triples as expected within a factor of three."""
+    landmark_map = room(15)
+    poses, frames = drawn_frames(landmark_map, 40, seed=1, clutter=3)
+    small, rng = Places.of(landmark_map, CAMERA), np.random.default_rng(0)
+    found, expected = 0, 0.0
+    for pose, edges in zip(poses, frames, strict=True):
+        tried, hits = hypotheses.from_bearings(view_of(CAMERA, edges), small, 12_500, rng)
+        near = np.hypot(*(tried[:, :2] - pose[:2]).T) < 0.1
+        near &= np.abs(wrap_angle(tried[:, 2] - pose[2])) < np.radians(2.0)
+        found, expected = found + int(near.sum()), expected + hits
+    assert expected / 3 < found < 3 * expected and found > 10
 
 
 def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one(scale):
