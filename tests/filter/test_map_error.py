@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import belief_drives
 import belief_worlds
 import numpy as np
 import pytest
-from belief_run import run
+from belief_run import START_SIGMA, located, record_of, run
 
-from localiser import geometry
+from localiser import Localiser, geometry, read_config
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.filter.map_error import LONGEST, SCALES, MapError
@@ -109,3 +110,20 @@ def test_on_a_map_that_is_off_by_three_centimetres_the_filter_says_how_far_it_is
     assert record.right.all()
     # 3 is right; 5.2 (line) and 2.7 (slope) by a filter that takes the map for as good as stated.
     assert np.nanmean(record.nees[50:]) < 2.0
+
+
+@pytest.mark.slow
+def test_a_robot_that_is_carried_away_is_found_out_though_the_map_is_known_to_be_poor() -> None:
+    drive = belief_drives.carried(belief_drives.drive_of("office"), 0)
+    rng, points = np.random.default_rng(6), drive.landmark_map.points
+    angle = rng.uniform(-np.pi, np.pi, len(points))
+    poor = replace(drive.landmark_map, points=points + 0.05 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    robot = Localiser(poor, drive.camera, read_config(None, (), drive.settings), 0)
+    robot.start(drive.truth[0], np.diag(START_SIGMA**2), int(drive.t_ns[0]))
+    frames, _ = located(robot, drive)
+    record, first = record_of(frames, [0.0] * len(frames), drive.truth), drive.carried
+    assert first is not None
+    assert frames[first - 1].located.map_error.scale > 3.0
+    assert record.sure[first - 1]
+    assert not (record.sure & ~record.right)[first:].any()
+    assert record.within(0.25)[first + 5 :].all()
