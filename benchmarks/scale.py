@@ -9,6 +9,7 @@ so that only what is far away differs. Each size runs in a process of its own, w
     track    ms of the thread an image: median and 95 % over a drive
     found    images until the robot is where it is believed to be, surely, from nothing: median and worst of the drives
     ms most  the longest that an image took then
+    view     ms of the process to draw an image of the first drive for the viewer, median, and kB that the viewer gets
 
 python benchmarks/scale.py
 python benchmarks/scale.py --landmarks 100 1000 --drives 3 --json scale.json
@@ -23,21 +24,24 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
-from belief_run import run
+import rerun as rr
+from belief_run import START_SIGMA, Drive, located, run
 from rich.console import Console
 from rich.table import Table
 from scale_building import CAMERA, drive_of, floor_of
 
 from localiser import Localiser, read_map, write_map
+from localiser.view.context import Context
+from localiser.view.recorder import Recorder, new_stream
 
 TRACKED, SEARCHED = 150, 60  # images
 FIRST_ROOM = 2
 MOST_YAML = 20_000  # landmarks, above which writing and reading the text takes minutes
-HEADS = ("landmarks", "read", "again", "start", "MB", "track", "95 %", "found", "worst", "ms most")
+HEADS = ("landmarks", "read", "again", "start", "MB", "track", "95 %", "found", "worst", "ms most", "view", "kB")
 
 
 def memory_mb() -> float:
@@ -57,7 +61,7 @@ def figures_of(landmarks: int, drives: int, *, with_file: bool) -> dict[str, Any
     tracked = run(drive_of(floor, FIRST_ROOM, TRACKED), "line", 1)
     figures |= {"track_ms": float(np.median(tracked.ms[5:])), "track_95_ms": float(np.quantile(tracked.ms[5:], 0.95))}
     figures |= {"error_m": float(np.median(tracked.error_m))}
-    figures |= _searched(floor, drives)
+    figures |= _searched(floor, drives) | _viewed(drive_of(floor, FIRST_ROOM, TRACKED))
     return figures | (_read(floor) if with_file else {})
 
 
@@ -73,6 +77,23 @@ def _searched(floor: Any, drives: int) -> dict[str, Any]:
         longest = max(longest, float(record.ms.max()))
         wrong += int((record.sure & ~record.right).sum())
     return {"found": float(np.median(found)), "found_worst": max(found), "search_ms": longest, "surely_wrong": wrong}
+
+
+def _viewed(drive: Drive) -> dict[str, float]:
+    """Return what drawing an image for the viewer takes, with the encoding of what it gets."""
+    robot = Localiser(drive.landmark_map, drive.camera)
+    robot.start(drive.truth[0], np.diag(START_SIGMA**2), int(drive.t_ns[0]))
+    frames, _ = located(robot, drive)
+    context = Context("drive", drive.camera, drive.landmark_map, images=False)
+    stream = new_stream(context)
+    encoded, recorder = rr.binary_stream(stream), Recorder(stream, context)
+    ms, sizes = [], []
+    for number, frame in enumerate(frames):
+        begin = process_time()
+        recorder.frame(number, frame)
+        sizes.append(len(encoded.read() or b""))
+        ms.append(1e3 * (process_time() - begin))
+    return {"view_ms": float(np.median(ms)), "view_kb": float(np.median(sizes)) / 1e3}
 
 
 def _read(floor: Any) -> dict[str, float]:
@@ -101,6 +122,8 @@ def table_of(rows: list[dict[str, Any]]) -> Table:
             f"{row['found']:.0f}",
             str(row["found_worst"]),
             f"{row['search_ms']:.0f}",
+            f"{row['view_ms']:.1f} ms",
+            f"{row['view_kb']:.0f}",
         )
     return table
 
@@ -125,7 +148,7 @@ def main() -> None:
         command += ["--files"] if arguments.files else []
         done = subprocess.run(command, stdout=subprocess.PIPE, check=True, text=True)
         rows.append(json.loads(done.stdout))
-    Console(width=110).print(table_of(rows))
+    Console(width=120).print(table_of(rows))
     if len(rows) > 1:
         sizes, ms = np.log([row["landmarks"] for row in rows]), np.log([row["track_ms"] for row in rows])
         print(f"tracking grows as landmarks^{np.polyfit(sizes, ms, 1)[0]:.3f}")
