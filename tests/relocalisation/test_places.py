@@ -86,7 +86,7 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monke
     assert np.mean(near) > 0.3
 
 
-@pytest.mark.parametrize("landmarks", [1000, 3000, 10_000])
+@pytest.mark.parametrize("landmarks", [1000, 3000, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_how_often_a_pose_that_is_tried_is_the_true_one_is_foretold(scale, landmarks):
     """In 100 images, half to four times as often as expected, with the 99.7 % range of what is expected then."""
     floor = scale.building.floor_of(landmarks)
@@ -126,6 +126,7 @@ def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one(s
     assert hits == pytest.approx([hits[0], 2 * hits[0], 8 * hits[0]], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_place_of_a_large_building_is_sure_before_others_were_looked_at(scale):
     """A pair of edges may be any of thousands, and each image tries a few of them."""
     drive = scale.building.drive_of(scale.building.floor_of(10_000), 40, 40)
