@@ -171,6 +171,29 @@ def test_every_task_is_in_the_committed_file(benchmark: Any, tmp_path: Path) -> 
     assert tasks == {key[:2] for key in figures}
 
 
+def test_a_check_leaves_out_what_is_measured_by_hand(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["baseline.py", "--check"])
+    assert set(benchmark.GROUPS) - set(benchmark.arguments().only) == {"instructions"}
+
+
+def test_instructions_may_differ_by_a_hundredth(benchmark: Any, compare: Any) -> None:
+    figure = benchmark.GROUPS["instructions"].figure("whole, millions", [200.0, 200.01])
+    assert [compare.verdict_of(figure, now) for now in (201.9, 202.1)] == ["moved", "LOSS"]
+
+
+def test_instructions_of_an_image_are_the_difference_of_two_replays(
+    benchmark: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import instructions
+
+    def replayed(around: list[str], configuration: str, seed: int, images: int, what: str) -> str:
+        count = 21_345_049_204 + images * {"edges": 8_000_000, "whole": 45_000_000}[what]
+        return f"==6053== \n==6053== I   refs:      {count:,}\n"
+
+    monkeypatch.setattr(instructions, "_replayed", replayed)
+    assert instructions.millions("small") == {"edges": 8.0, "whole": 45.0}
+
+
 def test_a_file_that_is_written_is_read_the_same(benchmark: Any, compare: Any, tmp_path: Path) -> None:
     figures = {
         KEY: compare.Figure(0.5, "up", 0.1, "mean", [0.4, 0.6]),

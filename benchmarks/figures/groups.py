@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from figures import detection, hashes, limit, logs, robust, speed
+from figures import detection, hashes, instructions, limit, logs, robust, speed
 from figures.compare import Figure, Key, Value
 from figures.measures import Measure, tolerance
 from figures.tasks import Task, Values
@@ -21,7 +21,7 @@ class Group:
 
     tasks: from the folder of data and how many seeds. measures: what each figure means. check_seeds, seeds: of a check
     and of the baseline. alone: whether nothing may run beside it. portable: whether its figures are the same, but for
-    chance, with another processor or other libraries.
+    chance, with another processor or other libraries. by_hand: whether it is measured only where it is asked for.
     """
 
     tasks: Callable[[Path, int], Sequence[Task]]
@@ -30,6 +30,7 @@ class Group:
     seeds: int = 1
     alone: bool = False
     portable: bool = False
+    by_hand: bool = False
 
     def figure(self, measure: str, samples: Sequence[Value]) -> Figure:
         """Return a figure of the baseline from its values with all seeds."""
@@ -37,7 +38,7 @@ class Group:
         if isinstance(value, str):
             return Figure(value, "change")
         means, numbers = self.measures[measure], [float(one) for one in samples]
-        allowed = tolerance(means, numbers, self.checked(len(numbers)))
+        allowed = max(tolerance(means, numbers, self.checked(len(numbers))), means.least * float(value))
         return Figure(value, means.loss, float(f"{allowed:.3g}"), means.over, numbers)
 
     def checked(self, measured: int) -> int:
@@ -57,6 +58,7 @@ GROUPS = {
     "efficiency": Group(lambda _, seeds: limit.tasks(seeds), limit.MEASURES, SEEDS, SEEDS, portable=True),
     "edges": Group(lambda data, _: detection.tasks(data), detection.MEASURES),
     "speed": Group(lambda _, seeds: speed.tasks(seeds), speed.MEASURES, 3, SEEDS, alone=True),
+    "instructions": Group(lambda _, seeds: instructions.tasks(seeds), instructions.MEASURES, seeds=2, by_hand=True),
 }
 
 

@@ -31,10 +31,11 @@ Loss = Literal["up", "down", "from one", "change"]
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """How a figure is read. over: what sums up its seeds."""
+    """How a figure is read. over: what sums up its seeds. least: tolerance, as a share, for what no seed changes."""
 
     loss: Loss
     over: Literal["median", "mean"] = "median"
+    least: float = 0.0
 
     def of(self, samples: Sequence[float]) -> float:
         """Return the figure over these seeds."""
