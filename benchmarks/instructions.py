@@ -44,7 +44,7 @@ _PLAIN = {  # no library and no loop uses more than x86-64-v2 has
 
 def millions(configuration: str, seed: int = 0) -> dict[str, float]:
     """Return the millions of instructions that an image takes; seed: of Python's hashes, which cause the only noise."""
-    _replayed([], configuration, seed, LAST, "whole")  # compiles
+    replayed([], configuration, seed, LAST, "whole")  # compiles
     counted = {
         what: [_counted(configuration, seed, images, what) for images in (FIRST, LAST)] for what in ("edges", "whole")
     }
@@ -52,14 +52,14 @@ def millions(configuration: str, seed: int = 0) -> dict[str, float]:
 
 
 def _counted(configuration: str, seed: int, images: int, what: str) -> int:
-    told = _replayed(_COUNT, configuration, seed, images, what)
+    told = replayed(_COUNT, configuration, seed, images, what)
     found = re.search(r"I +refs: +([\d,]+)", told)
     if found is None:
         raise RuntimeError(f"expected a count of instructions, found {told[-300:]!r}")
     return int(found[1].replace(",", ""))
 
 
-def _replayed(around: list[str], configuration: str, seed: int, images: int, what: str) -> str:
+def replayed(around: list[str], configuration: str, seed: int, images: int, what: str) -> str:
     """Return what a process that replays so many images says on standard error."""
     paths = os.pathsep.join([str(ROOT), str(ROOT / "benchmarks")])
     own = {"PYTHONPATH": paths, "PYTHONHASHSEED": str(seed), "LOCALISER_CACHE": str(KEPT / "instructions")}

@@ -190,7 +190,7 @@ def test_instructions_of_an_image_are_the_difference_of_two_replays(
         count = 21_345_049_204 + images * {"edges": 8_000_000, "whole": 45_000_000}[what]
         return f"==6053== \n==6053== I   refs:      {count:,}\n"
 
-    monkeypatch.setattr(instructions, "_replayed", replayed)
+    monkeypatch.setattr(instructions, "replayed", replayed)
     assert instructions.millions("small") == {"edges": 8.0, "whole": 45.0}
 
 
