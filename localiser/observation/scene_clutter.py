@@ -12,6 +12,9 @@ ending where j ended, shifted by the same parallax, by the model of `endpoint_li
 new edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are
 the other edges of the image, 3° wide and with ends in the same rows.
 
+There may always be a new edge, so m is at least 1. In an image of one or two edges this alone would expect nearly one
+more than there are, and every place would lose by it. So λ is scaled to the integral that it has without this least m.
+
 All hypotheses about where the robot is share this intensity. A place must predict the edges better.
 """
 
@@ -27,7 +30,8 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, between, compose
+from localiser.geometry import Array, between, compose, wrap_angle
+from localiser.landmarks import half_view_rad
 from localiser.observation.angle import Angle
 from localiser.observation.endpoint_likelihood import ROW_PX, SIGMA_PX, endpoints_of
 from localiser.observation.persistent_clutter import NEAR_M
@@ -80,9 +84,11 @@ def scene_clutter(angle: Angle, edges: Edges, earlier: Sequence[EarlierEdges]) -
     for index, image in enumerate(images):
         shown = _missed_by(angle, image, images[:index])
         again += SEEN_AGAIN * continued_density(angle, edges, image) @ shown
-        expected += SEEN_AGAIN * float(shown.sum())
-    new = max(count - expected, NEW * count, 1.0) * grouped
-    return (again + new) / count, again / max(expected, 1e-9) / grouped
+        expected += SEEN_AGAIN * float(shown @ _stays_in_view(angle, image))
+    new = max(count - expected, NEW * count)
+    spread = max(new, 1.0)  # an image with one edge may show another one next time
+    density = (again + spread * grouped) * (expected + new) / (expected + spread)
+    return density / count, again / max(expected, 1e-9) / grouped
 
 
 def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]) -> Array:
@@ -98,6 +104,14 @@ def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]
         shows = continued_density(other.angle(angle), other.edges, before).sum(axis=0)
         missed *= 1.0 / (1.0 + SEEN_AGAIN * shows)
     return missed
+
+
+def _stays_in_view(angle: Angle, image: EarlierEdges) -> NDArray[np.bool_]:
+    """Return which edges (B,) of an image the camera still sees, if they moved by half of the largest parallax."""
+    bearing, _ = image.angle(angle).bearings(image.edges)
+    right, back, turn = image.motion
+    across = (right * np.cos(bearing) + back * np.sin(bearing)) / NEAR_M
+    return np.abs(wrap_angle(bearing + turn - across / 2)) <= half_view_rad(angle.camera)
 
 
 def continued_density(angle: Angle, edges: Edges, image: EarlierEdges) -> Array:

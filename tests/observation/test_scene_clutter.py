@@ -12,6 +12,7 @@ from passed_points import SIGMA, TURN_SIGMA, PassedPoints
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
+from localiser.landmarks import half_view_rad
 from localiser.observation import Angle
 from localiser.observation.persistent_clutter import NEAR_M
 from localiser.observation.scene_clutter import NEW, SEEN_AGAIN, STILL_THERE, EarlierEdges, scene_clutter
@@ -31,6 +32,14 @@ def density(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), tur
     return scene(now, before, motion, turn_var)
 
 
+def seen_again(found: ArrayLike, camera: Camera, before: ArrayLike, motion: tuple[float, float, float]) -> Array:
+    """Return what earlier edges at these bearings add to the density of an image of one edge."""
+    bearing = np.array(before, dtype=float)
+    moved = bearing + motion[2] - (motion[0] * np.cos(bearing) + motion[1] * np.sin(bearing)) / NEAR_M / 2
+    expected = SEEN_AGAIN * float(np.sum(np.abs(moved) <= half_view_rad(camera)))
+    return np.asarray(found) * (expected + 1.0) / (expected + max(1.0 - expected, NEW)) - 1.0
+
+
 def test_nothing_is_known_without_a_last_image() -> None:
     one, none = edges_at([0.1], 0.02), edges_at([], 0.02)
     assert density(one, none).tolist() == density(one, None).tolist() == [1.0]
@@ -39,8 +48,9 @@ def test_nothing_is_known_without_a_last_image() -> None:
 
 def test_what_stands_where_it_was_is_as_dense_as_the_sigmas_say() -> None:
     found = density(edges_at([0.25, -0.25], 0.01), edges_at([0.2, -0.3], 0.01), (0, 0, 0.05))
-    new = max(2 - 2 * SEEN_AGAIN, 1.0)
-    np.testing.assert_allclose(found, (SEEN_AGAIN * SPAN / np.sqrt(2 * np.pi * 2e-4) + new / 2) / 2, rtol=1e-6)
+    again, new = 2 * SEEN_AGAIN, 2 * NEW
+    unscaled = (SEEN_AGAIN * SPAN / np.sqrt(2 * np.pi * 2e-4) + 1 / 2) / 2
+    np.testing.assert_allclose(found, unscaled * (again + new) / (again + 1), rtol=1e-6)
 
 
 def test_an_edge_where_none_was_and_without_neighbours_is_rare() -> None:
@@ -59,12 +69,26 @@ def test_an_edge_where_none_was_and_without_neighbours_is_rare() -> None:
 def test_the_density_integrates_to_the_expected_number_of_edges(
     before: list[float], right: float, back: float, turn: float
 ) -> None:
-    """Over all bearings, also beyond the image: those seen again, beside the new ones, of one edge."""
+    """Over all bearings, also beyond the image: those seen again, beside the new ones, of one edge.
+
+    The least number of new edges, which is one, makes the integral no larger.
+    """
     grid, step = np.linspace(-2.5, 2.5, 401, retstep=True)
     found = np.array([density(edges_at([b], 0.02), edges_at(before, 0.02), (right, back, turn), 1e-4)[0] for b in grid])
     again = SEEN_AGAIN * len(before)
-    assert (found >= 1.0).all()
-    assert float((found - 1.0).sum() * step / SPAN) == pytest.approx(again, abs=0.02 * max(again, 1.0))
+    of_earlier = seen_again(found, CAMERA, before, (right, back, turn))
+    assert (of_earlier >= -1e-12).all()
+    assert float(of_earlier.sum() * step / SPAN) == pytest.approx(again, abs=0.02 * max(again, 1.0))
+
+
+def test_a_lone_edge_is_foretold_once() -> None:
+    """The density of an edge anywhere in the image, on average: 1.1 edges where one is expected again, 1 without it."""
+    anywhere = np.linspace(-0.55, 0.55, 1101)
+    seen = np.array([density(edges_at([b], 0.01), edges_at([0.1], 0.01))[0] for b in anywhere])
+    turned_away = np.array([density(edges_at([b], 0.01), edges_at([0.5], 0.01), (0, 0, 0.4))[0] for b in anywhere])
+    width = (anywhere[-1] - anywhere[0]) / SPAN
+    assert (seen.mean() - seen.min()) * width + seen.min() == pytest.approx(SEEN_AGAIN + NEW, rel=0.01)
+    np.testing.assert_allclose(turned_away, 1.0)
 
 
 @pytest.mark.parametrize("tilt_deg", [10.0, 30.0])
@@ -80,10 +104,12 @@ def test_by_slope_the_density_is_that_of_leans(tilt_deg: float, earlier: float |
         return Edges.from_columns(bearing, sigma, lean, sigma)
 
     grid, step = np.linspace(-1.2, 1.2, 481, retstep=True)
-    images = [] if earlier is None else [EarlierEdges(at([earlier]), np.zeros(3), 0.0)]
-    if images:
-        found = np.array([scene_clutter(angle, at([lean]), images)[0][0] for lean in grid]) - 1.0
-        assert float(found.sum() * step / angle.span_rad) == pytest.approx(SEEN_AGAIN, rel=0.01)
+    if earlier is not None:
+        before = at([earlier])
+        images = [EarlierEdges(before, np.zeros(3), 0.0)]
+        found = np.array([scene_clutter(angle, at([lean]), images)[0][0] for lean in grid])
+        of_earlier = seen_again(found, angle.camera, before.bearing, (0.0, 0.0, 0.0))
+        assert float(of_earlier.sum() * step / angle.span_rad) == pytest.approx(SEEN_AGAIN, rel=0.01)
     else:  # of two edges, each is as dense as the other's group predicts, beside an even part
         found = np.array([scene_clutter(angle, at([lean, 0.1]), [])[0][0] for lean in grid]) - 0.5
         assert float(found.sum() * step / angle.span_rad) == pytest.approx(0.5, rel=0.02)
@@ -93,11 +119,12 @@ def test_by_slope_the_density_is_that_of_leans(tilt_deg: float, earlier: float |
 def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
     """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
     points = PassedPoints.by(step, NEAR_M)
+    pairs = list(zip(points.first[:2000], points.second[:2000], strict=True))
     found = [
-        density(edges_at([second], SIGMA), edges_at([first], SIGMA), step, TURN_SIGMA**2)[0]
-        for first, second in zip(points.first[:2000], points.second[:2000], strict=True)
+        density(edges_at([second], SIGMA), edges_at([first], SIGMA), step, TURN_SIGMA**2)[0] for first, second in pairs
     ]
-    log_density = np.log((np.array(found) - 1.0) / SEEN_AGAIN)  # of what is seen again
+    of_earlier = [seen_again(one, CAMERA, [first], step) for one, (first, _) in zip(found, pairs, strict=True)]
+    log_density = np.log(np.array(of_earlier) / SEEN_AGAIN)
     assert log_density.mean() > points.best(SPAN) - 0.1
 
 
