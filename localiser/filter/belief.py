@@ -10,7 +10,8 @@
 ν is the novelty of the scene (`filter.scene`). Likelihoods are stated relative to clutter alone, as earlier images
 predict it. In unmapped surroundings and off the map there is nothing else, so the likelihood of these hypotheses is 1.
 Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their evidence then moves a part
-of this probability to the candidates.
+of this probability to the candidates. An image tries only some poses, so a place that it proposed is not sure before
+the true one can hardly have been overlooked.
 
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
 whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
@@ -42,7 +43,7 @@ BARE = 0.1  # how much rarer scenes without any landmark are on the map than off
 MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
 LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
-SURELY_CARRIED = 0.5  # probability from which on it may take all
+SURELY_CARRIED = 0.5  # probability of having been carried from which on one image may do the work of a whole scene
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
 KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
@@ -138,8 +139,8 @@ class Belief:
         if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):
             return replace(belief, unproposed=new)
         if may_be_lost:
-            most = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
-            belief = belief._explored(search, like, clues, new, most, rng, is_tracked=is_tracked)
+            most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
+            belief = belief._explored(search, like, clues, new, most_effort, rng, is_tracked=is_tracked)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.most) if is_tracked else search.most
@@ -208,7 +209,7 @@ class Belief:
         like: Particles,
         clues: Clues,
         new: float,
-        most: float,
+        most_effort: float,
         rng: np.random.Generator,
         *,
         is_tracked: bool,
@@ -216,11 +217,11 @@ class Belief:
         """Return the belief with the poses that an image proposes among the candidates.
 
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
-        scene in proportion to it, at most so much in one. On a large map they do so when the place is known.
+        scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
         is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
         shares = is_tracked and (self.is_known or not search.places.are_many)
-        effort = min(new, most) if shares else FIRST_EFFORT if is_first else 1.0
+        effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, log_evidence, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
         overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
         found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))

@@ -108,9 +108,10 @@ def _missed_by(angle: Angle, image: EarlierEdges, others: Sequence[EarlierEdges]
 
 def _stays_in_view(angle: Angle, image: EarlierEdges) -> NDArray[np.bool_]:
     """Return which edges (B,) of an image the camera still sees, if they moved by half of the largest parallax."""
-    bearing, _ = image.angle(angle).bearings(image.edges)
+    columns, _ = _columns(image.angle(angle), image.edges)
+    bearing, _, cos, sin = columns[:, :4].T
     right, back, turn = image.motion
-    across = (right * np.cos(bearing) + back * np.sin(bearing)) / NEAR_M
+    across = (right * cos + back * sin) / NEAR_M
     return np.abs(wrap_angle(bearing + turn - across / 2)) <= half_view_rad(angle.camera)
 
 

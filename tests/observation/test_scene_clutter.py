@@ -81,7 +81,7 @@ def test_the_density_integrates_to_the_expected_number_of_edges(
     assert float(of_earlier.sum() * step / SPAN) == pytest.approx(again, abs=0.02 * max(again, 1.0))
 
 
-def test_a_lone_edge_is_foretold_once() -> None:
+def test_a_lone_edge_is_expected_once() -> None:
     """The density of an edge anywhere in the image, on average: 1.1 edges where one is expected again, 1 without it."""
     anywhere = np.linspace(-0.55, 0.55, 1101)
     seen = np.array([density(edges_at([b], 0.01), edges_at([0.1], 0.01))[0] for b in anywhere])

@@ -165,9 +165,16 @@ def total(belief: Belief) -> float:
     return belief.tracked + belief.unmapped + belief.elsewhere + belief.unexplored + belief.off_map
 
 
-def seen(belief: Belief, sighting: Sighting, at: Array, novelty: float = 1.0) -> Belief:
-    few = cloud(np.tile(at, (50, 1)))
-    return belief.after(SEARCH, few, few, sighting, Jump(novelty), lambda moved: moved, np.random.default_rng(0))
+def seen(
+    belief: Belief,
+    sighting: Sighting,
+    at: Array,
+    novelty: float = 1.0,
+    log_ratio: float = 0.0,
+    search: GlobalLocalisation = SEARCH,
+) -> Belief:
+    few, jump = cloud(np.tile(at, (50, 1))), Jump(novelty, log_ratio)
+    return belief.after(search, few, few, sighting, jump, lambda moved: moved, np.random.default_rng(0))
 
 
 def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:
@@ -306,16 +313,7 @@ def test_a_known_place_is_not_looked_for_however_large_the_doubt_that_is_allowed
     search = replace(SEARCH, parameters=replace(SEARCH.parameters, doubt=0.9))
     found = Belief(0.999, 0.0, 0.0, 0.001, is_known=False)
     for _ in range(10):
-        few = cloud(np.tile(pose, (50, 1)))
-        found = found.after(
-            search,
-            few,
-            few,
-            driven.events[1],
-            Jump(0.5),
-            lambda one: one,
-            np.random.default_rng(0),  # type: ignore[arg-type]
-        )
+        found = seen(found, driven.events[1], pose, novelty=0.5, search=search)  # type: ignore[arg-type]
     assert found.p_correct(cloud(pose[None]), pose, is_tracked=True) > 0.9
 
 
@@ -330,11 +328,9 @@ def test_a_place_that_takes_over_is_one_that_was_found() -> None:
 
 def test_who_is_carried_may_be_where_nobody_looked() -> None:
     """The search before counts for nothing. The image itself may look for as much as it takes."""
-    driven, pose = drive(1), drive(1).truth[0] + 1.0
-    few = cloud(np.tile(pose, (50, 1)))
+    driven = drive(1)
     belief = Belief(0.9, 0.0, 0.05, 0.05, overlooked=0.01)
-    rng = np.random.default_rng(0)
-    moved = belief.after(SEARCH, few, few, driven.events[1], Jump(0.2, 100.0), lambda one: one, rng)  # type: ignore[arg-type]
+    moved = seen(belief, driven.events[1], driven.truth[0] + 1.0, novelty=0.2, log_ratio=100.0)  # type: ignore[arg-type]
     assert moved.overlooked == pytest.approx(0.9 * 0.3, abs=0.01)
 
 

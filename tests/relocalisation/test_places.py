@@ -87,7 +87,7 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monke
 
 
 @pytest.mark.parametrize("landmarks", [1000, 3000, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_how_often_a_pose_that_is_tried_is_the_true_one_is_foretold(scale, landmarks):
+def test_how_often_a_pose_that_is_tried_is_the_true_one_is_predicted(scale, landmarks):
     """In 100 images, half to four times as often as expected, with the 99.7 % range of what is expected then."""
     floor = scale.building.floor_of(landmarks)
     drive = scale.building.drive_of(floor, 40, 100)
@@ -104,7 +104,7 @@ def test_how_often_a_pose_that_is_tried_is_the_true_one_is_foretold(scale, landm
     assert found < most.sum() + 3 * np.sqrt((most * (1.0 - most)).sum())
 
 
-def test_how_often_three_edges_are_the_right_landmarks_is_foretold():
+def test_how_often_three_edges_are_the_right_landmarks_is_predicted():
     """On a small map whose landmarks have no feet, as many triples as expected within a factor of three."""
     landmark_map = room(15)
     poses, frames = drawn_frames(landmark_map, 40, seed=1, clutter=3)
