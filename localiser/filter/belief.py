@@ -1,6 +1,6 @@
 """The belief: which of four hypotheses holds. Their probabilities add up to one.
 
-    P(h | edges) ∝ P(h) · mean over the particles of h of p(edges | pose, earlier images)^(0.6 ν)
+    P(h | edges) ∝ P(h) · mean over the particles of h of p(edges | pose, earlier images)^(ν/2)
 
     tracked     the robot is among the particles that are followed
     unmapped    it is there, and what it sees is not on the map
@@ -11,7 +11,8 @@
 predict it. In unmapped surroundings and off the map there is nothing else, so the likelihood of these hypotheses is 1.
 Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their evidence then moves a part
 of this probability to the candidates. An image tries only some poses, so a place that it proposed is not sure before
-the true one can hardly have been overlooked.
+the true one can hardly have been overlooked. A place that is proposed late has the probability that it would have if it
+had been a candidate all along (`relocalisation.history`).
 
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
 whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
@@ -28,12 +29,11 @@ import numpy as np
 from localiser import particles
 from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_weight
 from localiser.filter.scene import Jump
-from localiser.geometry import Array
+from localiser.geometry import Array, Increment
+from localiser.motion import MotionModel
 from localiser.observation import DetectionRate, Matches, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
-from localiser.relocalisation import Candidates, Clues, GlobalLocalisation
-
-Move = Callable[[Particles], Particles]
+from localiser.relocalisation import Candidates, Clues, GlobalLocalisation, History, Limits, beyond
 
 LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
 ENTERED = 1e-3  # from off the map onto it
@@ -61,7 +61,16 @@ RELEASED = 1e-3  # probability below which the particles are no longer tracked, 
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
 # From which probability of being off the map on, and after how many scenes with enough edges, the map is said not to
 # fit.
-TRACKED_UNFIT, UNFIT = (0.9, 15.0), (0.98, 22.0)  # while a place is tracked, and while none is
+TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """The motion since the last image: as odometry says, the model of its noise, and what moves particles by it."""
+
+    increment: Increment
+    model: MotionModel
+    of: Callable[[Particles], Particles]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +82,8 @@ class Belief:
     proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
     detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
     is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
-    overlooked: probability that no image has looked at the true place since a place was last known.
+    overlooked: probability that no image has looked at the true place since a place was last known. history: what the
+    images of late say of places that are proposed next.
     """
 
     tracked: float
@@ -90,21 +100,22 @@ class Belief:
     shown: DetectionRate = field(default_factory=DetectionRate.unknown)
     is_known: bool = True
     overlooked: float = 1.0
+    history: History = field(default_factory=History)
 
     @classmethod
     def stated(cls) -> Belief:
         """Return the belief at a start that was stated."""
-        return cls(0.7, 0.0, 0.05, 0.25)
+        return cls(0.7, 0.0, 0.05, 0.25, history=History(entered=0.05))
 
     @classmethod
     def unjudged(cls) -> Belief:
         """Return the belief of a robot whose observation cannot tell whether it is elsewhere."""
-        return cls(0.99, 0.0, 0.01, 0.0)
+        return cls(0.99, 0.0, 0.01, 0.0, history=History(entered=0.01))
 
     @classmethod
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
-        return cls(0.0, 0.0, 0.5, 0.5, is_known=False)
+        return cls(0.0, 0.0, 0.5, 0.5, is_known=False, history=History(entered=0.5))
 
     @property
     def here(self) -> float:
@@ -126,25 +137,26 @@ class Belief:
         """Return the belief after an image.
 
         few: some of the tracked particles, moved by odometry alone, None where none are tracked. like: particles whose
-        constant errors hold elsewhere too. jump: how new the image is. move: moves particles since the last image.
+        constant errors hold elsewhere too. jump: how new the image is. move: since the last image.
         """
         clues, is_tracked, carried = search.clues(sighting), few is not None, jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
-        belief = self._judged(clues, few, replace(jump, novelty=novelty), carried, move)
+        begun = replace(self, history=self.history.moved(move.increment, novelty))
+        belief = begun._judged(clues, few, replace(jump, novelty=novelty), carried, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
         may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
         if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):
-            return replace(belief, unproposed=new)
+            return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
-            belief = belief._explored(search, like, clues, new, most_effort, rng, is_tracked=is_tracked)
+            belief = belief._explored(search, like, few, clues, new, most_effort, move.model, rng)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.most) if is_tracked else search.most
-        return replace(belief, unproposed=0.0)._resampled(most, rng)
+        return replace(belief, unproposed=0.0, history=belief.history.with_image(sighting))._resampled(most, rng)
 
     def _judged(self, clues: Clues, few: Particles | None, jump: Jump, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
@@ -157,17 +169,23 @@ class Belief:
             shown, log_shown = _rated(few, shown_by_rate, shown, novelty)
             blind = clues.blind_weight(few, by_rate)
             support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
+        explained = support + log_shown
+        is_explained = carried < SUSPECTED and explained > SUPPORTED
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
-            moved = replace(candidates, particles=move(candidates.particles))
-            by_rate = clues.by_rate(moved.particles)
-            candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=not clues.is_blind)
-        if support > SUPPORTED:
-            log_elsewhere -= max(log_shown - max(log_tracked, 0.0), 0.0)
-            log_elsewhere = min(log_elsewhere, max(log_tracked, 0.0) + PATIENCE * jump.path_m)
+            moved = replace(candidates, particles=move.of(candidates.particles))
+            by_rate, needs_landmarks = clues.by_rate(moved.particles), not clues.is_blind
+            within = None if is_explained else clues.as_tracked(moved.particles)
+            candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=needs_landmarks, within=within)
+        limits = Limits()
+        if is_explained:
+            gain = max(log_tracked, 0.0)
+            limits = Limits(max(log_shown - gain, 0.0), gain + PATIENCE * jump.path_m)
+            log_elsewhere = float(limits.of(np.array(log_elsewhere)))
         log_bare = 0.0 if clues.is_blind else -BARE * novelty
-        support = min(support + log_shown, MOST_SUPPORT)
+        support = min(explained, MOST_SUPPORT)
         belief = replace(belief, candidates=candidates, detections=detections, shown=shown, support=support)
+        belief = replace(belief, history=belief.history.limited(limits))
         return belief._weighed(log_tracked + blind * log_bare, log_elsewhere, log_bare)
 
     def _moved_on(self, novelty: float, carried: float) -> Belief:
@@ -181,12 +199,14 @@ class Belief:
         tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
         elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
         mistaken = novelty * MISTAKEN * tracked
+        enters = lost + entered + carried * (tracked - mistaken + unmapped + elsewhere)
         return replace(
             self,
             tracked=stays * (tracked - mistaken),
             unmapped=stays * unmapped,
             elsewhere=stays * elsewhere,
-            unexplored=self.unexplored + lost + entered + carried * (tracked - mistaken + unmapped + elsewhere),
+            unexplored=self.unexplored + enters,
+            history=self.history.entering(enters + carried * self.unexplored, carried),
             off_map=self.off_map - entered + mistaken + self.elsewhere - elsewhere,
             overlooked=self.overlooked + carried * (1.0 - self.overlooked),
         )
@@ -201,33 +221,42 @@ class Belief:
             elsewhere=self.elsewhere * float(np.exp(log_elsewhere - top)),
             unexplored=self.unexplored * float(np.exp(-top)),
             off_map=self.off_map * float(np.exp(-top)),
+            history=self.history.scaled(float(np.exp(-top))),
         )._normalised()
 
     def _explored(
         self,
         search: GlobalLocalisation,
         like: Particles,
+        few: Particles | None,
         clues: Clues,
         new: float,
         most_effort: float,
+        motion: MotionModel,
         rng: np.random.Generator,
-        *,
-        is_tracked: bool,
     ) -> Belief:
         """Return the belief with the poses that an image proposes among the candidates.
 
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
-        is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
-        shares = is_tracked and (self.is_known or not search.places.are_many)
+        is_first = few is None and self.elsewhere == 0.0 and self.overlooked == 1.0
+        shares = few is not None and (self.is_known or not search.places.are_many)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
-        proposed, log_evidence, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
+        proposed, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
         overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
-        found = (1.0 - overlooked) * self.unexplored * float(np.exp(min(log_evidence, 600.0)))
-        belief = replace(self, unexplored=overlooked * self.unexplored, overlooked=overlooked * self.overlooked)
-        if proposed is not None and found > 0:
-            belief = belief._with(proposed, found)
+        belief = replace(
+            self,
+            unexplored=overlooked * self.unexplored,
+            overlooked=overlooked * self.overlooked,
+            history=self.history.looked(overlooked),
+        )
+        if proposed is not None and few is not None:  # the tracked place is known
+            proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(few).pose))
+        if proposed is not None and len(proposed):
+            known = [] if self.candidates is None else [(self.candidates.particles, self.elsewhere)]
+            more, probability = beyond(self.history.weighed(proposed, clues.sighting, search.clues, motion, rng), known)
+            belief = belief if more is None else belief._with(more, probability)
         return belief._normalised()
 
     def _with(self, others: Candidates, probability: float) -> Belief:
@@ -265,6 +294,7 @@ class Belief:
             elsewhere=self.elsewhere / total,
             unexplored=self.unexplored / total,
             off_map=self.off_map / total,
+            history=self.history.scaled(1.0 / total),
         )
 
     # -- what follows from it -----------------------------------------------------------------------------------------
@@ -293,6 +323,7 @@ class Belief:
             unproposed=self.unproposed,
             is_known=False,
             overlooked=self.overlooked,
+            history=self.history.entering(self.here),
         )
 
     def released(self, cloud: Particles) -> Belief:

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from localiser import particles
 from localiser.filter.attitude import Attitude, Level, measured_for_image
-from localiser.filter.belief import RELEASED, Belief
+from localiser.filter.belief import RELEASED, Belief, Move
 from localiser.filter.confidence import SURE
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
 from localiser.filter.height import (
@@ -374,9 +374,7 @@ def _compared(
     if mcl.search is None:
         return weighed
 
-    def move(cloud: Particles) -> Particles:
-        return mcl.moved(cloud, image.moves, rng)
-
+    move = Move(image.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.moves, rng))
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
     belief = state.belief.after(mcl.search, few, like, image.sighting, image.jump, move, rng)
     if weighed is not None:

@@ -7,6 +7,7 @@ from localiser.relocalisation.global_localisation import (
     GlobalLocalisation,
     SearchParameters,
 )
+from localiser.relocalisation.history import History, Limits, beyond
 from localiser.relocalisation.mixture import Proposals, Region
 from localiser.relocalisation.places import Places
 from localiser.relocalisation.proposals import ProposalParameters, propose

@@ -3,6 +3,11 @@
 They are particles that many places share. Each has its own distribution of the detection rate, learnt from the images
 that it has been weighed by: landmarks of another place may be seen more or less often. A place keeps particles as long
 as it may be right, however small its weight, so that a later image can still decide for it.
+
+Images weigh places against each other by less than they tell of a pose, because the clutter of earlier images explains
+most edges as well. Within one cell of floor and heading, particles share its weight by the likelihood that the filter
+itself weighs particles by. So those of a place lie as close to the edges as if it were tracked, and its next image is
+as likely.
 """
 
 from __future__ import annotations
@@ -49,22 +54,29 @@ class Candidates:
         """The distribution of the detection rate over all of them."""
         return DetectionRate(self.rates @ self.particles.weight)
 
-    def weighed(self, by_rate: Array, novelty: float, *, needs_landmarks: bool) -> tuple[Candidates, float]:
+    def weighed(
+        self, by_rate: Array, novelty: float, *, needs_landmarks: bool, within: Array | None = None
+    ) -> tuple[Candidates, float]:
         """Return the candidates after an image, and the logarithm of their mean likelihood.
 
         by_rate: (K, N) log p(edges | particle, p_k), relative to clutter alone. novelty: of the scene, 0 … 1.
         needs_landmarks: whether poses from which no landmark is in view are given up. There, what the image shows is
-        not on the map.
+        not on the map. within: (N,) the log-likelihood by which the particles of a cell share its weight; None: as
+        by_rate says.
         """
         prior = DetectionRate.unknown().probability[:, None]
         rates = self.rates + (1.0 - np.exp(-novelty / MEMORY_SCENES)) * (prior - self.rates)
         joint = novelty * by_rate + np.log(rates)
-        if needs_landmarks:
-            joint = np.where((by_rate == 0.0).all(axis=0), joint + _NEVER, joint)
+        log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else np.zeros(len(self))
         log_fit = log_sum_of_rates(joint)
-        particles = replace(self.particles, log_weight=self.particles.log_weight + log_fit)
-        log_mean = log_sum(particles.log_weight) - log_sum(self.particles.log_weight)
-        return Candidates(particles, np.exp(joint - log_fit)), log_mean
+        before = self.particles.log_weight
+        after = before + log_fit + log_kept
+        log_mean = log_sum(after) - log_sum(before)
+        if within is not None:
+            cell = cells_of(self.particles.poses, CELL_M, CELL_RAD)
+            shared = before + novelty * within + log_kept
+            after = shared + (_log_mass(after, cell) - _log_mass(shared, cell))[cell]
+        return Candidates(replace(self.particles, log_weight=after), np.exp(joint - log_fit)), log_mean
 
     def joined(self, others: Candidates, log_odds: float) -> Candidates:
         """Return both, in which the others as a whole have exp(log_odds) times the weight of these."""
@@ -98,6 +110,13 @@ class Candidates:
         columns[2] = wrap_angle(columns[2])
         log_weight = np.log(mass[cell[index]] / drawn[cell[index]])
         return Candidates(replace(self.particles, columns=columns, log_weight=log_weight), self.rates[:, index])
+
+
+def _log_mass(log_weight: Array, cell: NDArray[np.int64]) -> Array:
+    """Return the logarithm (C,) of the weight in each cell; log_weight, cell: (N,)."""
+    top = np.full(int(cell.max(initial=-1)) + 1, -np.inf)
+    np.maximum.at(top, cell, log_weight)
+    return np.asarray(top + np.log(np.bincount(cell, np.exp(log_weight - top[cell]))))
 
 
 def _spread(poses: Array, weight: Array, cell: NDArray[np.int64]) -> Array:

@@ -2,10 +2,10 @@
 
 Poses are drawn from `proposals`, or uniformly where an image shows too few edges. Their weights
 
-    prior(x) / q(x) · p(edges | x)
+    prior(x) / q(x)
 
-make them draws from the posterior of a robot that may be anywhere, and the mean of the weights is the evidence of this
-hypothesis. Places are compared by the filter's own likelihood, slightly blurred, and to a power below one.
+make them draws from the prior of a robot that may be anywhere. `history` weighs them by this image and those before.
+Places are compared by the filter's own likelihood, slightly blurred, and to a power below one.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import DetectionRate, LocalisesGlobally, Sighting, Visibility
-from localiser.particles import CAMERA_YAW, POSE, Particles, log_sum, multinomial_resample
+from localiser.observation import DetectionRate, InlierRate, LocalisesGlobally, Sighting, Visibility
+from localiser.particles import CAMERA_YAW, POSE, Particles, multinomial_resample
 from localiser.relocalisation import evidence
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.mixture import Region
@@ -34,7 +34,7 @@ PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
 FEWEST_POSES = 10_000  # that an image may take on however large a map
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 MOST_EDGES = 48  # that poses are proposed from; all of them weigh these
-POWER = 0.6  # of the likelihood: edges of an image err together, which the clutter model does not know
+POWER = 0.5  # of the likelihood: edges of an image err together, which the clutter model does not know
 BLUR_RAD = np.radians(0.3)  # how far from each other the particles of one place may be
 
 
@@ -57,11 +57,21 @@ class SearchParameters:
 
 @dataclass(frozen=True, eq=False)
 class Clues:
-    """What one image says of places: its edges for a likelihood, and the view of it for proposals."""
+    """What one image says of places: its edges for a likelihood, and the view of it for proposals.
+
+    sighting: as the filter weighs tracked particles by it.
+    """
 
     sighting: Sighting
     observation: LocalisesGlobally
     landmark_map: LandmarkMap
+
+    @cached_property
+    def _in_scene(self) -> Sighting:
+        """The sighting with the clutter that earlier images of the scene predict."""
+        edges, clutter = self.sighting.edges, self.sighting.clutter
+        clutter = np.ones(len(edges)) if clutter is None else clutter
+        return replace(self.sighting, edges=replace(edges, clutter=clutter))
 
     @cached_property
     def view(self) -> View:
@@ -80,14 +90,21 @@ class Clues:
 
     def by_rate(self, particles: Particles) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
-        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
+        return POWER * self.observation.by_detection_rate(particles, self._in_scene, self.landmark_map, BLUR_RAD)
 
     def by_rate_and_visibility(self, particles: Particles, visibility: Visibility) -> tuple[Array, Array]:
         """Return `by_rate` (K, N), and the same where landmarks are hidden as images have told from these particles."""
         visible = visibility.of_all(len(self.landmark_map))
         views = np.stack([np.ones_like(visible), visible])
-        found = self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD, views)
+        found = self.observation.by_detection_rate(particles, self._in_scene, self.landmark_map, BLUR_RAD, views)
         return POWER * found[0], POWER * found[1]
+
+    def as_tracked(self, particles: Particles) -> Array:
+        """Return log p(edges | particle) (N,) as the filter weighs tracked particles.
+
+        The inlier rate is that of an unknown place, as each place has another one.
+        """
+        return InlierRate.unknown().log_mean(self.observation.by_rate(particles, self.sighting, self.landmark_map))
 
     def blind_weight(self, particles: Particles, by_rate: Array) -> float:
         """Return the weight, 0 … 1, of the particles from which the map has nothing in view though many edges are seen.
@@ -135,20 +152,19 @@ class GlobalLocalisation:
 
     def clues(self, sighting: Sighting) -> Clues:
         """Return what an image says of places."""
-        edges = sighting.edges
-        clutter = np.ones(len(edges)) if sighting.clutter is None else sighting.clutter
-        return Clues(replace(sighting, edges=replace(edges, clutter=clutter)), self.observation, self.landmark_map)
+        return Clues(sighting, self.observation, self.landmark_map)
 
     def proposed(
         self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator, *, is_first: bool = False
-    ) -> tuple[Candidates | None, float, float]:
-        """Return candidates drawn over the whole region, the logarithm of their evidence, and the expected hits.
+    ) -> tuple[Candidates | None, float]:
+        """Return candidates drawn over the whole region, and the expected hits.
 
-        Poses that explain the edges no better than clutter does are left out; None where all do. like: particles whose
-        other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort: how much
-        is tried, 1 for an image that stands for itself. is_first: whether nothing has been proposed before, so that
-        draws must be dense everywhere. Evidence: the mean of p(edges | pose) over the region, relative to all edges
-        being clutter. Expected hits: how many of the poses tried are the true one, if it is in the region.
+        Poses that explain the edges no better than clutter does are left out; None where all do. The weight of the
+        others is that of importance sampling, so that a sum over candidates is a mean over the region. like: particles
+        whose other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort:
+        how much is tried, 1 for an image that stands for itself. is_first: whether nothing has been proposed before, so
+        that draws must be dense everywhere. Expected hits: how many of the poses tried are the true one, if it is in
+        the region.
         """
         count = self.most if is_first else max(round(effort * self.parameters.fresh), 1)
         unknown = DetectionRate.unknown()
@@ -161,14 +177,11 @@ class GlobalLocalisation:
         proposals = propose(clues.view, places, log_likelihood, rng, parameters)
         hits = proposals.expected_hits(count)
         poses, log_prior_over_q = proposals.drawn(count, rng)
-        by_rate = clues.by_pose(poses)
-        fits = (unknown.log_mean(by_rate) > 0.0) & np.isfinite(log_prior_over_q)
+        fits = (log_likelihood(poses) > 0.0) & np.isfinite(log_prior_over_q)
         if not fits.any():
-            return None, -np.inf, hits
-        robots = self._robots(like, poses[fits], log_prior_over_q[fits], clues.view.camera, rng)
-        candidates = Candidates.unknown(robots)
-        candidates, _ = candidates.weighed(by_rate[:, fits], 1.0, needs_landmarks=False)
-        return candidates, log_sum(candidates.particles.log_weight) - float(np.log(count)), hits
+            return None, hits
+        log_weight = log_prior_over_q[fits] - float(np.log(count))
+        return Candidates.unknown(self._robots(like, poses[fits], log_weight, clues.view.camera, rng)), hits
 
     def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
         """Return `count` candidates drawn evenly over the region; like: as for `proposed`."""

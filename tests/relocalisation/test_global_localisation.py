@@ -9,17 +9,18 @@ import pytest
 from proposal_room import CAMERA, room
 from simulated_edges import EdgeNoise, simulated_edges
 
-from localiser import geometry
+from localiser import geometry, particles
 from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
-from localiser.filter.belief import BARE, Belief
+from localiser.filter.belief import BARE, Belief, Move
 from localiser.filter.confidence import is_near
 from localiser.filter.scene import Jump
-from localiser.geometry import Array, Trajectory
+from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
+from localiser.motion import MotionParameters
 from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters
-from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, find_clusters
-from localiser.relocalisation import Candidates
+from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
+from localiser.relocalisation import Candidates, History
 from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
 from localiser.relocalisation.proposals import FEWEST
 
@@ -173,8 +174,21 @@ def seen(
     log_ratio: float = 0.0,
     search: GlobalLocalisation = SEARCH,
 ) -> Belief:
-    few, jump = cloud(np.tile(at, (50, 1))), Jump(novelty, log_ratio)
-    return belief.after(search, few, few, sighting, jump, lambda moved: moved, np.random.default_rng(0))
+    few = cloud(np.tile(at, (50, 1)))
+    return after(belief, sighting, Jump(novelty, log_ratio), few, few, search)
+
+
+def after(
+    belief: Belief,
+    sighting: Sighting,
+    jump: Jump,
+    few: Particles | None,
+    like: Particles,
+    search: GlobalLocalisation = SEARCH,
+) -> Belief:
+    """Return the belief after an image of a robot that stood still."""
+    still = Move(Increment.from_mean(np.zeros(3)), MotionParameters(), lambda cloud: cloud)
+    return belief.after(search, few, like, sighting, jump, still, np.random.default_rng(0))
 
 
 def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:
@@ -232,7 +246,7 @@ def test_surroundings_that_are_not_mapped_leave_the_place_known() -> None:
     truth = np.array([1.0, 1.5, 0.3])
     noise = EdgeNoise(detection_probability=0.0, clutter_per_frame=25.0)
     still = Trajectory(np.arange(10) * SECOND, np.tile(truth, (10, 1)))
-    belief = replace(Belief.stated(), tracked=1.0 - 2e-12, unexplored=1e-12, off_map=1e-12)
+    belief = Belief(1.0 - 2e-12, 0.0, 1e-12, 1e-12, history=History(entered=1e-12))
     for edges in simulated_edges(ROOM, CAMERA, still, np.random.default_rng(5), noise=noise):
         belief = seen(belief, Sighting(0, edges), truth)
     assert belief.unmapped > 1e-3, "beside a tracked place of which hardly anything is seen"
@@ -243,14 +257,11 @@ def test_candidates_can_be_wrong_too() -> None:
     """Without tracked particles, the robot may have been carried, or have left the map, just the same."""
     belief = Belief(0.0, 1.0, 0.0, 0.0, places(np.random.default_rng(1).normal(0, 0.1, (200, 3))), unproposed=0.0)
 
-    def after(log_ratio: float) -> Belief:
-        jump = Jump(1.0, log_ratio)
-        return belief.after(
-            SEARCH, None, cloud(np.zeros((5, 3))), Sighting(0), jump, lambda one: one, np.random.default_rng(0)
-        )
+    def carried(log_ratio: float) -> Belief:
+        return after(belief, Sighting(0), Jump(1.0, log_ratio), None, cloud(np.zeros((5, 3))))
 
-    assert after(9.0).unexplored == pytest.approx(Jump(1.0, 9.0).carried(3e-4), abs=0.01)
-    moved = after(100.0)
+    assert carried(9.0).unexplored == pytest.approx(Jump(1.0, 9.0).carried(3e-4), abs=0.01)
+    moved = carried(100.0)
     assert moved.unexplored == pytest.approx(0.9, abs=0.01), "an image may also be blurred, or a turn missed"
     assert moved.off_map > 1e-5 and total(moved) == pytest.approx(1.0)
 
@@ -339,15 +350,7 @@ def test_only_the_first_image_of_a_search_takes_twice_the_effort() -> None:
     driven, pose = drive(1), drive(1).truth[0]
     after_first = replace(Belief.anywhere(), overlooked=0.09)
     first, second = (
-        belief.after(
-            SEARCH,
-            None,
-            cloud(pose[None]),
-            driven.events[1],
-            Jump(0.2),
-            lambda one: one,
-            np.random.default_rng(0),  # type: ignore[arg-type]
-        )
+        after(belief, driven.events[1], Jump(0.2), None, cloud(pose[None]))  # type: ignore[arg-type]
         for belief in (Belief.anywhere(), replace(after_first, unproposed=0.0))
     )
     assert first.overlooked == pytest.approx(0.09)
@@ -371,6 +374,74 @@ def test_candidates_are_not_where_the_robot_is_tracked() -> None:
     assert near.candidates is None and near.tracked == pytest.approx(0.9)
 
 
+# -- places that are proposed late -------------------------------------------------------------------------------------
+
+
+def followed_from(
+    first: int, monkeypatch: pytest.MonkeyPatch, carried_at: int | None = None, *, is_told: bool = True
+) -> list[Belief]:
+    """Return what is believed in twelve images, of which one, `first`, proposes 400 poses around the true one.
+
+    They are so small a part of the region that it takes all images to believe in them. carried_at: image before which
+    the robot was carried. is_told: whether its edges tell so. Odometry is exact but for that.
+    """
+    images, increment, model = (
+        drive(12, carried_at),
+        Increment.from_mean([0.0, -0.12, 0.05]),
+        MotionParameters(0, 0, 0, 0),
+    )
+    rng, belief, believed = np.random.default_rng(0), Belief.anywhere(), []
+
+    def proposed(search: object, like: object, clues: object, *_: object, is_first: bool) -> object:
+        if len(believed) != first:
+            return None, 0.0
+        poses = images.truth[first] + rng.normal(0.0, [0.03, 0.03, 0.01], (400, 3))
+        return places(poses, np.full(400, np.log(1e-80 / 400))), 0.0
+
+    monkeypatch.setattr(GlobalLocalisation, "proposed", proposed)
+    move = Move(increment, model, lambda cloud: model.predict(cloud, increment, rng))
+    for index, sighting in enumerate(images.events[1::2]):
+        jump = Jump(0.6 if index else 1.0, 20.0 if is_told and index == carried_at else 0.0)
+        belief = belief.after(SEARCH, None, cloud(np.zeros((5, 3))), sighting, jump, move, rng)  # type: ignore[arg-type]
+        believed.append(belief)
+    return believed
+
+
+def gained(belief: Belief) -> float:
+    """Return by how many nats the odds of the poses that were proposed have grown."""
+    return float(np.log(belief.elsewhere) - np.log(belief.off_map) + 80 * np.log(10.0))
+
+
+def test_a_place_is_as_likely_whenever_it_is_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images before count for it. The last image alone tells less by far."""
+    at_once, late = (followed_from(first, monkeypatch) for first in (0, 10))
+    assert gained(late[-1]) == pytest.approx(gained(at_once[-1]), rel=0.15)
+    assert late[9].elsewhere == 0.0
+    monkeypatch.setattr(History, "with_image", lambda history, _: replace(history, new=0.0))
+    assert gained(followed_from(10, monkeypatch)[-1]) < 0.3 * gained(late[-1])
+
+
+def test_images_before_a_robot_was_carried_do_not_count_for_where_it_is_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The place is proposed by the first image there, or three images later."""
+    at_once, late = (followed_from(first, monkeypatch, carried_at=7)[-1] for first in (7, 10))
+    assert gained(late) == pytest.approx(gained(at_once), rel=0.15)
+    assert gained(followed_from(10, monkeypatch, 7, is_told=False)[-1]) < gained(late) - 8.0
+
+
+def test_what_is_unexplored_and_what_entered_it_agree_while_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    for belief in followed_from(99, monkeypatch, carried_at=5):
+        history = belief.history
+        assert history.entered + sum(one.entered for one in history.images) == pytest.approx(belief.unexplored)
+
+
+def test_a_pose_near_the_tracked_place_is_no_other_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = drive(1).truth[0]
+    near = places(truth + np.random.default_rng(0).normal(0.0, 0.05, (50, 3)))
+    monkeypatch.setattr(GlobalLocalisation, "proposed", lambda *_, is_first: (near, 0.0))
+    belief = seen(Belief.stated(), drive(1).events[1], truth)  # type: ignore[arg-type]
+    assert belief.candidates is None and belief.elsewhere == 0.0
+
+
 # -- candidates -------------------------------------------------------------------------------------------------------
 
 
@@ -380,12 +451,12 @@ def test_proposed_poses_keep_the_constant_errors_and_see_through_them() -> None:
     straight, turned = (
         Particles((*POSE, CAMERA_YAW), np.array([[0.0, 0.0, 0.0, yaw]]).T, np.zeros(1)) for yaw in (0.0, 0.02)
     )
-    (first, evidence, _), (second, same, _) = (
+    (first, _), (second, _) = (
         SEARCH.proposed(like, clues, 0.5, np.random.default_rng(0)) for like in (straight, turned)
     )
     assert first is not None and second is not None
     one, other = first.particles, second.particles
-    assert (other[CAMERA_YAW] == 0.02).all() and same == evidence
+    assert (other[CAMERA_YAW] == 0.02).all() and np.array_equal(one.log_weight, other.log_weight)
     np.testing.assert_allclose(geometry.wrap_angle(one["heading"] - other["heading"]), 0.02)
     np.testing.assert_allclose(clues.by_rate(one), clues.by_rate(other), atol=1e-6)
 
@@ -425,6 +496,68 @@ def test_places_from_which_nothing_of_the_map_is_seen_are_given_up() -> None:
     by_rate[:, 1] = -0.5
     kept, _ = places(np.zeros((2, 3))).weighed(by_rate, 1.0, needs_landmarks=True)
     assert kept.particles.weight[0] < 1e-100
+
+
+# -- particles of one place -------------------------------------------------------------------------------------------
+
+
+def two_places(rng: np.random.Generator) -> Candidates:
+    """40 particles in one cell of floor and heading, and 60 in another one."""
+    poses = np.concatenate(
+        [rng.uniform([0, 0, 0], [0.2, 0.2, 0.1], (40, 3)), rng.uniform([5, 5, 1.1], [5.1, 5.1, 1.2], (60, 3))]
+    )
+    assert len(np.unique(cells_of(poses))) == 2
+    return Candidates.unknown(cloud(poses, rng.normal(size=100)))
+
+
+def test_particles_of_a_cell_share_its_weight_as_tracked_ones_would() -> None:
+    """Σ over a cell is that by p(edges | pose, p_k); within it w_i ∝ w_i p(edges | pose_i)^ν of the filter."""
+    rng = np.random.default_rng(0)
+    before, by_rate, within, novelty = two_places(rng), rng.normal(size=(6, 100)), 3.0 * rng.normal(size=100), 0.4
+    plain, log_plain = before.weighed(by_rate, novelty, needs_landmarks=False)
+    after, log_mean = before.weighed(by_rate, novelty, needs_landmarks=False, within=within)
+    assert log_mean == log_plain
+    assert np.array_equal(after.rates, plain.rates)
+    for one in (slice(0, 40), slice(40, 100)):
+        weight = np.exp(after.particles.log_weight[one])
+        assert weight.sum() == pytest.approx(np.exp(plain.particles.log_weight[one]).sum())
+        expected = np.exp(before.particles.log_weight[one] + novelty * within[one])
+        assert weight / weight.sum() == pytest.approx(expected / expected.sum())
+
+
+def test_a_pose_that_sees_no_landmark_is_given_up_however_well_the_filter_likes_it() -> None:
+    rng = np.random.default_rng(1)
+    before, by_rate = two_places(rng), rng.normal(size=(6, 100))
+    by_rate[:, 3] = 0.0
+    after, _ = before.weighed(by_rate, 1.0, needs_landmarks=True, within=np.where(np.arange(100) == 3, 50.0, 0.0))
+    assert after.particles.weight[3] < 1e-150
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_images_are_likelier_where_the_particles_of_a_place_lie_as_near_the_edges_as_tracked_ones(seed: int) -> None:
+    """The evidence of the true place over 40 images, with and without weights by the filter's own likelihood."""
+    as_tracked, as_places_are = (
+        evidence_of_the_truth(drive(40, seed=seed), seed, as_tracked=one) for one in (True, False)
+    )
+    assert as_tracked > as_places_are + 3.0
+
+
+def evidence_of_the_truth(images: Drive, seed: int, *, as_tracked: bool) -> float:
+    """Return the sum over images of log mean p(edges | candidate), for candidates from near the true start on."""
+    rng, motion = np.random.default_rng(seed), MotionParameters()
+    start = particles.from_gaussian(images.truth[0], np.diag([0.1, 0.1, 0.05]) ** 2, 2000, rng)
+    candidates, total, before = Candidates.unknown(start), 0.0, images.odometry[0]
+    sightings = [event for event in images.events if isinstance(event, Sighting)]
+    for odometry, sighting in zip(images.odometry, sightings, strict=True):
+        increment, before = Increment.from_mean(geometry.between(before, odometry)), odometry
+        moved = replace(candidates, particles=motion.predict(candidates.particles, increment, rng))
+        clues = SEARCH.clues(sighting)
+        within = clues.as_tracked(moved.particles) if as_tracked else None
+        by_rate = clues.by_rate(moved.particles)
+        candidates, log_mean = moved.weighed(by_rate, 0.4, needs_landmarks=False, within=within)
+        candidates = candidates.resampled(2000, rng)
+        total += log_mean
+    return total
 
 
 # -- what is said of it -----------------------------------------------------------------------------------------------

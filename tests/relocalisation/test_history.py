@@ -1,0 +1,199 @@
+"""What earlier images say of a place that is proposed late, against candidates that were followed all along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from proposal_room import CAMERA, room
+from simulated_edges import EdgeNoise, simulated_edges
+
+from localiser.geometry import Array, Increment, Trajectory, between, compose
+from localiser.motion import MotionModel, MotionParameters, covariance_of
+from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters, Sighting
+from localiser.particles import POSE, Particles, cells_of
+from localiser.relocalisation import Candidates, GlobalLocalisation, History, Limits, beyond
+from localiser.relocalisation.history import SCENES
+
+ROOM = room(80)
+SEARCH = GlobalLocalisation.of(EdgeObservation(CAMERA, ObservationParameters()), ROOM)
+STEP = Increment.from_mean([0.02, -0.3, 0.1])
+
+
+class Exact:
+    """A motion model without noise of its own, so that the covariance is that of the increment."""
+
+    def predict(self, cloud: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
+        columns = cloud.columns.copy()
+        columns[:3] = compose(columns[:3].T, increment.mean).T
+        return replace(cloud, columns=columns)
+
+
+EXACT: MotionModel = Exact()
+
+
+@dataclass(frozen=True)
+class StatedClues:
+    """An image whose log-likelihood is proportional to how far back the robot is."""
+
+    slope: float
+    is_blind: bool = False
+
+    def by_rate(self, particles: Particles) -> Array:
+        """Return log p (K, N), the same for each detection rate."""
+        return np.tile(self.slope * particles.columns[1], (len(DETECTION_RATES), 1))
+
+
+def proposed(poses: Array, log_weight: Array | None = None) -> Candidates:
+    weight = np.zeros(len(poses)) if log_weight is None else log_weight
+    return Candidates.unknown(Particles(POSE, np.ascontiguousarray(np.asarray(poses, dtype=float).T), weight))
+
+
+def driven(slopes: list[float], entered: list[float], limits: list[Limits]) -> History:
+    """A history of one image a scene, of which the last is only on its way."""
+    history = History()
+    for slope, probability, limit in zip(slopes, entered, limits, strict=True):
+        history = history.moved(STEP, 1.0).entering(probability).limited(limit)
+        history = history.with_image(StatedClues(slope))  # type: ignore[arg-type]
+    return history
+
+
+def log_weights(history: History, candidates: Candidates, clues: object, motion: MotionModel = EXACT) -> Array:
+    rng = np.random.default_rng(0)
+    return history.weighed(candidates, clues, lambda stated: stated, motion, rng).particles.log_weight  # type: ignore[arg-type]
+
+
+def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed() -> None:
+    """40 candidates followed through ten images, and the same places proposed by the last image."""
+    rng, begin = np.random.default_rng(3), np.array([1.0, 1.5, 0.3])
+    truth = [begin]
+    for _ in range(9):
+        truth.append(compose(truth[-1], STEP.mean))
+    t_ns = np.arange(10) * 1_000_000_000
+    noise = EdgeNoise(detection_probability=0.8, clutter_per_frame=4.0)
+    edges = simulated_edges(ROOM, CAMERA, Trajectory(t_ns, np.array(truth)), rng, noise=noise)
+    images = [Sighting(int(t), seen) for t, seen in zip(t_ns, edges, strict=True)]
+
+    followed = proposed(begin + rng.normal(0, [0.3, 0.3, 0.1], (40, 3)), rng.normal(size=40))
+    prior, history = followed.particles.log_weight, History(entered=0.4)
+    for index, sighting in enumerate(images):
+        clues = SEARCH.clues(sighting)
+        if index:
+            followed = replace(followed, particles=EXACT.predict(followed.particles, STEP, rng))
+        by_rate = clues.by_rate(followed.particles)
+        followed, _ = followed.weighed(by_rate, 1.0, needs_landmarks=not clues.is_blind)
+        history = history.moved(STEP, 1.0).limited(Limits())
+        if index < 9:
+            history = history.with_image(sighting)
+
+    late = proposed(followed.particles.poses, prior)
+    found = history.weighed(late, images[-1], SEARCH.clues, EXACT, rng)
+    assert found.particles.log_weight == pytest.approx(followed.particles.log_weight + np.log(0.4), abs=1e-6)
+    np.testing.assert_allclose(found.rates, followed.rates, atol=1e-9)
+    assert np.ptp(found.particles.log_weight) > 20.0, "these images tell the places apart"
+
+
+def test_what_entered_later_counts_by_later_images_only() -> None:
+    """A plain sum over when the robot came, of products over the images since, each within its limits."""
+    slopes, entered = [2.0, 3.0, 5.0, 1.0], [0.5, 0.01, 0.002, 0.1]
+    limits = [Limits(), Limits(0.7, 0.9), Limits(), Limits(0.1, 2.0)]
+    history = driven(slopes[:3], entered[:3], limits[:3]).moved(STEP, 0.4).entering(entered[3]).limited(limits[3])
+    poses = np.array([[0.0, 0.5, 0.0], [0.3, -0.2, 0.6], [1.0, 0.4, -1.0]])
+    found = log_weights(history, proposed(poses, np.array([0.0, 0.2, -0.3])), StatedClues(slopes[3]))
+    for pose, log_prior, log_weight in zip(poses, [0.0, 0.2, -0.3], found, strict=True):
+        at = [pose]
+        for _ in range(3):
+            at.insert(0, compose(at[0], between(STEP.mean, np.zeros(3))))
+        gains = [slope * place[1] * new for slope, place, new in zip(slopes, at, [1, 1, 1, 0.4], strict=True)]
+        gains = [min(gain - limit.less, limit.most) for gain, limit in zip(gains, limits, strict=True)]
+        total = sum(came * np.exp(sum(gains[when:])) for when, came in enumerate(entered))
+        assert log_weight == pytest.approx(log_prior + np.log(total))
+
+
+def test_without_earlier_images_only_this_one_counts_and_wholly() -> None:
+    history = History(entered=0.5).moved(STEP, 0.1).limited(Limits())
+    assert log_weights(history, proposed(np.array([[0.0, 2.0, 0.0]])), StatedClues(3.0)) == pytest.approx(
+        [6.0 + np.log(0.5)]
+    )
+
+
+def test_images_of_one_scene_are_kept_once() -> None:
+    history = History(entered=1.0).moved(STEP, 0.3)
+    for index in range(31):
+        history = history.with_image(StatedClues(float(index))).moved(STEP, 0.3)  # type: ignore[arg-type]
+    kept = [one.sighting.slope for one in history.images]  # type: ignore[attr-defined]
+    assert kept == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0]
+    np.testing.assert_allclose(history.images[0].step.path_m, 4 * STEP.path_m)
+
+
+def test_what_entered_before_the_robot_was_carried_counts_no_longer() -> None:
+    history = driven([1.0, 1.0], [0.5, 0.25], [Limits()] * 2).entering(0.1, carried=0.2)
+    assert [one.entered for one in history.images] == pytest.approx([0.4, 0.2])
+    assert history.entered == pytest.approx(0.1)
+    assert history.scaled(2.0).entered == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("overlooked", [0.3, 1.0])
+def test_what_entered_before_the_images_that_are_kept_falls_by_what_is_looked_at(overlooked: float) -> None:
+    history = History(entered=0.5)
+    for _ in range(SCENES + 2):
+        history = history.moved(STEP, 1.0).looked(overlooked**0.5).looked(overlooked**0.5)
+        history = history.with_image(StatedClues(1.0))  # type: ignore[arg-type]
+    assert len(history.images) == SCENES
+    assert sum(one.entered for one in history.images) == pytest.approx(0.5 * overlooked**2)
+
+
+def test_a_robot_that_enters_later_has_learnt_nothing_of_the_detection_rate_before() -> None:
+    """Its first images show nothing that a place expects, and then it is carried to where it all shows."""
+
+    class Rated(StatedClues):
+        def by_rate(self, particles: Particles) -> Array:
+            return np.tile(self.slope * np.arange(len(DETECTION_RATES))[:, None], (1, len(particles)))
+
+    history = History(entered=1.0)
+    for _ in range(5):
+        history = history.moved(STEP, 1.0).limited(Limits()).with_image(Rated(-2.0))  # type: ignore[arg-type]
+    history = history.moved(STEP, 1.0).entering(1.0, carried=1.0).limited(Limits())
+    fresh = History(entered=1.0).moved(STEP, 1.0).limited(Limits())
+    at = proposed(np.zeros((1, 3)))
+    assert log_weights(history, at, Rated(2.0)) == pytest.approx(log_weights(fresh, at, Rated(2.0)), abs=1e-6)
+
+
+def test_places_before_are_as_uncertain_as_odometry() -> None:
+    """The covariance of 20,000 draws, within four standard errors."""
+    motion, count, rng = MotionParameters(), 20_000, np.random.default_rng(1)
+    step = Increment.from_mean([0.1, -0.5, 0.4], np.diag([0.02, 0.05, 0.03]) ** 2)
+    history = History().moved(step, 1.0).with_image(StatedClues(1.0)).moved(step, 1.0)  # type: ignore[arg-type]
+    cloud = proposed(np.tile([1.0, 2.0, 0.5], (count, 1))).particles
+    before, now = history.places_before(cloud, motion, rng)
+    assert np.array_equal(now.columns, cloud.columns)
+    steps = between(before.poses, now.poses)
+    cov = covariance_of(motion, step)
+    np.testing.assert_allclose(steps.mean(axis=0), step.mean, atol=4 * np.sqrt(cov.max() / count))
+    error = 4 * np.sqrt((cov**2 + np.outer(np.diag(cov), np.diag(cov))) / count)
+    assert (np.abs(np.cov(steps.T) - cov) < error).all()
+
+
+def test_a_place_that_is_followed_already_is_not_counted_twice() -> None:
+    """In each cell the larger of both probabilities."""
+    rng = np.random.default_rng(2)
+    found = proposed(rng.uniform([0, 0, 0], [3, 3, 1], (300, 3)), rng.normal(-8.0, 2.0, 300))
+    known = [(proposed(rng.uniform([0, 0, 0], [3, 3, 1], (200, 3))).particles, 0.2) for _ in range(2)]
+    more, probability = beyond(found, known)
+    assert more is not None
+    every = [found.particles, *(one for one, _ in known)]
+    cell = np.split(cells_of(np.concatenate([one.poses for one in every])), [300, 500])
+    mass = [np.exp(found.particles.log_weight), *(share * one.weight for one, share in known)]
+    expected = 0.0
+    for index in range(max(one.max() for one in cell) + 1):
+        new, *old = (weight[there == index].sum() for weight, there in zip(mass, cell, strict=True))
+        expected += max(new, sum(old)) - sum(old)
+    assert probability == pytest.approx(expected) and 0 < expected < mass[0].sum()
+    assert np.exp(more.particles.log_weight).sum() == pytest.approx(expected)
+    assert beyond(found, [])[1] == pytest.approx(mass[0].sum())
+    far = replace(found, particles=replace(found.particles, log_weight=found.particles.log_weight + 1000.0))
+    several, most = beyond(far, known)
+    assert several is not None and np.isfinite(most) and np.ptp(several.particles.log_weight) > 5.0
+    nothing, none = beyond(found, [(found.particles, 1.0)])
+    assert nothing is None and none == 0.0
