@@ -116,7 +116,7 @@ def scene_of(
     )
 
 
-@lru_cache(maxsize=8)  # the same edges are weighed several times in a frame
+@lru_cache(maxsize=64)  # the same edges are weighed several times in a frame, and when places are proposed later
 def _edges(angle: Angle, edges: Edges, blur_rad: float) -> tuple[Array, EdgeBins, float, float]:
     """Return the edges of a scene (E, 13), their bins, the largest variance of those known, and p(missed)."""
     measured, variance = angle.measured(edges)

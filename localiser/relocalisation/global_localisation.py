@@ -11,7 +11,7 @@ Places are compared by the filter's own likelihood, slightly blurred, and to a p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -152,7 +152,7 @@ class GlobalLocalisation:
 
     def clues(self, sighting: Sighting) -> Clues:
         """Return what an image says of places."""
-        return Clues(sighting, self.observation, self.landmark_map)
+        return _clues(self, sighting)
 
     def proposed(
         self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator, *, is_first: bool = False
@@ -203,3 +203,8 @@ class GlobalLocalisation:
             turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
             columns[:3] = turned.T
         return replace(like, columns=columns, log_weight=log_weight)
+
+
+@lru_cache(maxsize=32)  # the history asks the same images again
+def _clues(search: GlobalLocalisation, sighting: Sighting) -> Clues:
+    return Clues(sighting, search.observation, search.landmark_map)
