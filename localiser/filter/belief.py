@@ -82,8 +82,8 @@ class Belief:
     proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
     detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
     is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
-    overlooked: probability that no image has looked at the true place since a place was last known. history: what the
-    images of late say of places that are proposed next.
+    overlooked: probability that no image has looked at the true place since a place was last known. history: what
+    recent images say of places that are proposed next.
     """
 
     tracked: float
@@ -110,7 +110,7 @@ class Belief:
     @classmethod
     def unjudged(cls) -> Belief:
         """Return the belief of a robot whose observation cannot tell whether it is elsewhere."""
-        return cls(0.99, 0.0, 0.01, 0.0, history=History(entered=0.01))
+        return cls(0.99, 0.0, 0.01, 0.0)
 
     @classmethod
     def anywhere(cls) -> Belief:
@@ -251,7 +251,7 @@ class Belief:
             overlooked=overlooked * self.overlooked,
             history=self.history.looked(overlooked),
         )
-        if proposed is not None and few is not None:  # the tracked place is known
+        if proposed is not None and few is not None:  # poses at the tracked place are no other place
             proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(few).pose))
         if proposed is not None and len(proposed):
             known = [] if self.candidates is None else [(self.candidates.particles, self.elsewhere)]

@@ -1,4 +1,4 @@
-"""What the images of late say of a place that is only proposed now.
+"""What recent images say of a place that is only proposed now.
 
 A place is often proposed long after the robot could have been there. Until then it was a part of what is unexplored,
 and the images since count for it as they do for a candidate that was followed all along:
@@ -26,7 +26,7 @@ import numpy as np
 from localiser.geometry import Array, Increment, between, compose
 from localiser.motion import MotionModel, covariance_of
 from localiser.observation import Sighting
-from localiser.particles import CELL_M, CELL_RAD, Particles, cells_of
+from localiser.particles import Particles, cells_of, from_gaussian
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.global_localisation import Clues
 
@@ -157,8 +157,7 @@ class History:
         """Return where particles were at each image that is kept, and where they are now, by odometry and its noise."""
         clouds = [cloud]
         for image in reversed(self.images):
-            cov = covariance_of(motion, image.step)
-            steps = image.step.mean + rng.standard_normal((len(cloud), 3)) @ _root(cov).T
+            steps = from_gaussian(image.step.mean, covariance_of(motion, image.step), len(cloud), rng).poses
             columns = clouds[-1].columns.copy()
             columns[:3] = compose(columns[:3].T, between(steps, np.zeros_like(steps))).T
             clouds.append(replace(cloud, columns=columns))
@@ -175,7 +174,7 @@ def beyond(proposed: Candidates, known: list[tuple[Particles, float]]) -> tuple[
     top = max(float(log_weight.max()) - MOST_LOG, 0.0)
     mass = np.exp(log_weight - top)
     poses = np.concatenate([proposed.particles.poses, *(one.poses for one, _ in known)])
-    cell = cells_of(poses, CELL_M, CELL_RAD)
+    cell = cells_of(poses)
     here, there, cells = cell[: len(mass)], cell[len(mass) :], int(cell.max()) + 1
     found = np.bincount(here, mass, minlength=cells)
     weights = np.concatenate([np.zeros(0), *(np.exp(-top) * probability * one.weight for one, probability in known)])
@@ -187,9 +186,3 @@ def beyond(proposed: Candidates, known: list[tuple[Particles, float]]) -> tuple[
     chosen = proposed.only(more)
     particles = replace(chosen.particles, log_weight=np.log(mass[more]))
     return replace(chosen, particles=particles), float(mass.sum())
-
-
-def _root(cov: Array) -> Array:
-    """Return A (3, 3) with A Aᵀ = cov, also where cov is singular."""
-    values, vectors = np.linalg.eigh(cov)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
