@@ -2,6 +2,7 @@
 
     tracking   logs, and a simulated shop (another one with every seed), from a start near the truth and from anywhere
     wrong      every log on every other one's map, on its own mirrored, and on its own with blocks of 1.5 m shuffled;
+               simulated buildings on the map of another of their kind, such as another floor of one building;
                start: its own true pose, the other log's first pose, none
     right      every log on its own map, whole, without 30 % of its landmarks, or with 30 % of them moved by 0.3 m
     recovery   simulated hours of tracking in worlds of six kinds: how often the estimate jumps away from the truth

@@ -1,9 +1,9 @@
 """Buildings for simulated hours of tracking: what hides, what shows as a vertical edge, what of it is on the map.
 
-Six kinds, each drawn at random: shelves full of books, a room of chairs with thin legs, bare corridors, rooms in a row
-that look alike, a hall in which people and carts move, and long corridors around a block. All clutter stands in the
-world, so that it is seen again from the next place with the right parallax. Door frames show as two or three edges, of
-which the map may have one.
+Seven kinds, each drawn at random: shelves full of books, a room of chairs with thin legs, bare corridors, rooms in a
+row that look alike, a hall in which people and carts move, long corridors around a block, and floors of one building.
+All clutter stands in the world, so that it is seen again from the next place with the right parallax. Door frames show
+as two or three edges, of which the map may have one.
 """
 
 from __future__ import annotations
@@ -277,6 +277,22 @@ def ring(rng: np.random.Generator) -> Building:
     return building
 
 
+def floor(rng: np.random.Generator) -> Building:
+    """One floor of a building: a straight corridor, 2 m wide on every floor, with doors and posters at other places."""
+    length, width = rng.uniform(24.0, 32.0), 2.0
+    building = Building((length, width), rng, inside=(rng.uniform(8.0, 16.0), width / 2))
+    for z in (0.0, width):
+        at = np.cumsum(rng.uniform(1.3, 4.0, 24)) - 0.5
+        building.wall((0.0, z), (length, z), [(float(one), False) for one in at[at < length - 0.8]])
+    for x in (0.0, length):
+        building.wall((x, 0.0), (x, width))
+    for at, z in zip(rng.uniform(1.0, length - 1.0, 6), rng.choice([0.02, width - 0.02], 6), strict=True):
+        mapped = bool(rng.random() < 0.5)
+        for edge in (0.0, rng.uniform(0.4, 0.8)):
+            building.edge(np.array([at + edge, z]), 0.6, 1.3, mapped)
+    return building
+
+
 KINDS: dict[str, Callable[[np.random.Generator], Building]] = {
     "shelves": shelves,
     "chairs": chairs,
@@ -284,4 +300,6 @@ KINDS: dict[str, Callable[[np.random.Generator], Building]] = {
     "alike": alike,
     "crowd": crowd,
     "ring": ring,
+    "floor": floor,
 }
+HOURS = ("shelves", "chairs", "corridors", "alike", "crowd", "ring")  # that hours of tracking are simulated in

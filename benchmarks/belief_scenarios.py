@@ -15,7 +15,7 @@ import belief_drives as drives
 import belief_maps as maps
 import numpy as np
 import scenarios
-from belief_buildings import KINDS
+from belief_buildings import HOURS, KINDS
 from belief_drives import LOGS, drive_of, is_there
 from belief_run import CORRECT_M, Drive, Record, first_of, run, settled_at
 from belief_score import Claims
@@ -27,6 +27,7 @@ BEGIN_S = 3.0  # what is said earlier on a wrong map is not judged
 BACK_M = 0.25
 MINUTES = 12.0  # of a drive in a simulated building: ten seeds of six kinds are twelve hours
 SHOP_MINUTES = 1.5
+OF_ONE_KIND = ("floor", "corridors", "shelves")  # of which no two buildings have the same rooms
 DOUBTFUL, FEWEST_EXPECTED, FEWEST_SHOWN = 0.5, 3, 5
 NEVER = math.inf
 
@@ -124,10 +125,13 @@ def rms(error_m: np.ndarray) -> float:
 def wrong(log: str, other: str, start: str, kind: str, *, seed: int) -> tuple[Values, Record]:
     """A log on a map of another building, or on a null world made of its own map.
 
-    start: `own` is the log's true pose, `theirs` the first pose of the other log, `none` anywhere.
+    log: a log, or a kind of simulated building: then the map is `another` of its kind. start: `own` is the log's true
+    pose, `theirs` the first pose of the other log, `none` anywhere.
     """
-    drive = drive_of(log)
-    if other == "mirrored":
+    drive = hours_of(log, seed, SHOP_MINUTES) if log in KINDS else drive_of(log)
+    if other == "another":
+        landmark_map = hours_of(log, seed + 1, 0.1).landmark_map
+    elif other == "mirrored":
         landmark_map = maps.mirrored(drive.landmark_map)
     elif other == "shuffled":
         landmark_map = maps.shuffled(drive.landmark_map, seed)
@@ -273,7 +277,10 @@ def _each(*parts: Sequence[str]) -> Callable[[Sequence[str]], list[About]]:
 def _wrong(kinds: Sequence[str]) -> list[About]:
     pairs = [(log, other) for log in LOGS for other in LOGS if other != log]
     null = list(product(LOGS, ("mirrored", "shuffled"), ("own", "none"), kinds))
-    return [(*pair, start, kind) for pair in pairs for start in ("own", "theirs", "none") for kind in kinds] + null
+    return [(*pair, start, kind) for pair in pairs for start in ("own", "theirs", "none") for kind in kinds] + [
+        *null,
+        *product(OF_ONE_KIND, ("another",), ("own", "none"), kinds),
+    ]
 
 
 NEAR_OR_NOT, BOTH = ("truth", "global"), ("line", "slope")
@@ -281,7 +288,7 @@ SCENARIOS: dict[str, Scenario] = {
     "tracking": Scenario(_each(("corridor", "house", "bookstore", "shop"), NEAR_OR_NOT), tracking, kinds=BOTH),
     "wrong": Scenario(_wrong, wrong, kinds=BOTH),
     "right": Scenario(_each(LOGS, ("whole", "removed", "moved"), NEAR_OR_NOT), right),
-    "recovery": Scenario(_each(tuple(KINDS), ("{minutes:g} min",)), recovery),
+    "recovery": Scenario(_each(HOURS, ("{minutes:g} min",)), recovery),
     "kidnapped": Scenario(_each(("office", "house", "bookstore")), kidnapped),
     "misplaced": Scenario(_each(LOGS), misplaced),
     "mrclam": Scenario(lambda _: [(str(robot), "line") for robot in (1, 2, 3)], mrclam),

@@ -178,6 +178,16 @@ def test_nothing_is_right_on_a_wrong_map(judge: SimpleNamespace) -> None:
     assert values["warned_s"] == pytest.approx(3.8)
 
 
+def test_a_simulated_building_may_have_the_map_of_another_of_its_kind(
+    judge: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [case.name for case in judge.scenarios.SCENARIOS["wrong"].asked("wrong", ["line"])]
+    assert "floor another own line" in names and len(names) == len(set(names))
+    monkeypatch.setattr(judge.scenarios, "SHOP_MINUTES", 0.1)
+    _, told = judge.scenarios.wrong("floor", "another", "own", "line", seed=0)
+    assert len(told.right) == 30 and not told.right.any() and told.expects.mean() > 3
+
+
 # -- calibration -------------------------------------------------------------------------------------------------------
 
 

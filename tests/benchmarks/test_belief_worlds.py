@@ -12,7 +12,7 @@ from folders import ROOT
 
 from localiser.landmarks import in_camera
 
-KINDS = ("shelves", "chairs", "corridors", "alike", "crowd")
+KINDS = ("shelves", "chairs", "corridors", "alike", "crowd", "floor")
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,8 @@ def worlds() -> Iterator[SimpleNamespace]:
 )
 def test_drive_hits_nothing_and_shows_the_map(worlds: SimpleNamespace, kind: str) -> None:
     drive = worlds.worlds.hours_of(kind, 1, 0.5)
-    building = worlds.buildings.KINDS[kind](np.random.default_rng([1, 21, KINDS.index(kind)]))
+    number = list(worlds.buildings.KINDS).index(kind)
+    building = worlds.buildings.KINDS[kind](np.random.default_rng([1, 21, number]))
     assert worlds.worlds.clearance_m(building, drive.truth[:, :2]).min() > 0.2
     assert len(drive.t_ns) == len(drive.edges) == 150
     # Edges of landmarks point where the landmark stands, but for the errors of the map.
