@@ -322,7 +322,8 @@ class Localiser:
         if not isinstance(content, bytes):
             raise InputError(f"expected the bytes of a saved state, found {type(content).__name__}", path=path)
         saved = checkpoint_of(content, Path(path), self.identity)
-        last, count = max(saved.state.belief.visibility.landmark, default=-1), len(self.landmark_map)
+        belief, count = saved.state.belief, len(self.landmark_map)
+        last = max([*belief.visibility.landmark, *belief.near.landmark], default=-1)
         if last >= count:
             raise InputError(f"expected {count} landmarks, found one with the index {last}", path=path)
         self.state, self.rng = saved.state, saved.rng

@@ -31,7 +31,7 @@ from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_
 from localiser.filter.scene import Jump
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
-from localiser.observation import DetectionRate, Matches, Sighting, Visibility
+from localiser.observation import UNLIKELY, DetectionRate, Matches, NearLandmarks, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import Candidates, Clues, GlobalLocalisation, History, Limits, beyond
 
@@ -83,7 +83,7 @@ class Belief:
     detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
     is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
     overlooked: probability that no image has looked at the true place since a place was last known. history: what
-    recent images say of places that are proposed next.
+    recent images say of places that are proposed next. near: whether landmarks near the tracked place are there.
     """
 
     tracked: float
@@ -101,6 +101,7 @@ class Belief:
     is_known: bool = True
     overlooked: float = 1.0
     history: History = field(default_factory=History)
+    near: NearLandmarks = field(default_factory=NearLandmarks)
 
     @classmethod
     def stated(cls) -> Belief:
@@ -278,12 +279,13 @@ class Belief:
             return replace(self, tracked=tracked, elsewhere=0.0, unexplored=unexplored, candidates=None)
         return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))
 
-    def seen(self, matches: Matches, novelty: float) -> Belief:
+    def seen(self, matches: Matches, points: Array, pose: Array, novelty: float) -> Belief:
         """Return the belief that knows which landmarks an image shows from the tracked place.
 
-        matches: of its edges. novelty: of the scene, 0 … 1.
+        matches: of its edges. points: (L, 2) of all landmarks. pose: (3,) of the robot. novelty: of the scene, 0 … 1.
         """
-        return replace(self, visibility=self.visibility.after(matches, novelty))
+        near = self.near.after(matches, points, pose, novelty)
+        return replace(self, visibility=self.visibility.after(matches, novelty), near=near)
 
     def _normalised(self) -> Belief:
         total = self.here + self.elsewhere + self.unexplored + self.off_map
@@ -338,6 +340,7 @@ class Belief:
             visibility=Visibility(),
             shown=unknown,
             is_known=False,
+            near=NearLandmarks(),
         )
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
@@ -358,7 +361,8 @@ class Belief:
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
-        return self._looked_at * (self.here if is_tracked else self.elsewhere) * near_weight(cloud, pose)
+        probability = self.near.probability * self.here if is_tracked else self.elsewhere
+        return self._looked_at * probability * near_weight(cloud, pose)
 
     @property
     def _looked_at(self) -> float:
@@ -372,12 +376,14 @@ class Belief:
         if len(sighting.edges) == 0 and sighting.measurement is None:
             return "no edges"
         others = self.elsewhere + self.unexplored + (1.0 - self._looked_at) * self.here
-        return "edges contradict the map" if self.off_map > others else "several places fit"
+        contradicted = self.off_map + (1.0 - self.near.probability) * self.here
+        return "edges contradict the map" if contradicted > others else "several places fit"
 
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        return "this map does not fit" if self.unfit >= 1.0 else ""
+        does_not_fit = self.unfit >= 1.0 or self.near.probability < UNLIKELY
+        return "this map does not fit" if does_not_fit else ""
 
     def _resampled(self, most: int, rng: np.random.Generator) -> Belief:
         """Return the belief with at most so many candidates."""

@@ -196,7 +196,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
     matches = None if weighed is None else _matches(mcl, located.estimate, image.sighting)
     if matches is not None:
-        state.belief = state.belief.seen(matches, image.jump.novelty)
+        pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
+        state.belief = state.belief.seen(matches, points, pose, image.jump.novelty)
     state.repetition = _repetition(mcl, state, located, image, matches)
     state.height = _height(mcl, state, located, image)
     state.map_error = _map_error(mcl, state, located, image)

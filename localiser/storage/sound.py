@@ -12,7 +12,7 @@ import numpy as np
 from localiser.edges import Edges
 from localiser.filter import Odometry
 from localiser.geometry import Increment
-from localiser.observation import Visibility
+from localiser.observation import NearLandmarks, Visibility
 from localiser.particles import Particles
 
 _LARGEST = 1e12  # metres, radians, pixels, weights, and squares of what a file may state
@@ -82,6 +82,14 @@ def _visibility(value: Visibility) -> None:
         raise ValueError("expected ascending landmarks and probabilities between 0 and 1, found others")
 
 
+def _near_landmarks(value: NearLandmarks) -> None:
+    landmark, scenes, matched = value.landmark, value.scenes, value.matched
+    if landmark.ndim != 1 or landmark.dtype.kind != "i" or not landmark.shape == scenes.shape == matched.shape:
+        raise ValueError("expected two numbers of scenes for each near landmark, found others")
+    if not (np.diff(landmark, prepend=-1) > 0).all() or not ((scenes > 0) & (matched >= 0) & (matched <= scenes)).all():
+        raise ValueError("expected ascending landmarks, tested in more scenes than they are matched in, found others")
+
+
 def _odometry(value: Odometry) -> None:
     if value.pose.shape != (3,) or not np.isfinite(value.pose).all():
         raise ValueError("expected a pose of three finite numbers, found another")
@@ -92,6 +100,7 @@ _FITTING: dict[type, Callable[[Any], None]] = {
     Edges: _edges,
     Increment: _increment,
     Visibility: _visibility,
+    NearLandmarks: _near_landmarks,
     Odometry: _odometry,
 }
 """What raises ValueError where the parts of a value of this type do not fit each other."""

@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter import FilterState, Mcl, MclParameters, Odometry, Start, step
 from localiser.filter.scene import Scene, SeenImage
 from localiser.geometry import Increment
-from localiser.observation import EdgeObservation, ObservationParameters, Visibility
+from localiser.observation import EdgeObservation, NearLandmarks, ObservationParameters, Visibility
 from localiser.storage.checkpoint import FORMAT, Checkpoint, checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.packing import decode, encode
 
@@ -280,12 +280,22 @@ def _unequal(state: FilterState) -> None:
     state.belief = replace(state.belief, visibility=Visibility(np.array([1, 2]), np.array([0.1])))
 
 
+def _overmatched(state: FilterState) -> None:
+    state.belief = replace(
+        state.belief, near=NearLandmarks(np.array([1, 2]), np.array([0.5, 1.0]), np.array([0.5, 2.0]))
+    )
+
+
+def _untested(state: FilterState) -> None:
+    state.belief = replace(state.belief, near=NearLandmarks(np.array([1, 2]), np.array([0.5]), np.array([0.5, 0.5])))
+
+
 def _flat(state: FilterState) -> None:
     _last_image(state, mean=np.zeros(2))
 
 
 IMPOSSIBLE = [_cut, _far, _weightless, _short, _uneven, _backward, _unturned, _negative, _flat]
-IMPOSSIBLE += [_invisible, _certain, _unequal]
+IMPOSSIBLE += [_invisible, _certain, _unequal, _overmatched, _untested]
 
 
 @pytest.mark.parametrize("change", IMPOSSIBLE)

@@ -1,0 +1,89 @@
+"""Near landmarks: whether those that should be seen beside the robot are there.
+
+The likelihood compares edges with the clutter that earlier images predict. In a building of the same kind, as on
+another floor, edges that match by chance keep matching, and the likelihood takes each image for new evidence. So this
+test asks a question that it does not: of the landmarks near the tracked place, how many does any edge match?
+
+A landmark is tested in an image that has it in view within 3.5 m, where no landmark that is matched stands before it
+within 30°: there may be a wall. It counts once, however many images show it:
+
+    log odds = Σ_l w_l (f_l log(p / q) + (1 - f_l) log((1 - p) / (1 - q))),   w_l = 1 - exp(-scenes)
+
+f_l is the part of its scenes in which it was matched, p and q are how often that is so on a map of the building and on
+another one. What was seen is forgotten within 60 scenes, about 18 m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array, robot_from_map, wrap_angle
+from localiser.observation.protocols import Matches
+
+NEAR_M = 3.5
+BEFORE_M, BESIDE_RAD = 0.15, np.radians(30.0)  # a landmark that is nearer than another and beside it
+FEWEST = 5  # edges of an image that tells: one or two may be of anything
+MATCHED, BY_CHANCE = 0.45, 0.25  # how often a near landmark is, on a map of the building and on another one
+MEMORY_SCENES = 60.0
+ANOTHER = 0.01  # odds that a map which is believed is of another building
+UNLIKELY = 0.3  # probability of the map from which down it is said not to fit
+_FORGOTTEN = 0.02  # scenes that are not kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearLandmarks:
+    """What images showed of M near landmarks.
+
+    landmark: (M,) indices, ascending. scenes: (M,) in which it was tested. matched: (M,) in which an edge matched it.
+    """
+
+    landmark: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    scenes: Array = field(default_factory=lambda: np.zeros(0))
+    matched: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def log_odds(self) -> float:
+        """The log-odds of a map of this building to another one, by these landmarks alone."""
+        part, weight = self.matched / self.scenes, 1.0 - np.exp(-self.scenes)
+        each = part * np.log(MATCHED / BY_CHANCE) + (1.0 - part) * np.log((1.0 - MATCHED) / (1.0 - BY_CHANCE))
+        return float(weight @ each)
+
+    @property
+    def probability(self) -> float:
+        """The probability that a map which is believed is not of another building."""
+        return float(1.0 / (1.0 + ANOTHER * np.exp(-self.log_odds)))
+
+    def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> NearLandmarks:
+        """Return what is known after an image.
+
+        matches: of its edges, seen from the tracked `pose` (3,). points: (L, 2) of all landmarks. novelty: of the
+        scene, 0 … 1.
+        """
+        scenes, matched = np.zeros(len(points)), np.zeros(len(points))
+        kept = np.exp(-novelty / MEMORY_SCENES)
+        scenes[self.landmark], matched[self.landmark] = kept * self.scenes, kept * self.matched
+        if len(matches.landmark) >= FEWEST:
+            tested, is_matched = near_landmarks(matches, points, pose)
+            scenes[tested] += novelty
+            matched[tested] += novelty * is_matched
+        landmark = np.flatnonzero(scenes > _FORGOTTEN)
+        return NearLandmarks(landmark, scenes[landmark], matched[landmark])
+
+
+def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return which landmarks (K,) an image tests, seen from a pose (3,), and which of them an edge matches.
+
+    points: (L, 2) of all landmarks.
+    """
+    visible = np.flatnonzero(matches.visible)
+    right, back = robot_from_map(pose, points[visible]).T
+    range_m, bearing = np.hypot(right, back), np.arctan2(right, -back)
+    is_matched = np.isin(visible, matches.landmark)
+    near = range_m < NEAR_M
+    beside = np.abs(wrap_angle(bearing[near, None] - bearing[is_matched])) < BESIDE_RAD
+    is_before = range_m[is_matched] < range_m[near, None] - BEFORE_M
+    in_front = ~(beside & is_before).any(axis=1)
+    return visible[near][in_front], is_matched[near][in_front]
