@@ -31,7 +31,7 @@ from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_
 from localiser.filter.scene import Jump
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
-from localiser.observation import UNLIKELY, DetectionRate, Matches, NearLandmarks, Sighting, Visibility
+from localiser.observation import DetectionRate, Matches, NearLandmarks, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import Candidates, Clues, GlobalLocalisation, History, Limits, beyond
 
@@ -62,6 +62,7 @@ BESIDE = 0.25  # candidates while a place is tracked, as a part of those while n
 # From which probability of being off the map on, and after how many scenes with enough edges, the map is said not to
 # fit.
 TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
+NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,6 +327,7 @@ class Belief:
             is_known=False,
             overlooked=self.overlooked,
             history=self.history.entering(self.here),
+            near=NearLandmarks(),  # those of another place
         )
 
     def released(self, cloud: Particles) -> Belief:
@@ -376,13 +378,17 @@ class Belief:
         if len(sighting.edges) == 0 and sighting.measurement is None:
             return "no edges"
         others = self.elsewhere + self.unexplored + (1.0 - self._looked_at) * self.here
-        contradicted = self.off_map + (1.0 - self.near.probability) * self.here
-        return "edges contradict the map" if contradicted > others else "several places fit"
+        return "edges contradict the map" if self._contradicted > others else "several places fit"
+
+    @property
+    def _contradicted(self) -> float:
+        """The probability that this is no map of what is seen."""
+        return self.off_map + (1.0 - self.near.probability) * self.here
 
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        does_not_fit = self.unfit >= 1.0 or self.near.probability < UNLIKELY
+        does_not_fit = self.unfit >= 1.0 or (self.near.are_missing and self._contradicted > NO_MAP)
         return "this map does not fit" if does_not_fit else ""
 
     def _resampled(self, most: int, rng: np.random.Generator) -> Belief:

@@ -195,7 +195,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     located = _located(state, weighed, measured, image)
     # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
     matches = None if weighed is None else _matches(mcl, located.estimate, image.sighting)
-    if matches is not None:
+    if matches is not None and mcl.search is not None:
         pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
         state.belief = state.belief.seen(matches, points, pose, image.jump.novelty)
     state.repetition = _repetition(mcl, state, located, image, matches)

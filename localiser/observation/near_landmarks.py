@@ -4,13 +4,14 @@ The likelihood compares edges with the clutter that earlier images predict. In a
 another floor, edges that match by chance keep matching, and the likelihood takes each image for new evidence. So this
 test asks a question that it does not: of the landmarks near the tracked place, how many does any edge match?
 
-A landmark is tested in an image that has it in view within 3.5 m, where no landmark that is matched stands before it
-within 30°: there may be a wall. It counts once, however many images show it:
+A landmark is tested in an image that has it in view within 3.5 m of the robot, unless a matched landmark within 30° of
+it is nearer by 0.15 m: that one may be on a wall. It counts once, however many images show it:
 
     log odds = Σ_l w_l (f_l log(p / q) + (1 - f_l) log((1 - p) / (1 - q))),   w_l = 1 - exp(-scenes)
 
 f_l is the part of its scenes in which it was matched, p and q are how often that is so on a map of the building and on
-another one. What was seen is forgotten within 60 scenes, about 18 m.
+another one. Scenes fade by a factor of e within 60, so a landmark that was seen for ten is half forgotten after some 50
+m. With a prior for another building of 0.01, no map is more probable than 0.99.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, robot_from_map, wrap_angle
+from localiser.geometry import Array, wrap_angle
 from localiser.observation.protocols import Matches
 
 NEAR_M = 3.5
@@ -29,8 +30,8 @@ FEWEST = 5  # edges of an image that tells: one or two may be of anything
 MATCHED, BY_CHANCE = 0.45, 0.25  # how often a near landmark is, on a map of the building and on another one
 MEMORY_SCENES = 60.0
 ANOTHER = 0.01  # odds that a map which is believed is of another building
-UNLIKELY = 0.3  # probability of the map from which down it is said not to fit
-_FORGOTTEN = 0.02  # scenes that are not kept
+UNLIKELY = 0.3  # below this probability the map is said not to fit
+_FORGOTTEN = 1e-4  # scenes that are not kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +57,11 @@ class NearLandmarks:
         """The probability that a map which is believed is not of another building."""
         return float(1.0 / (1.0 + ANOTHER * np.exp(-self.log_odds)))
 
+    @property
+    def are_missing(self) -> bool:
+        """Whether so few are there that this is no map of what is seen from the tracked place."""
+        return self.probability < UNLIKELY
+
     def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> NearLandmarks:
         """Return what is known after an image.
 
@@ -74,16 +80,16 @@ class NearLandmarks:
 
 
 def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return which landmarks (K,) an image tests, seen from a pose (3,), and which of them an edge matches.
+    """Return which landmarks (K,) an image tests, seen from the robot's pose (3,), and which of them an edge matches.
 
-    points: (L, 2) of all landmarks.
+    points: (L, 2) of all landmarks. The robot stands for its camera, which is hardly farther away than 0.3 m.
     """
     visible = np.flatnonzero(matches.visible)
-    right, back = robot_from_map(pose, points[visible]).T
-    range_m, bearing = np.hypot(right, back), np.arctan2(right, -back)
-    is_matched = np.isin(visible, matches.landmark)
-    near = range_m < NEAR_M
-    beside = np.abs(wrap_angle(bearing[near, None] - bearing[is_matched])) < BESIDE_RAD
-    is_before = range_m[is_matched] < range_m[near, None] - BEFORE_M
+    range_m = np.hypot(*(points[visible] - pose[:2]).T)
+    near, range_m = visible[range_m < NEAR_M], range_m[range_m < NEAR_M]
+    direction = np.arctan2(*(points[near] - pose[:2]).T)
+    is_matched = np.isin(near, matches.landmark)
+    beside = np.abs(wrap_angle(direction[:, None] - direction[is_matched])) < BESIDE_RAD
+    is_before = range_m[is_matched] < range_m[:, None] - BEFORE_M
     in_front = ~(beside & is_before).any(axis=1)
-    return visible[near][in_front], is_matched[near][in_front]
+    return near[in_front], is_matched[in_front]

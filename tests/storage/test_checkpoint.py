@@ -286,6 +286,10 @@ def _overmatched(state: FilterState) -> None:
     )
 
 
+def _endless(state: FilterState) -> None:
+    state.belief = replace(state.belief, near=NearLandmarks(np.array([1]), np.array([np.inf]), np.array([np.inf])))
+
+
 def _untested(state: FilterState) -> None:
     state.belief = replace(state.belief, near=NearLandmarks(np.array([1, 2]), np.array([0.5]), np.array([0.5, 0.5])))
 
@@ -295,7 +299,7 @@ def _flat(state: FilterState) -> None:
 
 
 IMPOSSIBLE = [_cut, _far, _weightless, _short, _uneven, _backward, _unturned, _negative, _flat]
-IMPOSSIBLE += [_invisible, _certain, _unequal, _overmatched, _untested]
+IMPOSSIBLE += [_invisible, _certain, _unequal, _overmatched, _endless, _untested]
 
 
 @pytest.mark.parametrize("change", IMPOSSIBLE)
