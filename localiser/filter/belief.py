@@ -327,7 +327,7 @@ class Belief:
             is_known=False,
             overlooked=self.overlooked,
             history=self.history.entering(self.here),
-            near=NearLandmarks(),  # those of another place
+            near=self.near.elsewhere(),
         )
 
     def released(self, cloud: Particles) -> Belief:
@@ -342,7 +342,7 @@ class Belief:
             visibility=Visibility(),
             shown=unknown,
             is_known=False,
-            near=NearLandmarks(),
+            near=self.near.elsewhere(),
         )
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:

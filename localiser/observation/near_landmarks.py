@@ -11,7 +11,8 @@ it is nearer by 0.15 m: that one may be on a wall. It counts once, however many 
 
 f_l is the part of its scenes in which it was matched, p and q are how often that is so on a map of the building and on
 another one. Scenes fade by a factor of e within 60, so a landmark that was seen for ten is half forgotten after some 50
-m. With a prior for another building of 0.01, no map is more probable than 0.99.
+m. On a map of the building a place that is tracked is hardly ever wrong, so odds against one still count when another
+one is tracked in its stead, and fade as scenes do.
 """
 
 from __future__ import annotations
@@ -39,28 +40,34 @@ class NearLandmarks:
     """What images showed of M near landmarks.
 
     landmark: (M,) indices, ascending. scenes: (M,) in which it was tested. matched: (M,) in which an edge matched it.
+    before: log-odds that places which were tracked before left, at most 0.
     """
 
     landmark: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     scenes: Array = field(default_factory=lambda: np.zeros(0))
     matched: Array = field(default_factory=lambda: np.zeros(0))
+    before: float = 0.0
 
     @property
     def log_odds(self) -> float:
         """The log-odds of a map of this building to another one, by these landmarks alone."""
         part, weight = self.matched / self.scenes, 1.0 - np.exp(-self.scenes)
         each = part * np.log(MATCHED / BY_CHANCE) + (1.0 - part) * np.log((1.0 - MATCHED) / (1.0 - BY_CHANCE))
-        return float(weight @ each)
+        return self.before + float(weight @ each)
 
     @property
     def probability(self) -> float:
-        """The probability that a map which is believed is not of another building."""
-        return float(1.0 / (1.0 + ANOTHER * np.exp(-self.log_odds)))
+        """The probability that a map which is believed is not of another building, 1 where nothing speaks for that."""
+        return float((1.0 + ANOTHER) / (1.0 + ANOTHER * np.exp(max(-self.log_odds, 0.0))))
 
     @property
     def are_missing(self) -> bool:
         """Whether so few are there that this is no map of what is seen from the tracked place."""
         return self.probability < UNLIKELY
+
+    def elsewhere(self) -> NearLandmarks:
+        """Return what is known when another place is tracked."""
+        return NearLandmarks(before=min(self.log_odds, 0.0))
 
     def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> NearLandmarks:
         """Return what is known after an image.
@@ -76,7 +83,7 @@ class NearLandmarks:
             scenes[tested] += novelty
             matched[tested] += novelty * is_matched
         landmark = np.flatnonzero(scenes > _FORGOTTEN)
-        return NearLandmarks(landmark, scenes[landmark], matched[landmark])
+        return NearLandmarks(landmark, scenes[landmark], matched[landmark], kept * self.before)
 
 
 def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

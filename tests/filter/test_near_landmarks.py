@@ -11,7 +11,8 @@ from belief_worlds import hours_of
 
 from localiser import Localiser, read_config
 from localiser.filter.belief import Belief
-from localiser.observation import NearLandmarks, Sighting
+from localiser.observation import Matches, NearLandmarks, Sighting
+from localiser.observation.near_landmarks import MEMORY_SCENES
 from localiser.particles import POSE, Particles
 from localiser.relocalisation import Candidates
 
@@ -46,13 +47,17 @@ def test_landmarks_that_are_missing_say_nothing_of_the_map_where_the_robot_is_el
     assert belief.reason(0.1, Sighting(0, measurement=np.zeros(1))) == "several places fit"
 
 
-def test_a_place_that_is_tracked_anew_is_tested_anew() -> None:
-    """What was seen from another place says nothing of this one."""
+@pytest.mark.parametrize("near", [MISSED, NearLandmarks(np.arange(9), np.full(9, 9.0), np.full(9, 9.0))])
+def test_a_place_that_is_tracked_anew_is_tested_anew(near: NearLandmarks) -> None:
+    """What was seen from another place speaks against the map, not for this place, and fades."""
     others = Candidates.unknown(replace(CLOUD, columns=CLOUD.columns + 5.0))
-    found = Belief(0.001, 0.99, 0.0, 0.009, candidates=others, near=MISSED).found(is_tracked=True)
+    found = Belief(0.001, 0.99, 0.0, 0.009, candidates=others, near=near).found(is_tracked=True)
     assert found is not None
-    for belief in (found[1], Belief(0.9, 0.05, 0.0, 0.05, near=MISSED).released(CLOUD)):
-        assert not belief.warning and not len(belief.near.landmark)
+    for belief in (found[1], Belief(0.9, 0.05, 0.0, 0.05, near=near).released(CLOUD)):
+        assert not len(belief.near.landmark)
+        assert belief.near.log_odds == min(near.log_odds, 0.0)
+        later = belief.near.after(Matches.none(5, 30), np.zeros((30, 2)), np.zeros(3), 1.0)
+        assert later.log_odds == pytest.approx(np.exp(-1 / MEMORY_SCENES) * belief.near.log_odds)
 
 
 def test_they_are_not_asked_for_where_nothing_can_be_elsewhere() -> None:

@@ -57,7 +57,7 @@ def test_nothing_is_known_at_first_and_by_images_that_tell_nothing() -> None:
         NearLandmarks().after(few, points, HERE, 1.0),
         NearLandmarks().after(seen, points, HERE, 0.0),
     ):
-        assert known.log_odds == 0.0 and known.probability == pytest.approx(1.0 / (1.0 + ANOTHER))
+        assert known.log_odds == 0.0 and known.probability == 1.0
 
 
 def test_each_landmark_counts_once_however_often_it_is_seen() -> None:
@@ -70,6 +70,9 @@ def test_each_landmark_counts_once_however_often_it_is_seen() -> None:
     weight = 1 - np.exp(-scenes)
     expected = weight * np.log(MATCHED / BY_CHANCE) + weight * np.log((1 - MATCHED) / (1 - BY_CHANCE))
     assert known.log_odds == pytest.approx(expected)
+    missed = NearLandmarks(np.arange(20), np.full(20, 50.0), np.zeros(20))
+    odds = ((1 - MATCHED) / (1 - BY_CHANCE)) ** 20
+    assert missed.probability == pytest.approx((1 + ANOTHER) / (1 + ANOTHER / odds))
     for _ in range(40):
         known = after(known, np.array([True, False]))
     assert known.log_odds == pytest.approx(np.log(MATCHED * (1 - MATCHED) / (BY_CHANCE * (1 - BY_CHANCE))), rel=1e-6)
