@@ -162,7 +162,7 @@ class PredictsScenes(Observation, Protocol):
 
 @runtime_checkable
 class Associates(Observation, Protocol):
-    """An observation that can say which landmark each edge shows, for display."""
+    """An observation that can say which landmark each edge shows."""
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Matches:
         """Return the most likely landmark of every edge, seen from one robot pose (3,)."""
