@@ -27,7 +27,7 @@ BEGIN_S = 3.0  # what is said earlier on a wrong map is not judged
 BACK_M = 0.25
 MINUTES = 12.0  # of a drive in a simulated building: ten seeds of six kinds are twelve hours
 SHOP_MINUTES = 1.5
-OF_ONE_KIND = ("floor", "corridors", "shelves")  # of which no two buildings have the same rooms
+OF_ONE_KIND = ("floor", "corridors", "shelves")  # kinds whose buildings are judged on each other's maps
 DOUBTFUL, FEWEST_EXPECTED, FEWEST_SHOWN = 0.5, 3, 5
 NEVER = math.inf
 
@@ -277,10 +277,8 @@ def _each(*parts: Sequence[str]) -> Callable[[Sequence[str]], list[About]]:
 def _wrong(kinds: Sequence[str]) -> list[About]:
     pairs = [(log, other) for log in LOGS for other in LOGS if other != log]
     null = list(product(LOGS, ("mirrored", "shuffled"), ("own", "none"), kinds))
-    return [(*pair, start, kind) for pair in pairs for start in ("own", "theirs", "none") for kind in kinds] + [
-        *null,
-        *product(OF_ONE_KIND, ("another",), ("own", "none"), kinds),
-    ]
+    others = [(*pair, start, kind) for pair in pairs for start in ("own", "theirs", "none") for kind in kinds]
+    return others + null + list(product(OF_ONE_KIND, ("another",), ("own", "none"), kinds))
 
 
 NEAR_OR_NOT, BOTH = ("truth", "global"), ("line", "slope")

@@ -86,9 +86,11 @@ def _near_landmarks(value: NearLandmarks) -> None:
     landmark, scenes, matched = value.landmark, value.scenes, value.matched
     if landmark.ndim != 1 or landmark.dtype.kind != "i" or not landmark.shape == scenes.shape == matched.shape:
         raise ValueError("expected two numbers of scenes for each near landmark, found others")
-    fits = np.isfinite(scenes) & np.isfinite(value.before) & (scenes > 0) & (matched >= 0) & (matched <= scenes)
+    fits = np.isfinite(scenes) & (scenes > 0) & (matched >= 0) & (matched <= scenes)
     if not (np.diff(landmark, prepend=-1) > 0).all() or not fits.all():
         raise ValueError("expected ascending landmarks, tested in at least as many scenes as matched, found others")
+    if not -_LARGEST <= value.before <= 0.0:
+        raise ValueError(f"expected log-odds of at most 0 from the places before, found {value.before}")
 
 
 def _odometry(value: Odometry) -> None:

@@ -290,6 +290,14 @@ def _endless(state: FilterState) -> None:
     state.belief = replace(state.belief, near=NearLandmarks(np.array([1]), np.array([np.inf]), np.array([np.inf])))
 
 
+def _unknown_before(state: FilterState) -> None:
+    state.belief = replace(state.belief, near=NearLandmarks(before=np.nan))
+
+
+def _likelier_before(state: FilterState) -> None:
+    state.belief = replace(state.belief, near=NearLandmarks(before=5.0))
+
+
 def _untested(state: FilterState) -> None:
     state.belief = replace(state.belief, near=NearLandmarks(np.array([1, 2]), np.array([0.5]), np.array([0.5, 0.5])))
 
@@ -299,7 +307,7 @@ def _flat(state: FilterState) -> None:
 
 
 IMPOSSIBLE = [_cut, _far, _weightless, _short, _uneven, _backward, _unturned, _negative, _flat]
-IMPOSSIBLE += [_invisible, _certain, _unequal, _overmatched, _endless, _untested]
+IMPOSSIBLE += [_invisible, _certain, _unequal, _overmatched, _endless, _untested, _unknown_before, _likelier_before]
 
 
 @pytest.mark.parametrize("change", IMPOSSIBLE)
