@@ -107,7 +107,7 @@ class Evidence:
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
         """Return the motion by edges alone, of a robot that had this twist per second."""
-        return self.odometer.seen(self.before, self.after, seconds, pace)[0]
+        return self.odometer.seen(self.before, self.after, seconds, pace, steers=False)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -72,10 +72,15 @@ class Odometer:
         return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad), pace
 
     def seen(
-        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
+        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None, *, steers: bool = True
     ) -> tuple[Gaussian, Gaussian]:
-        """Return the motion by the edges alone, without the error of the scale, and the pace as `increment` has it."""
-        found = follow(*self._frames(before, after, seconds, pace))
+        """Return the motion by the edges alone, without the error of the scale, and the pace as `increment` has it.
+
+        steers: whether the robot hardly ever moves sideways. What wheels are judged by must not take that for granted:
+        where edges do not tell, the prior would speak against every robot that walks or flies.
+        """
+        frames, beliefs = self._frames(before, after, seconds, pace)
+        found = follow(frames, beliefs if steers else beliefs[1:])
         return found.motion, Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
 
     def _frames(

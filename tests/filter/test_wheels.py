@@ -10,6 +10,7 @@ import pytest
 from belief_run import located
 from belief_worlds import hours_of
 from short_log import corridor_with_edges
+from two_views import CAMERA, edges_from
 
 from localiser import Localiser
 from localiser.camera import Camera, Mount
@@ -102,6 +103,21 @@ def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
     noise = contradicts(wheels + np.array([0.0, 0.008, 0.002]), cov, seen, any_cov)
     assert agree < -4.0 and agree < noise < -3.0
     assert slip == pytest.approx(np.log(1.0 / ASTRAY), abs=0.01)
+
+
+def test_the_camera_does_not_take_for_granted_that_a_robot_steers() -> None:
+    """Someone who walks sideways past things with no feet in view: edges tell the turn, and no more, of the wheels."""
+    parameters, right_m, sigma = VisualOdometryParameters(), 0.1, np.array([2e-3, 1e-2, 2e-3])
+    odometer, move = Odometer(CAMERA, parameters), np.array([right_m, -0.1, 0.02])
+    rng = np.random.default_rng(0)
+    before, after = (edges_from(pose, rng, feet=False) for pose in (np.zeros(3), move))
+    pace = Gaussian(np.array([0.0, -0.5, 0.1]), 1e-4 * np.eye(3))
+    log_ratio = {}
+    for steers in (True, False):
+        seen = with_scale(odometer.seen(before, after, 0.2, pace, steers=steers)[0], walks=False)
+        log_ratio[steers] = contradicts(move, np.diag(sigma**2), seen, parameters.twist(None, 0.2).cov)
+    assert log_ratio[True] > 2.0
+    assert log_ratio[False] < 0.5
 
 
 def test_the_scale_of_ranges_is_in_the_covariance_of_a_motion_seen() -> None:
