@@ -5,10 +5,9 @@ Messages are decoded by the definitions that ROS ships, never by those that a ba
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -81,7 +80,6 @@ class Bag:
             raise InputError("no such bag", path=path)
         check_files(path, METADATA_FILE)
         with bag_errors(path):
-            _restore(path)
             self._reader: Any = (rosbag1_reader() if is_ros1 else rosbag2_reader())(path)
             self._reader.open()
         try:
@@ -141,21 +139,6 @@ def _checked(connection: Connection) -> Connection:
     if not isinstance(connection.msgcount, int) or connection.msgcount < 0:
         raise ValueError("a topic has no number of messages")
     return connection
-
-
-def _restore(path: Path) -> None:
-    """Let SQLite undo what was half written to a database when its recorder was killed.
-
-    `rosbags` reads a database as it lies on the disk, without a look at the journal beside it. Raises sqlite3.Error.
-    """
-    for database in _databases(path):
-        if database.with_name(f"{database.name}-journal").exists():
-            with closing(sqlite3.connect(database)) as connection:
-                connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-
-
-def _databases(path: Path) -> list[Path]:
-    return [path] if path.suffix == ".db3" and not path.is_dir() else sorted(path.glob("*.db3"))
 
 
 @contextmanager

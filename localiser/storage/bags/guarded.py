@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from bz2 import BZ2Decompressor
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from localiser.storage.bags import limits
+from localiser.storage.bags.restore import restored
 
 _LONGEST_QOS = 10_000  # a publisher takes 600
 _MOST_RATIO = 50  # of a file that is compressed as a whole; recorded images come to less than 10
@@ -25,15 +27,23 @@ def rosbag2_reader() -> type[Any]:
     _bound_unpacking()
 
     class Database(storage_sqlite3.Sqlite3Reader):
-        """A database that is looked at first; a ? or % in its name is no part of an address."""
+        """A database that is restored and looked at first; a ? or % in its name is no part of an address."""
 
         def __init__(self, path: Any) -> None:
-            super().__init__(Path(quote(os.fsencode(path.absolute()))))
-            self._file = path
+            super().__init__(path)
+            self._file, self._copies = path, ExitStack()
 
         def open(self) -> None:
-            limits.check_database(self._file)
-            super().open()
+            with ExitStack() as copies:
+                whole = copies.enter_context(restored(self._file))
+                limits.check_database(whole)
+                self.path = Path(quote(os.fsencode(whole.absolute())))
+                super().open()
+                self._copies = copies.pop_all()
+
+        def close(self) -> None:
+            super().close()
+            self._copies.close()
 
     class Chunked(storage_mcap.McapReader):
         """An MCAP file whose topics and chunks are counted."""

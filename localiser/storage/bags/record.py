@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from localiser.documents import output_errors
 from localiser.errors import InputError, OutputError
 from localiser.storage.bags.bag import typestore
+from localiser.storage.bags.restore import BESIDE, beside
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Qos
@@ -57,8 +58,9 @@ class BagRecorder:
                 f"expected a path that ends in {SUFFIX} (`localiser convert` makes other kinds of it), found {path}",
                 field="--record",
             )
-        if path.exists():
-            raise OutputError(f"{path}: expected a path where nothing is, found something there")
+        for place in (path, *(beside(path, ending) for ending in BESIDE)):
+            if place.exists():  # also what SQLite would delete
+                raise OutputError(f"{place}: expected a path where nothing is, found something there")
         self._path, self._latched, self._store = path, frozenset(latched), typestore(ros1=False)
         self._topics: dict[tuple[str, str], int] = {}
         self._last_ns = 0

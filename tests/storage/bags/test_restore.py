@@ -1,0 +1,154 @@
+"""What lies beside a database: nothing that is read is written to, and nothing that was committed is lost."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from hot_journal import lay_journal
+from recorded_texts import text, texts
+from short_log import Localiser
+from small_bag import Recorder, bag
+
+from localiser.errors import InputError, OutputError
+from localiser.storage import open_log
+from localiser.storage.bags.record import BagRecorder
+
+PATIENCE_S = 60.0
+TEXT = "std_msgs/msg/String"
+KILLED = """
+import os, sqlite3, sys
+database = sqlite3.connect(sys.argv[1], isolation_level=None)
+database.execute("PRAGMA journal_mode=" + sys.argv[2])
+database.execute("PRAGMA cache_size=5")
+add = "INSERT INTO messages(topic_id, timestamp, data) SELECT 1, ?, data FROM messages LIMIT 1"
+database.execute(add, (10,))
+database.execute("BEGIN")
+for k in range(20000):
+    database.execute(add, (20 + k,))
+os._exit(9)
+"""
+
+
+def images(recorder: Recorder) -> None:
+    for step in range(4):
+        recorder.image(step * 10**8)
+
+
+def states(folder: Path) -> dict[str, tuple[bytes, int]]:
+    """Return what each file of a folder holds, and when that was written."""
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
+    return {str(file.relative_to(folder)): (file.read_bytes(), file.stat().st_mtime_ns) for file in files}
+
+
+@pytest.fixture
+def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder for temporary files."""
+    (tmp_path / "private").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "private"))
+    return tmp_path / "private"
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    """Return a folder with a bag whose journal names a file beside it."""
+    bag(tmp_path / "hostile" / "bag", images, "sqlite3")
+    (tmp_path / "hostile" / "victim").write_text("mine")
+    lay_journal(tmp_path / "hostile" / "bag" / "bag.db3", tmp_path / "hostile" / "victim")
+    return tmp_path / "hostile"
+
+
+@pytest.mark.parametrize("name", ["bag", "bag/bag.db3", "link.db3"])
+def test_a_journal_that_names_another_file_is_refused(hostile: Path, private: Path, name: str) -> None:
+    (hostile / "link.db3").symlink_to("bag/bag.db3")
+    before = states(hostile)
+    with pytest.raises(InputError, match=r"bag.db3-journal: expected the journal of a bag, found one that has SQLite"):
+        open_log(hostile / name)
+    assert states(hostile) == before and not list(private.iterdir())
+
+
+@pytest.mark.parametrize("name", ["bag", "bag/bag.db3"])
+@pytest.mark.parametrize(
+    "command",
+    ["replay IN --out OUT", "convert IN OUT", "map build IN --out OUT --poses odometry", "camera sync IN"],
+)
+def test_no_command_changes_a_file(
+    hostile: Path, command: str, name: str, localiser: Localiser, tmp_path: Path
+) -> None:
+    before = states(hostile)
+    places = {"IN": hostile / name, "OUT": tmp_path / "out"}
+    result = localiser(*(places.get(word, word) for word in command.split()))
+    assert result.exit_code != 0 and "found one that has SQLite delete another file" in result.err
+    assert states(hostile) == before
+
+
+@pytest.mark.parametrize(("mode", "ending"), [("DELETE", "-journal"), ("WAL", "-wal")])
+def test_a_killed_recording_is_restored_in_a_copy(tmp_path: Path, private: Path, mode: str, ending: str) -> None:
+    """With what was committed at last, and without what was half written."""
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    recorder = BagRecorder(folder / "a.db3")
+    for k in range(5):
+        recorder.write("/a", TEXT, k, text("kept"))
+    recorder.close()
+    subprocess.run([sys.executable, "-c", KILLED, folder / "a.db3", mode], check=False, timeout=PATIENCE_S)
+    assert (folder / f"a.db3{ending}").stat().st_size > 0, "the case that is meant"
+    before = states(folder)
+    for _ in range(2):
+        assert texts(folder / "a.db3") == ["kept"] * 6
+    assert states(folder) == before and not list(private.iterdir())
+
+
+def test_a_journal_that_is_done_with_needs_no_copy(
+    tmp_path: Path, private: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Recorders may leave an empty one, or one whose head is zero."""
+    path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    path.with_name("bag.db3-journal").write_bytes(bytes(600))
+    path.with_name("bag.db3-wal").touch()
+    monkeypatch.setattr(shutil, "copyfile", None)
+    assert len(open_log(path).frames) == 4
+
+
+def test_where_there_is_no_space_what_to_do_is_told(
+    tmp_path: Path, private: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    path.with_name("bag.db3-wal").write_bytes(b"x")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100))
+    with pytest.raises(InputError, match=r"expected \d+ bytes of space to restore .* found 100 in .*; set TMPDIR to"):
+        open_log(path)
+    assert not list(private.iterdir())
+
+
+def test_a_bag_that_is_being_written_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    with closing(sqlite3.connect(path)) as recorder:
+        recorder.execute("PRAGMA journal_mode=WAL")
+        recorder.execute("CREATE TABLE more(a)")
+        recorder.commit()
+        copy = shutil.copyfile
+
+        def meanwhile(source: Path, target: Path) -> None:
+            copy(source, target)
+            recorder.execute("INSERT INTO more VALUES (1)")
+            recorder.commit()
+
+        monkeypatch.setattr(shutil, "copyfile", meanwhile)
+        with pytest.raises(InputError, match="is being written; read it when its recorder has ended"):
+            open_log(path)
+
+
+@pytest.mark.parametrize("ending", ["-journal", "-wal"])
+def test_a_recording_takes_no_place_that_something_lies_beside(tmp_path: Path, ending: str) -> None:
+    (tmp_path / f"a.db3{ending}").write_text("mine")
+    with pytest.raises(OutputError, match=f"a.db3{ending}: expected a path where nothing is, found something there"):
+        BagRecorder(tmp_path / "a.db3")
+    assert (tmp_path / f"a.db3{ending}").read_text() == "mine"
