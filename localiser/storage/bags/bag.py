@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from localiser.errors import InputError, LocaliserError
 from localiser.storage.bags.guarded import rosbag1_reader, rosbag2_reader
-from localiser.storage.bags.limits import check_files, check_topics, message_unpacker
+from localiser.storage.bags.limits import Allowance, check_files, check_topics, message_unpacker
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -79,7 +79,7 @@ class Bag:
         if not path.exists():
             raise InputError("no such bag", path=path)
         check_files(path, METADATA_FILE)
-        with bag_errors(path):
+        with bag_errors(path), Allowance(path).in_force():
             self._reader: Any = (rosbag1_reader() if is_ros1 else rosbag2_reader())(path)
             self._reader.open()
         try:
@@ -120,11 +120,15 @@ class Bag:
         if not connections:
             return
         with bag_errors(self.path):
-            for connection, t_ns, data in self._reader.messages(connections, start=from_ns):
+            read = Allowance(self.path)
+            found = self._reader.messages(connections, start=from_ns)
+            for connection, t_ns, packed in Allowance(self.path).over(found):
                 if (connection.topic, connection.msgtype) not in wanted:
                     raise ValueError("two topics share a number, so that their messages cannot be told apart")
                 with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
-                    content = self._decode(self._unpack(data), connection.msgtype)
+                    data = self._unpack(packed)
+                    read.spend(len(data))
+                    content = self._decode(data, connection.msgtype)
                 yield Message(connection.topic, connection.msgtype, int(t_ns), content)
 
 

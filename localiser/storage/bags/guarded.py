@@ -8,14 +8,14 @@ from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, BinaryIO
+from typing import Any
 from urllib.parse import quote
 
 from localiser.storage.bags import limits
 from localiser.storage.bags.restore import restored
 
 _LONGEST_QOS = 10_000  # a publisher takes 600
-_MOST_RATIO = 50  # of a file that is compressed as a whole; recorded images come to less than 10
+_KEPT_BYTES = 8 * 2**20  # of the chunks read last; recorders of ROS 1 close one after 0.8 MB
 MOST_MESSAGES = 1_000_000  # in a compressed chunk: `rosbags` keeps all of one chunk in memory, 0.3 kB each
 
 
@@ -69,15 +69,48 @@ def rosbag2_reader() -> type[Any]:
 @cache
 def rosbag1_reader() -> type[Any]:
     """Return the reader of bags of ROS 1, whose chunks are unpacked no further than is allowed."""
-    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag1 import reader
 
     _bound_unpacking()
+
+    class Reader(reader.Reader):
+        """A bag whose index is no larger than the bag, and of which some chunks are kept.
+
+        Chunks could share an index. Messages in turn from several chunks would have each unpacked again every time.
+        """
+
+        def __init__(self, path: Path) -> None:
+            super().__init__(path)
+            self._kept: dict[int, bytes] = {}
+
+        def read_chunk(self) -> Any:
+            chunk = super().read_chunk()
+            return chunk._replace(datasize=0, decompressor=lambda _: self._content(chunk))
+
+        def _content(self, chunk: Any) -> bytes:
+            assert self.bio is not None
+            content = self._kept.pop(chunk.datapos, None)
+            if content is None:
+                self.bio.seek(chunk.datapos)
+                content = chunk.decompressor(reader.read_bytes(self.bio, chunk.datasize))
+            self._kept[chunk.datapos] = content
+            while len(self._kept) > 1 and sum(map(len, self._kept.values())) > _KEPT_BYTES:
+                del self._kept[next(iter(self._kept))]
+            return content
+
+        def read_index_data(self, pos: int, indexes: Any) -> None:
+            assert self.bio is not None
+            before = self.bio.tell()
+            super().read_index_data(pos, indexes)
+            limits.spend(limits.MOST_RATIO * (self.bio.tell() - before))
+
     return Reader
 
 
 @cache
 def _bound_unpacking() -> None:
     """Make `rosbags` stop where something compressed, or the description of a topic, is larger than is allowed."""
+    import apsw
     from rosbags.rosbag1 import reader as ros1
     from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
 
@@ -85,6 +118,8 @@ def _bound_unpacking() -> None:
     def parsed(qos: str) -> list[Any]:
         if len(qos) > _LONGEST_QOS:
             raise ValueError(f"expected at most {_LONGEST_QOS} characters of how a topic was sent, found {len(qos)}")
+        if "*" in qos:
+            raise ValueError("expected plain data of how a topic was sent, found an alias")
         return metadata.parse_qos(qos)
 
     def lz4(data: bytes, _: int = 0) -> bytes:
@@ -92,15 +127,30 @@ def _bound_unpacking() -> None:
 
         return limits.decompressed(LZ4FrameDecompressor(), data)
 
+    def stored(data: bytes) -> bytes:
+        limits.spend(len(data))
+        return data
+
+    apsw.connection_hooks.append(limits.bound_database)
     zstd = vars(reader)["zstd"]  # of Python's library or its backport
-    vars(reader)["zstd"] = SimpleNamespace(decompress=zstd.decompress, open=_whole_file)
+
+    class WholeFile(zstd.ZstdFile):  # type: ignore[misc, name-defined]
+        """A compressed file."""
+
+        def read(self, size: int | None = -1) -> bytes:
+            data: bytes = super().read(size)
+            limits.spend(len(data))
+            return data
+
+    vars(reader)["zstd"] = SimpleNamespace(decompress=zstd.decompress, open=WholeFile)
     for module in (reader, storage_mcap, storage_sqlite3):
         vars(module)["parse_qos"] = lambda qos: parsed(qos) if isinstance(qos, str) else metadata.parse_qos(qos)
     storage_mcap.DECOMPRESSORS |= {
+        "": lambda data, _: stored(data),
         "lz4": lambda data, _: _counted(lz4(data)),
         "zstd": lambda data, _: _counted(limits.unpacked_zstd(data)),
     }
-    ros1.decompressors |= {"lz4": lz4, "bz2": lambda data: limits.decompressed(BZ2Decompressor(), data)}
+    ros1.decompressors |= {"none": stored, "lz4": lz4, "bz2": lambda data: limits.decompressed(BZ2Decompressor(), data)}
 
 
 def _counted(chunk: bytes) -> bytes:
@@ -112,28 +162,3 @@ def _counted(chunk: bytes) -> bytes:
     if count > MOST_MESSAGES:
         raise ValueError(f"expected at most {MOST_MESSAGES} messages in a chunk, found more")
     return chunk
-
-
-class _whole_file:  # noqa: N801 - it stands for the function zstd.open
-    """A compressed file that is read no further than `_MOST_RATIO` times its size, or the size of a chunk."""
-
-    def __init__(self, packed: BinaryIO, mode: str) -> None:
-        from rosbags.rosbag2 import storage_mcap
-
-        zstd: Any = vars(storage_mcap)["zstd"]  # of Python's library or its backport
-        self._file = zstd.open(packed, mode)
-        self._left = max(limits.MAX_CHUNK_BYTES, _MOST_RATIO * os.fstat(packed.fileno()).st_size)
-
-    def __enter__(self) -> _whole_file:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def read(self, size: int) -> bytes:
-        """Return the next bytes. Raises ValueError when the file swells."""
-        data: bytes = self._file.read(size)
-        self._left -= len(data)
-        if self._left < 0:
-            raise ValueError(f"expected a file that grows at most {_MOST_RATIO} times when unpacked, found more")
-        return data

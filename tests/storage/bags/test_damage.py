@@ -207,6 +207,7 @@ ZEROS = 64 * 2**20
 @pytest.fixture
 def small_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MAX_CHUNK_BYTES", 2**20)
+    monkeypatch.setattr(limits, "SMALL_BYTES", 2**20)
 
 
 @pytest.mark.usefixtures("small_limit")
@@ -300,16 +301,28 @@ def packed(tmp_path: Path) -> Path:
 @pytest.mark.usefixtures("small_limit")
 def test_a_compressed_file_that_swells_is_stopped(packed: Path) -> None:
     next(packed.glob("*.zstd")).write_bytes(zstd.compress(bytes(ZEROS)))
-    with pytest.raises(InputError, match="grows at most 50 times when unpacked, found more"):
+    with pytest.raises(InputError, match="grows at most 50 times when it is read, found more"):
         open_log(packed)
 
 
 def test_chunks_in_one_place_are_refused() -> None:
     """A list of ten thousand chunks in one place would unpack the same megabytes ten thousand times."""
-    chunk = SimpleNamespace(chunk_start_offset=40, compressed_size=1000, uncompressed_size=2000)
-    limits.check_chunks([chunk])
+    limits.check_chunks([chunk(40, 1000)])
     with pytest.raises(ValueError, match="found two in one place"):
-        limits.check_chunks([chunk, chunk])
+        limits.check_chunks([chunk(40, 1000), chunk(40, 1000)])
+
+
+def test_chunks_of_one_time_are_limited_in_sum() -> None:
+    """They are in memory together; those of different times are not."""
+    limits.check_chunks([chunk(k, 2**28, k) for k in range(1, 9)])
+    for last_ns in (9, 0):
+        with pytest.raises(ValueError, match="at most 536870912 bytes in chunks of one time, found more"):
+            limits.check_chunks([chunk(k, 2**28, 5, last_ns) for k in range(1, 4)])
+
+
+def chunk(at: int, size: int, first_ns: int = 0, last_ns: int | None = None) -> SimpleNamespace:
+    times = {"message_start_time": first_ns, "message_end_time": first_ns if last_ns is None else last_ns}
+    return SimpleNamespace(chunk_start_offset=at, compressed_size=1, uncompressed_size=size, **times)
 
 
 def test_a_chunk_of_too_many_messages_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
