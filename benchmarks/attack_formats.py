@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import attack_values as values
+from rosbags.rosbag2.storage_mcap import zstd
 
 from localiser.documents import dump, parse
 from localiser.errors import InputError
@@ -46,7 +47,11 @@ def _yaml(data: bytes, rng: random.Random) -> bytes:
         tree = parse(data.decode(), "").value
     except InputError as error:
         raise ValueError(str(error)) from None
-    return dump(_changed(tree, rng)).encode(errors="surrogatepass")
+    text = dump(_changed(tree, rng))
+    if rng.random() < 0.05:  # 2^30 values in 30 lines
+        merged = (f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}]}}\n" for k in range(1, 31))
+        text += "a0: &a0 {x: 1}\n" + "".join(merged)
+    return text.encode(errors="surrogatepass")
 
 
 def _json(data: bytes, rng: random.Random) -> bytes:
@@ -185,7 +190,11 @@ def _parts(parts: list[Any], rng: random.Random, change: Callable[[Any], Any]) -
 
 
 def _sqlite(data: bytes, rng: random.Random) -> bytes:
-    """Change cells, messages by their fields, or the schema; sometimes the pages themselves."""
+    """Change cells, messages by their fields, or the schema; sometimes a page, which is then part of two others."""
+    if rng.random() < 0.1:
+        size = int.from_bytes(data[16:18], "big")
+        source, target = (size * rng.randrange(1, len(data) // size) for _ in range(2))
+        return data[:target] + data[source : source + size] + data[target + size :]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag.db3"
         path.write_bytes(data)
@@ -263,6 +272,11 @@ def _record(record: tuple[int, bytes], rng: random.Random) -> tuple[int, bytes]:
     if kind == 6:  # a chunk: 28 bytes, the name of the compression, and the records
         named = int.from_bytes(body[28:32], "little")
         begin = 32 + named + 8
+        if rng.random() < 0.2:
+            size = rng.choice((10**6, 10**7, 10**8))
+            packed = zstd.compress(body[begin:] + bytes(size))
+            head = body[:16] + struct.pack("<QII", len(body) - begin + size, 0, 4) + b"zstd"
+            return kind, head + struct.pack("<Q", len(packed)) + packed
         inner = _records(body[begin:]) if named == 0 else []
         if inner and rng.random() < 0.8:
             inner = _parts(inner, rng, lambda part: _record(part, rng))

@@ -119,6 +119,20 @@ def all_of_log(path: Path, out: Path) -> None:
             event.load()
 
 
+def _lay_beside(path: Path, rng: random.Random) -> None:
+    """Put beside a database what a killed writer could have left, made to have SQLite delete a file; then change it."""
+    sys.path[:0] = [str(ROOT / "tests" / "support")]
+    from hot_journal import lay_journal
+
+    victim = path.with_name("victim")
+    victim.write_text("mine")
+    journal = lay_journal(path, victim)
+    if rng.random() < 0.5:
+        journal.write_bytes(mutated(journal.read_bytes(), ".journal", rng))
+    if rng.random() < 0.3:
+        journal.rename(path.with_name(f"{path.name}{rng.choice(('-wal', '-shm'))}"))
+
+
 def _table_of_edges(path: Path, out: Path) -> None:
     from localiser.storage import read_camera
     from localiser.storage.edge_tables import read_edges
@@ -300,6 +314,7 @@ READERS: dict[str, Target] = {
     "bag-ros1": Target("bag.bag", all_of_log),
     "bag-mcap": Target("file.mcap", all_of_log),
     "bag-sqlite": Target("file.db3", all_of_log),
+    "bag-beside": Target("file.db3", all_of_log, change=_lay_beside),
     "bag-folder": Target("sqlite3", all_of_log),
     "live": Target("live", _live, change=_change_messages),
 }

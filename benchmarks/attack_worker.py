@@ -34,7 +34,17 @@ def case(name: str, number: int, samples: Path, folder: Path) -> dict[str, Any]:
     out = folder / "out"
     out.mkdir(parents=True)
     path = targets.prepared(target, samples, folder / "in", random.Random(f"{name} {number}"))
-    return attempt(target, path, out)
+    before = contents(folder / "in")
+    end = attempt(target, path, out)
+    if name in targets.READERS and contents(folder / "in") != before:
+        end |= {"end": "changed", "at": "a file that is read, or one beside it"}
+    return end
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return what the regular files in a folder hold, by their paths."""
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+    return {os.fsdecode(path): path.read_bytes() for path in files}
 
 
 def attempt(target: targets.Target, path: Path, out: Path) -> dict[str, Any]:

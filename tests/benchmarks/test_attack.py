@@ -80,6 +80,29 @@ def test_faults_are_told_by_their_kind(tmp_path: Path) -> None:
     assert attack_worker.attempt(attack_targets.Target("x", _drafted), tmp_path, tmp_path)["end"] == "draft"
 
 
+def _deletes(path: Path, out: Path) -> None:
+    path.with_name("victim").unlink()
+
+
+def test_a_reader_that_changes_a_file_is_a_fault(
+    tmp_path: Path, bags_of_sqlite: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what lies beside a database has none of them do so, as it is or changed."""
+    ends = [attack_worker.case("bag-beside", k, bags_of_sqlite, tmp_path / str(k))["end"] for k in range(20)]
+    assert set(ends) == {"value", "refused"}
+    target = attack_targets.Target("file.db3", _deletes, change=attack_targets.READERS["bag-beside"].change)
+    monkeypatch.setitem(attack_targets.TARGETS, "bag-beside", target)
+    assert attack_worker.case("bag-beside", 1, bags_of_sqlite, tmp_path / "changed")["end"] == "changed"
+
+
+@pytest.fixture
+def bags_of_sqlite(tmp_path: Path) -> Path:
+    """Return a folder of samples with a bag."""
+    folder = tmp_path / "samples"
+    (bag(folder / "bag", lambda recorder: recorder.image(10**8), "sqlite3") / "bag.db3").rename(folder / "file.db3")
+    return folder
+
+
 @LINUX
 @pytest.mark.slow  # quick: the other tests of this file
 def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
