@@ -152,3 +152,11 @@ def test_a_recording_takes_no_place_that_something_lies_beside(tmp_path: Path, e
     with pytest.raises(OutputError, match=f"a.db3{ending}: expected a path where nothing is, found something there"):
         BagRecorder(tmp_path / "a.db3")
     assert (tmp_path / f"a.db3{ending}").read_text() == "mine"
+
+
+def test_a_bag_reads_no_file_outside_its_folder(tmp_path: Path) -> None:
+    file = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    file.rename(tmp_path / "other.db3")
+    file.symlink_to("../other.db3")
+    with pytest.raises(InputError, match=r"relative_file_paths\[0\]: expected a path inside the log's folder, found a"):
+        open_log(tmp_path / "bag")
