@@ -11,7 +11,7 @@ are far from where they should be, so δ is not Gaussian. Its probability is kep
 
 Half of σ² is common to the ends of an image, what is left of an error of the tilt, and their number does not average
 it away. Images count by how far the robot has moved between them. A height that was measured for each image, with a
-sigma, errs in each image in its own way and is taken as it is.
+sigma or not, errs in each image in its own way and is taken as it is.
 
 That needs a pose, and the pose of an image seen from a wrong height is wrong too. So until the height is known, at a
 start in particular, height and pose are weighed together: the likelihood of the image's edges at each height, averaged
@@ -128,6 +128,8 @@ class Height:
         stated = camera.at(edges.mount).mount
         if (measured_sigma_m := height_sigma_of_image(stated)) is not None:
             return replace(edges, height_sigma_m=measured_sigma_m)
+        if is_measured(camera, edges):
+            return edges
         sigma_m = float(np.sqrt(self._variance))
         if is_tracked and sigma_m > UNEVEN_M:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
@@ -147,6 +149,12 @@ def _seen_from(edges: Edges, stated: Mount, offset_m: float) -> Edges:
     return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
 
 
+def is_measured(camera: Camera, edges: Edges) -> bool:
+    """Whether the height was measured for this image: it is not the camera's usual one, or has a sigma of its own."""
+    mount = camera.at(edges.mount).mount
+    return mount.height_m != camera.mount.height_m or height_sigma_of_image(mount) is not None
+
+
 def height_sigma_of_image(mount: Mount) -> float | None:
-    """Return the sigma of a height that was measured for one image, None of one that was not."""
+    """Return the sigma of a height that was measured for one image, None where that is not said."""
     return None if mount.sigma is None else mount.sigma.height_m

@@ -19,9 +19,9 @@ import numpy as np
 
 from localiser.geometry import Array
 
-SCALES: Array = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # of sigmas of 6 mm: 0.8 mm to 0.1 m
+SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0.1 m
 CHANGES = 0.003  # the rate, for each independent image, at which what comes into view was mapped in another way
-REPEATED = 0.3  # what an image counts for: it shows for the most part landmarks whose errors were seen before
+REPEATED = 0.5  # what an image counts for: half of its landmarks were seen before, with the same errors
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view
 _PRIOR: Array = np.exp(-0.5 * np.log2(SCALES) ** 2)
 _PRIOR /= _PRIOR.sum()

@@ -24,7 +24,7 @@ from localiser.filter.height import (
     COARSE_NOVELTY,
     LEAST_NOVELTY,
     Height,
-    height_sigma_of_image,
+    is_measured,
     seen_from_offset,
 )
 from localiser.filter.map_error import SCALES, MapError
@@ -271,6 +271,8 @@ def _checked(
     odometer, observation = mcl.odometer, mcl.observation
     if odometer is None or odometer.follows_edges or not state.weighed or seen is None or seconds <= 0:
         return drive, driven
+    if seconds > odometer.parameters.pace_s:  # by then the robot may go on at any pace, so that nothing can be judged
+        return drive, driven
     if not len(sighting.edges) or not len(seen.edges):
         return drive, driven
     edges, camera = sighting.edges, odometer.camera
@@ -446,7 +448,7 @@ def _tells_height_with_poses(mcl: Mcl, state: FilterState, sighting: Sighting) -
     level, edges, landmarks = mcl.level, sighting.edges, mcl.landmark_map
     if level is None or not isinstance(mcl.observation, ComparesEnds) or not state.height.is_unknown:
         return False
-    if not np.isfinite(edges.ends_px).any() or height_sigma_of_image(level.camera.at(edges.mount).mount) is not None:
+    if not np.isfinite(edges.ends_px).any() or is_measured(level.camera, edges):
         return False
     is_new = not state.weighed or state.height.novelty >= COARSE_NOVELTY
     return is_new and bool(np.isfinite([landmarks.bottom_m, landmarks.top_m]).any())
@@ -478,7 +480,7 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
         return state.height
     stated = mcl.level.camera.at(located.edges.mount)
     height = state.height.seen(image.least_novelty if state.weighed else 0.0)
-    if height.novelty < LEAST_NOVELTY or height.is_unknown or height_sigma_of_image(stated.mount) is not None:
+    if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height
     as_stated = image.sighting
     if edges.mount is not located.edges.mount:
@@ -512,8 +514,7 @@ def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) ->
     found = state.map_error.seen(image.least_novelty)
     if found.novelty < LEAST_NOVELTY:
         return found
-    estimate, rate = located.estimate, state.inliers.mean
-    return found.after(observation.by_map_scale(estimate, sighting, mcl.landmark_map, SCALES, rate))
+    return found.after(observation.by_map_scale(located.estimate, sighting, mcl.landmark_map, SCALES))
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:

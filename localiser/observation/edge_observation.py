@@ -43,7 +43,7 @@ from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation import likelihood, polarity
 from localiser.observation.angle import Angle
 from localiser.observation.detection_rate import DETECTION_RATES
-from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
+from localiser.observation.inlier_rate import INLIER_RATES, InlierRate, log_sum_of_rates
 from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
 from localiser.observation.protocols import EarlierImage, EndOffsets, Matches, Sighting, Targets
@@ -53,6 +53,7 @@ from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate,
 Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
+ALONE_M = 0.15  # no other edge and no other landmark is nearer to one that tells how far the map errs
 _FAR_SIGMAS = 12.0  # beyond this a normal density is below 1e-31 of its peak: nothing beside clutter
 _SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
 _FEW = 64  # particles that tell how wide the cloud is
@@ -308,42 +309,35 @@ class EdgeObservation:
         matches.landmark[edge], matches.residual[edge] = seen.landmark[pair], residual
         return replace(matches, sigma=_placed(sigma, edge, len(edges)), gate=_placed(gate, edge, len(edges)))
 
-    def by_map_scale(
-        self,
-        located: Estimate,
-        sighting: Sighting,
-        landmark_map: LandmarkMap,
-        scales: Array,
-        inlier_rate: float,
-    ) -> Array:
-        """Return log p(edges | scale) (K,) for ascending scales (K,) of the map's sigmas, relative to clutter.
+    def by_map_scale(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
+        """Return log p(edges | scale) (K,) for scales (K,) of the map's sigmas, by landmarks that stand alone.
 
-        An error of the pose must not be taken for one of the map. So the poses that the estimate leaves are integrated
-        out, by Laplace's method at the one where the edges fit best. inlier_rate: expected fraction of edges of
-        landmarks.
+        Edges crowd where landmarks do: frames, shelves, folding doors. So a landmark tells of its error only where one
+        edge alone is within `ALONE_M` of it, and that edge is near no other landmark. Within that window, 2 w wide,
+
+            p(q_e | scale) = (1 - π) / 2w + π N(q_e; q_l(pose), σ_e² + scale² σ_l²),
+
+        where π, how many of these edges are their landmark's, is integrated out. So an edge that is on no map says
+        nothing of the scale. An error of the pose must not be taken for one of the map: the pose is the one among those
+        of the estimate at which edges lie nearest to their landmarks.
         """
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        if not len(edges):
-            return np.zeros(len(scales))
-        fitted, log_room = self._fitted(located, sighting, landmark_map, scales)
-        expected = self._expected_from(fitted, landmark_map, float(scales[-1]))
-        if not len(expected.angle):
-            return np.zeros(len(scales))
-        pair, edge = self._pairs(edges, expected, 0.0)
+        expected = self._expected_from(self._fitted(located, sighting, landmark_map), landmark_map, 1.0)
         measured, measured_var = self.angle.measured(edges)
-        variance = expected.variance[pair] * (scales[:, None] / scales[-1]) ** 2 + measured_var[edge]
-        density = _normal(measured[edge] - expected.angle[pair], variance)
-        density *= self._alike(edges, expected, pair, edge) * (self.angle.span_rad / expected.count)
-        ratio = np.stack([np.bincount(edge, one, minlength=len(edges)) for one in density])
-        return np.asarray(np.log1p(inlier_rate * (ratio - 1.0)).sum(axis=1) + log_room)
+        sigma_m = sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[expected.seen.landmark]
+        window = ALONE_M * np.sqrt(expected.variance) / np.maximum(sigma_m, 1e-9)
+        apart = measured - expected.angle[:, None]
+        near = np.abs(apart) < window[:, None]
+        pair, edge = np.nonzero(near & (near.sum(axis=1) == 1)[:, None] & (near.sum(axis=0) == 1))
+        variance = expected.variance[pair] * scales[:, None] ** 2 + measured_var[edge]
+        ratio = _normal(apart[pair, edge], variance) * 2.0 * window[pair]
+        by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=2)
+        return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
 
-    def _fitted(
-        self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array
-    ) -> tuple[Array, Array]:
-        """Return the pose (3,) among those of the estimate at which edges lie nearest to their landmarks, and its room.
+    def _fitted(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
+        """Return the pose (3,) among those of the estimate at which edges lie nearest to their landmarks.
 
-        It is found by Gauss-Newton steps, each with the landmarks that edges have from the pose before. The room (K,)
-        is the logarithm of the part of the estimate's poses at which edges fit as well, for each scale (K,) of the map.
+        It is found by Gauss-Newton steps, each with the landmarks that edges have from the pose before.
         """
         pose = fitted = located.pose_as_seen
         known = np.linalg.inv(located.pose_cov + np.diag(_LEAST_SIGMA**2))
@@ -351,18 +345,15 @@ class EdgeObservation:
             matches = self.associate(fitted, sighting, landmark_map)
             edge = np.flatnonzero(matches.landmark >= 0)
             assert matches.sigma is not None
-            camera_pose, variance = self.camera.pose_in_map(fitted[None])[0], matches.sigma[edge] ** 2
+            camera_pose = self.camera.pose_in_map(fitted[None])[0]
             points = landmark_map.points[matches.landmark[edge]]
             right, ahead = in_camera(camera_pose[None], points)
             _, per_bearing = self.angle.predicted(right[0] / ahead[0])
             by_pose = per_bearing[:, None] * bearing_jacobian(fitted, camera_pose, points)
-            weighted = by_pose.T / variance
+            weighted = by_pose.T / matches.sigma[edge] ** 2
             towards = weighted @ matches.residual[edge] - known @ (fitted - pose)
             fitted = fitted + np.linalg.solve(weighted @ by_pose + known, towards)
-        measured_var = self.angle.measured(sighting.edges)[1][edge]
-        each_var = measured_var + (variance - measured_var) * (scales[:, None] / sighting.map_scale) ** 2
-        information = np.einsum("ei,ke,ej->kij", by_pose, 1.0 / each_var, by_pose) + known
-        return fitted, 0.5 * (np.linalg.slogdet(known)[1] - np.linalg.slogdet(information)[1])
+        return np.asarray(fitted)
 
     def end_offsets(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> EndOffsets:
         """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).

@@ -39,9 +39,7 @@ class IdentifiedObservation(EdgeObservation):
         ratio = np.where(np.isfinite(density), density, 0.0) * self.angle.span_rad
         return np.stack([np.log1p(rate * (ratio - 1.0)).sum(axis=1) for rate in INLIER_RATES])
 
-    def by_map_scale(
-        self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array, inlier_rate: float
-    ) -> Array:
+    def by_map_scale(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
         """Return (K,) that no scale of the map's sigmas is likelier than another: they are taken as stated."""
         return np.zeros(len(scales))
 

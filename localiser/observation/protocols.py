@@ -173,13 +173,8 @@ class Associates(Observation, Protocol):
 class ScalesMaps(Observation, Protocol):
     """An observation that tells how far landmarks are from where the map has them."""
 
-    def by_map_scale(
-        self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array, inlier_rate: float
-    ) -> Array:
-        """Return log p(sighting | scale) (K,) at the poses where the robot may be.
-
-        scales: (K,) of the map's sigmas, ascending. inlier_rate: expected fraction of edges of landmarks.
-        """
+    def by_map_scale(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
+        """Return log p(sighting | scale) (K,) where the robot is; scales: (K,) of the map's sigmas."""
         ...
 
 
