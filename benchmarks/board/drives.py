@@ -9,18 +9,17 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import yaml
+from edge_light import Light
 from figures.program import fingerprint
 
 from board import racks
-from localiser import Camera, LandmarkMap, Trajectory, open_log, read_config, simulate_log
-from localiser.geometry import Array
+from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log
 from localiser.mapping import build_map_together, edges_of_log
 from localiser.simulate import odometry_of
 from localiser.simulate.robot import OdometrySpec
@@ -40,23 +39,6 @@ REAL_MAPS = {
     "office even": ("office_real/even",),
     "office odd": ("office_real/odd",),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Light:
-    """A change of an image: it is blurred (sigma, px), multiplied by `gain`, and noise (grey levels) is added."""
-
-    gain: float = 1.0
-    noise_sigma: float = 0.0
-    blur_px: float = 0.0
-
-    def taken(self, image: Array, seed: int) -> Array:
-        """Return the changed image in 8 bits."""
-        grey = image.astype(np.float64)
-        if self.blur_px:
-            grey = cv2.GaussianBlur(grey, (0, 0), self.blur_px)
-        noise = np.random.default_rng(seed).normal(0, max(self.noise_sigma, 1e-9), grey.shape)
-        return np.clip(np.rint(np.clip(self.gain * grey, 0, 255) + noise), 0, 255).astype(np.uint8)
 
 
 def is_there(name: str) -> bool:
@@ -115,7 +97,7 @@ def _lit(frame, light: Light, seed: int):
     """Return an image event whose picture is changed; its bytes tell it from others in the cache of edges."""
     return replace(
         frame,
-        load=lambda: light.taken(frame.load(), seed),
+        load=lambda: light.taken(frame.load(), np.random.default_rng(seed)),
         encoded=lambda: frame.encoded() + repr((light, seed)).encode(),
     )
 
@@ -150,8 +132,3 @@ def real_drive(name: str, seed: int) -> Drive:
 def on_map(name: str, map_name: str, change: Callable[[LandmarkMap], LandmarkMap] = lambda one: one) -> Callable:
     """Return a function from a seed to a real drive on the map of other logs, changed."""
     return lambda seed: replace(real_drive(name, seed), landmark_map=change(map_of(map_name)))
-
-
-def camera_of(name: str) -> Camera:
-    """Return the camera of a log."""
-    return log_of(name).camera

@@ -1,33 +1,27 @@
-"""The page of the scoreboard: kept as JSON, printed as a table, and compared with another one."""
+"""The page of the scoreboard: kept as JSON, printed as tables, and compared with another one."""
 
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
-import tarfile
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from io import BytesIO
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import t as student
 
 from board.run import FIGURES, NEVER, Values
+from localiser.geometry import Array
 
-ROOT = Path(__file__).resolve().parents[2]
 Page = dict[str, dict[int, Values]]
-"""Figures by row and seed."""
-BIGGER_IS_BETTER = {"sure", "log_score", "matched", "recall", "precision", "within_1_deg"}
-RATES = {"sure", "sure_wrong", "ece", "matched", "recall", "precision", "within_1_deg"}
-UNJUDGED = {"ms", "matched", "warned_s"}  # told, but no reason by itself
-ALSO = {"log_score": 0.01, "found": 1.0, "rmse_m": 0.0005, "median_m": 0.0005, "heading_deg": 0.01, "nees": 0.1}
-"""The least change that counts: below it a figure is as good, whatever the interval says."""
-LEAST_RATE, LEAST_SHARE, ALL_WORSE = 0.01, 0.03, 0.10
+"""Figures by the title of the row, `group: name`, and by seed."""
+DIGITS = 5  # that are kept of a figure
 HONEST_NEES = 3.0
+SHARE, POINT, LARGE = 0.03, 0.01, 0.10
+"""Least change of the median; of the median of a rate; of every seed by itself."""
+ENOUGH = 5  # seeds that may say so by themselves
+CALLED = 40  # figures, of which chance alone calls one worse
 
 
 def seeds_of(text: str) -> list[int]:
@@ -36,175 +30,160 @@ def seeds_of(text: str) -> list[int]:
     return list(range(int(first), int(last or first) + 1))
 
 
-# -- kept and printed --------------------------------------------------------------------------------------------------
+# -- kept --------------------------------------------------------------------------------------------------------------
 
 
-def save(path: Path, page: Page, groups: Mapping[str, str]) -> None:
-    """Write a page: a line for each run."""
-    rows = [
-        json.dumps(
-            {"group": groups[name], "row": name, "seed": seed} | {key: plain(one) for key, one in values.items()}
-        )
-        for name, runs in page.items()
-        for seed, values in runs.items()
-    ]
-    path.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+def rounded(values: Values) -> Values:
+    """Return figures as they are kept, with five digits."""
+    return {key: float(f"{one:.{DIGITS}g}") for key, one in values.items()}
+
+
+def save(path: Path, page: Page) -> None:
+    """Write a page: a line for each run; null for never."""
+    runs = []
+    for title, row in page.items():
+        group, _, name = title.partition(": ")
+        for seed, values in row.items():
+            kept = {key: None if one == NEVER else one for key, one in values.items()}
+            runs.append(json.dumps({"group": group, "row": name, "seed": seed} | kept, ensure_ascii=False))
+    path.write_text("[\n" + ",\n".join(runs) + "\n]\n", encoding="utf-8")
 
 
 def load(path: Path) -> Page:
     """Return a page that was saved."""
     page: Page = {}
     for run in json.loads(path.read_text(encoding="utf-8")):
-        values = {key: NEVER if one is None else one for key, one in run.items() if key not in ("group", "row", "seed")}
-        page.setdefault(run["row"], {})[run["seed"]] = values
+        title, seed = f"{run.pop('group')}: {run.pop('row')}", run.pop("seed")
+        page.setdefault(title, {})[seed] = {key: NEVER if one is None else one for key, one in run.items()}
     return page
 
 
-def plain(value: float) -> float | None:
-    """Return a number as JSON can have it, with five digits; None for never."""
-    return float(f"{value:.5g}") if np.isfinite(value) else None
+# -- printed -----------------------------------------------------------------------------------------------------------
 
 
-def table(page: Page, groups: Mapping[str, str]) -> str:
-    """Return the page as Markdown: median and worst of each figure."""
-    lines: list[str] = []
-    last: tuple[str, list[str]] = ("", [])
-    for name, runs in page.items():
-        keys = list(next(iter(runs.values())))
-        if (groups[name], keys) != last:
-            titles = [FIGURES[key][0] if key in FIGURES else key for key in keys]
-            lines += ["", f"| {groups[name]} | " + " | ".join(titles) + " |", "|---" * (len(keys) + 1) + "|"]
-            last = (groups[name], keys)
-        cells = [cell(key, [values[key] for values in runs.values()]) for key in keys]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+def markdown(page: Page) -> str:
+    """Return the page as a document: how it is made, what the figures mean, and the tables."""
+    seeds = sorted({seed for row in page.values() for seed in row})
+    lines = [
+        "# Scoreboard",
+        "",
+        f"{len(page)} situations, seeds {seeds[0]} to {seeds[-1]}, by `python benchmarks/scoreboard.py`;",
+        "[CONTRIBUTING.md](../CONTRIBUTING.md) says how it is used. Each figure is the median of the seeds, with the",
+        "worst in brackets, or how many seeds never came to a value.",
+        "",
+    ]
+    keys = {key for row in page.values() for values in row.values() for key in values}
+    lines += [f"- *{one.title}*: {one.meaning}" for key, one in FIGURES.items() if key in keys]
+    return "\n".join(lines) + "\n\n" + tables(page)
+
+
+def tables(page: Page) -> str:
+    """Return a table for each group of rows, as Markdown. A column in which no run has a value is left out."""
+    text = ""
+    for group, titles in groupby(page, lambda title: title.partition(": ")[0]):
+        rows = {title.partition(": ")[2]: list(page[title].values()) for title in titles}
+        keys = [key for key in FIGURES if any(one.get(key, NEVER) != NEVER for runs in rows.values() for one in runs)]
+        text += f"| {group} | " + " | ".join(FIGURES[key].title for key in keys) + " |\n"
+        text += "|---" * (len(keys) + 1) + "|\n"
+        for name, runs in rows.items():
+            cells = [cell(key, [one[key] for one in runs]) for key in keys]
+            text += f"| {name} | " + " | ".join(cells) + " |\n"
+        text += "\n"
+    return text
 
 
 def cell(key: str, values: Sequence[float]) -> str:
-    """Return median and worst of some seeds."""
-    middle, worst = float(np.median(values)), min(values) if key in BIGGER_IS_BETTER else max(values)
-    if key == "nees":
-        worst = max(values, key=lambda one: abs(np.log(max(one, 1e-9) / HONEST_NEES)))
-    shown = [_number(key, one) for one in (middle, worst)]
-    return shown[0] if len(values) == 1 else f"{shown[0]} ({shown[1]})"
+    """Return median and worst of some seeds, and how many of them never came to a value."""
+    shown = number(key, float(np.median(values)))
+    never = sum(one == NEVER for one in values)
+    if len(values) == 1 or never == len(values):
+        return shown
+    worst = f"{never} never" if never else number(key, values[int(badness(key, np.array(values)).argmax())])
+    return f"{shown} ({worst})"
 
 
-def _number(key: str, value: float) -> str:
-    if not np.isfinite(value):
-        return "–"
-    if key in RATES:
-        return f"{100 * value:.1f} %"
-    digits = {"rmse_m": 4, "median_m": 4, "found": 0, "ms": 1, "nees": 2, "warned_s": 1}.get(key, 2)
-    return f"{value:.{digits}f}"
+def number(key: str, value: float) -> str:
+    """Return a figure as it is printed."""
+    if value == NEVER:
+        return "never"
+    return f"{100 * value:.1f} %" if FIGURES[key].is_rate else f"{value:.{FIGURES[key].digits}f}"
 
 
 # -- compared ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """How a figure of a row changed. verdict: `worse`, `better`, or `` where it is the same."""
+class Compared:
+    """A figure of a row: its median before and now, and whether it is `worse`, `better`, or neither (empty)."""
 
-    row: str
+    title: str
     key: str
     before: float
     now: float
     verdict: str
 
 
-def compared(before: Page, now: Page) -> list[Verdict]:
-    """Return a verdict on every figure of every row that both pages have, by the seeds that both have."""
-    verdicts = []
-    for name, runs in now.items():
-        seeds = [seed for seed in runs if seed in before.get(name, {})]
-        for key in next(iter(runs.values())) if seeds else []:
-            pairs = np.array([[before[name][seed].get(key, np.nan), runs[seed][key]] for seed in seeds])
-            if not np.isnan(pairs).any():
-                middle = np.median(pairs, axis=0)
-                verdicts.append(Verdict(name, key, float(middle[0]), float(middle[1]), verdict(key, pairs)))
-    return verdicts
+def compared(before: Page, now: Page, exact: Collection[str] = ()) -> list[Compared]:
+    """Return what became of every figure of every row that both pages have, by the seeds that both have.
+
+    exact: titles of rows in which nothing is left to chance.
+    """
+    found = []
+    for title, row in now.items():
+        seeds = [seed for seed in row if seed in before.get(title, {})]
+        for key in row[seeds[0]] if seeds else ():
+            if all(key in before[title][seed] for seed in seeds):
+                pairs = np.array([[before[title][seed][key], row[seed][key]] for seed in seeds])
+                said = verdict(key, pairs, exact=title in exact) if FIGURES[key].is_judged else ""
+                found.append(Compared(title, key, *map(float, np.median(pairs, axis=0)), said))
+    return found
 
 
-def verdict(key: str, pairs: np.ndarray) -> str:
-    """Return what pairs (S, 2) of a figure before and now come to."""
-    bad = badness(key, pairs)
-    gained = np.isfinite(bad[:, 0]) != np.isfinite(bad[:, 1])
-    both = np.isfinite(bad).all(axis=1)
-    change = np.where(both, np.subtract(bad[:, 1], bad[:, 0], where=both, out=np.zeros(len(bad))), 0.0)
-    change = np.where(gained, np.where(np.isfinite(bad[:, 1]), -1.0, 1.0) * _large(key, bad), change)
-    if not change.any():
-        return ""
-    size = np.abs(np.where(np.isfinite(bad[:, 0]), bad[:, 0], 0.0))
-    middle = float(np.median(size))
-    least = LEAST_RATE if key in RATES else max(LEAST_SHARE * middle, ALSO.get(key, 0.0))
-    shift = float(np.median(change))
-    count = len(change)
-    half = student.ppf(0.975, count - 1) * change.std(ddof=1) / np.sqrt(count) if count > 1 else np.inf
-    beyond = abs(change.mean()) > half and abs(shift) >= least and np.sign(shift) == np.sign(change.mean())
-    each = np.maximum(ALL_WORSE * size, LEAST_RATE if key in RATES else ALSO.get(key, 0.0))
-    everyone = count >= 5 and ((change >= each).all() or (change <= -each).all())
-    return ("worse" if change.mean() > 0 else "better") if beyond or everyone else ""
+def verdict(key: str, pairs: Array, *, exact: bool = False) -> str:
+    """Return whether a figure is `worse` or `better`, or neither, by pairs (S, 2) of its values before and now.
+
+    exact: whether nothing is left to chance, so that one pair is enough.
+    """
+    figure, bad = FIGURES[key], badness(key, pairs)
+    known = np.isfinite(bad)
+    # Never is worse than any value that there is, however it is measured.
+    bad = np.where(known, bad, 2.0 * np.abs(bad[known]).max(initial=figure.floor))
+    change, size = bad[:, 1] - bad[:, 0], np.ones(len(bad)) if key == "nees" else np.abs(bad[:, 0])
+    mean, middle = change.mean(), np.median(change)
+    least = POINT if figure.is_rate else max(SHARE * np.median(size), figure.floor)
+    is_beyond = exact or (len(change) > 1 and abs(mean) > half_width(change))
+    is_worse = is_beyond and abs(middle) >= least and mean * middle > 0
+    large = np.maximum(LARGE * size, figure.floor)
+    every = len(change) >= ENOUGH and ((change >= large).all() or (change <= -large).all())
+    return ("worse" if mean > 0 else "better") if is_worse or every else ""
 
 
-def badness(key: str, values: np.ndarray) -> np.ndarray:
-    """Return numbers of which the larger is the worse. NEES: how far its logarithm is from an honest one, in nats."""
+def half_width(change: Array) -> float:
+    """Return half of the 95 % interval (t) of the mean of changes (S,)."""
+    return float(student.ppf(0.975, len(change) - 1) * change.std(ddof=1) / np.sqrt(len(change)))
+
+
+def badness(key: str, values: Array) -> Array:
+    """Return what grows as a figure gets worse. Of NEES, how far its logarithm is from that of an honest one."""
     if key == "nees":
-        with np.errstate(invalid="ignore"):
-            return np.abs(np.log(np.maximum(values, 1e-9) / HONEST_NEES))
-    return -values if key in BIGGER_IS_BETTER else values
+        return np.abs(np.log(np.maximum(values, 1e-9) / HONEST_NEES))
+    return -values if FIGURES[key].more_is_better else values
 
 
-def _large(key: str, bad: np.ndarray) -> float:
-    """Return what a change from or to never counts as: as much as the largest finite value."""
-    finite = bad[np.isfinite(bad)]
-    return max(float(np.abs(finite).max()) if len(finite) else 1.0, ALSO.get(key, 1.0))
-
-
-def comparison(verdicts: Sequence[Verdict], reference: str) -> str:
-    """Return what is worse and what is better, as Markdown, and ratios of time and matches over all rows."""
-    lines = ["", f"Against {reference}:"]
+def comparison(found: Sequence[Compared], reference: str) -> str:
+    """Return what is worse and what is better than the reference, as Markdown, and the ratio of times."""
+    judged = [one for one in found if FIGURES[one.key].is_judged]
+    count = len({one.title for one in found})
+    lines = [f"Against {reference}: {len(judged)} figures of {count} rows. Chance alone calls 1 in {CALLED} worse."]
     for word in ("worse", "better"):
-        chosen = [one for one in verdicts if one.verdict == word and one.key not in UNJUDGED]
-        lines += ["", f"{word}: {len(chosen)} figures of {len({one.row for one in chosen})} rows"]
-        for row in dict.fromkeys(one.row for one in chosen):
+        chosen = [one for one in judged if one.verdict == word]
+        lines += ["", f"{word}: {len(chosen)}"]
+        for title, row in groupby(chosen, lambda one: one.title):
             parts = [
-                f"{FIGURES[one.key][0] if one.key in FIGURES else one.key} "
-                f"{_number(one.key, one.before)} → {_number(one.key, one.now)}"
-                for one in chosen
-                if one.row == row
+                f"{FIGURES[one.key].title} {number(one.key, one.before)} → {number(one.key, one.now)}" for one in row
             ]
-            lines.append(f"- {row}: " + ", ".join(parts))
-    times = [one.now / one.before for one in verdicts if one.key == "ms" and one.before > 0]
+            lines.append(f"- {title}: " + ", ".join(parts))
+    times = [one.now / one.before for one in found if one.key == "ms" and one.before > 0]
     if times:
         lines += ["", f"processor time of an image, median of rows: {np.median(times):.2f} × that of before"]
     return "\n".join(lines)
-
-
-def of(reference: str, script: str, rows: Sequence, seeds: Sequence[int], jobs: int) -> Page:
-    """Return the page of a saved file, or of a commit, whose `localiser/` these benchmarks run here.
-
-    Raises SystemExit where the commit cannot be found or run.
-    """
-    if Path(reference).exists():
-        return load(Path(reference))
-    packed = subprocess.run(
-        ["git", "archive", reference, "localiser", "configs"], check=False, cwd=ROOT, capture_output=True
-    )
-    if packed.returncode:
-        raise SystemExit(f"--against: expected a saved page or a commit, found {reference}")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        with tarfile.open(fileobj=BytesIO(packed.stdout)) as archive:
-            archive.extractall(folder, filter="data")
-        saved = folder / "page.json"
-        exactly = [f"{row.group}: {row.name}" for row in rows]
-        command = [sys.executable, script, "--seeds", f"{seeds[0]}-{seeds[-1]}", "--jobs", str(jobs), "--save", saved]
-        environment = os.environ | {"LOCALISER_SOURCE": str(folder)}
-        ended = subprocess.run(
-            [*command, "--only", *exactly], check=False, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL
-        )
-        if ended.returncode or not saved.exists():
-            raise SystemExit(
-                f"--against: the benchmarks do not run with the code of {reference}; compare with its page"
-            )
-        return load(saved)

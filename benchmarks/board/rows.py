@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from edge_light import LIGHTS, Light
 
 from board import changes
-from board.drives import REAL_MAPS, Light, drive_of, is_there, map_of, on_map, real_drive, third_of
+from board.drives import REAL_MAPS, drive_of, is_there, on_map, third_of
 from board.run import Drive, Values, figures, run
 from board.worlds import hours_of
 
 MINUTES = 1.5  # of a drive in a simulated building
 HOUSE_FAULTS_S = (20.0, 33.0, 46.0, 60.0)
-LIGHTS = {"gain 2.5": Light(gain=2.5), "noise 20": Light(noise_sigma=20.0), "blur 3 px": Light(blur_px=3.0)}
 RENDERED = ("corridor", "office", "house", "bookstore")
 SIMULATED = {"shop": "shelves", "chairs": "chairs", "crowd": "crowd", "ring": "ring", "alike": "alike"}
 PAIRINGS = (
@@ -38,14 +38,22 @@ OTHER_BUILDINGS = (
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A situation. logs: data that it needs. judged: what a seed comes to. quick: whether `--quick` has it."""
+    """A situation. logs: data that it needs. judged: what a seed comes to. quick: whether `--quick` has it.
+
+    is_exact: whether nothing is left to chance, so that one seed is enough.
+    """
 
     group: str
     name: str
     logs: tuple[str, ...]
     judged: Callable[[int], Values]
     quick: bool = False
-    seeded: bool = True
+    is_exact: bool = False
+
+    @property
+    def title(self) -> str:
+        """What tells it from all others."""
+        return f"{self.group}: {self.name}"
 
     @property
     def is_there(self) -> bool:
@@ -123,7 +131,7 @@ def _real() -> Iterator[Row]:
     for robot in (1, 2, 3):
         name = f"mrclam:{robot}"
         yield Row("real", f"MRCLAM {robot}", (name,), partial(tracked, _log(name), "truth", "line"))
-    yield Row("edges", "York Urban, photographs", ("york_urban",), york_urban, seeded=False)
+    yield Row("edges", "York Urban, photographs", ("york_urban",), york_urban, is_exact=True)
 
 
 def _rendered() -> Iterator[Row]:
@@ -185,9 +193,9 @@ def _faults() -> Iterator[Row]:
         for off in (-0.5, 0.5):
             drive = partial(_off, name, off, 0.0)
             yield Row("faults", f"tilt {off:+.1f}°, {name}", (name,), partial(tracked, drive, "truth", "line"))
-    for label, light in LIGHTS.items():
+    for label in ("gain 2.5", "noise 20", "blur 3 px"):
         for name in ("house", "bookstore"):
-            drive = partial(_lit, name, light)
+            drive = partial(_lit, name, LIGHTS[label])
             yield Row("faults", f"{label}, {name}", (name,), partial(tracked, drive, "truth", "line"))
     for name in ("corridor", "house"):
         drive = partial(_late, name)
@@ -230,9 +238,6 @@ def york_urban(_: int) -> Values:
     }
 
 
-def maps_needed() -> list[str]:
-    """Return the names of maps that are made of logs whose data is there."""
-    return [name for name, logs in REAL_MAPS.items() if all(map(is_there, logs))]
-
-
-__all__ = ["Row", "every_row", "map_of", "maps_needed", "real_drive"]
+def maps_needed(logs: Collection[str]) -> list[str]:
+    """Return the names of maps that are made of these logs."""
+    return [name for name, made_of in REAL_MAPS.items() if set(made_of) <= set(logs)]

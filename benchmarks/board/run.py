@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import thread_time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,21 @@ class Record:
     matched: float
     ms: Array
 
+    @property
+    def error_m(self) -> Array:
+        """Position error (T,), infinite where no estimate can be right."""
+        return np.nan_to_num(np.hypot(self.error[:, 0], self.error[:, 1]), nan=np.inf)
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """Whether (T,) the estimate is within 0.5 m and 10°."""
+        return (self.error_m <= CORRECT_M) & (np.abs(self.error[:, 2]) <= CORRECT_RAD)
+
+    @property
+    def sure(self) -> NDArray[np.bool_]:
+        """Whether (T,) p_correct is above 0.9."""
+        return self.p_correct > SURE
+
 
 def run(
     drive: Drive,
@@ -93,19 +108,22 @@ def run(
         start = drive.truth[0] + START_SIGMA * robot.rng.standard_normal(3)
     if start is not None:
         robot.start(np.append(start[:2], wrap_angle(start[2])), np.diag(START_SIGMA**2), int(drive.t_ns[0]))
-    frames, ms = located(robot, drive)
+    return record_of(*located(robot, drive), drive.truth if same_building else np.full(drive.truth.shape, np.nan))
+
+
+def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array) -> Record:
+    """Return what was said in T images, and how wrong it was. truth: (T, 3), nan where nothing is right."""
     found = [frame.located for frame in frames]
-    error = np.array([one.estimate.pose for one in found]) - drive.truth
+    error = np.array([one.estimate.pose for one in found]) - truth
     error[:, 2] = wrap_angle(error[:, 2])
-    seconds = np.array([one.t_ns - found[0].t_ns for one in found]) / 1e9
     return Record(
-        seconds,
-        error if same_building else np.full(error.shape, np.nan),
-        np.array([one.p_correct for one in found]),
-        np.array([bool(one.warning) for one in found]),
-        nees(error, np.array([one.estimate.pose_cov for one in found])),
-        float(np.concatenate([frame.matches.landmark >= 0 for frame in frames]).mean()),
-        np.array(ms),
+        seconds=np.array([one.t_ns - found[0].t_ns for one in found]) / 1e9,
+        error=error,
+        p_correct=np.array([one.p_correct for one in found]),
+        warned=np.array([bool(one.warning) for one in found]),
+        nees=nees(error, np.array([one.estimate.pose_cov for one in found])),
+        matched=float(np.concatenate([frame.matches.landmark >= 0 for frame in frames]).mean()),
+        ms=np.array(ms),
     )
 
 
@@ -129,19 +147,49 @@ def located(robot: Localiser, drive: Drive) -> tuple[list[LocatedFrame], list[fl
 
 # -- figures -----------------------------------------------------------------------------------------------------------
 
-FIGURES: dict[str, tuple[str, str]] = {
-    "rmse_m": ("RMSE m", "root of the mean square of the position error, of every image since found"),
-    "median_m": ("median m", "median of the position error, of every image since found"),
-    "heading_deg": ("heading °", "root of the mean square of the heading error, of every image since found"),
-    "nees": ("NEES", "mean of the normalised estimation error squared, of every image since found; 3 if honest"),
-    "found": ("found", "images until the first of five in succession that are right: within 0.5 m and 10°"),
-    "sure": ("sure", "share of the images with p_correct above 0.9"),
-    "sure_wrong": ("sure, wrong", "share of the images with p_correct above 0.9 that are not right"),
-    "ece": ("ECE", "expected calibration error of p_correct, ten bins"),
-    "log_score": ("log score", "mean logarithm of the probability that was given to what is true"),
-    "matched": ("matched", "share of the edges that belong to a landmark"),
-    "warned_s": ("warned s", "seconds until it is said that the map does not fit"),
-    "ms": ("ms", "processor time of an image, mean; edges not counted"),
+
+class Figure(NamedTuple):
+    """What a figure means, and how it is compared and printed.
+
+    floor: a change that is smaller counts as none. is_rate: printed in per cent, compared in points. is_judged: whether
+    a change of it is good or bad by itself.
+    """
+
+    title: str
+    meaning: str
+    digits: int = 2
+    floor: float = 0.01
+    is_rate: bool = False
+    more_is_better: bool = False
+    is_judged: bool = True
+
+
+_SINCE = "of every image since found"
+FIGURES = {
+    "rmse_m": Figure("RMSE m", f"root of the mean square of the position error, {_SINCE}", 4, 0.0005),
+    "median_m": Figure("median m", f"median of the position error, {_SINCE}", 4, 0.0005),
+    "heading_deg": Figure("heading °", f"root of the mean square of the heading error, {_SINCE}"),
+    "nees": Figure("NEES", f"mean of the normalised estimation error squared, {_SINCE}; 3 if honest"),
+    "found": Figure("found", "images until the first of five in succession that are right: within 0.5 m and 10°", 0, 1),
+    "sure": Figure("sure", "share of the images with p_correct above 0.9", is_rate=True, more_is_better=True),
+    "sure_wrong": Figure(
+        "sure, wrong", "share of the images with p_correct above 0.9 that are not right", is_rate=True
+    ),
+    "ece": Figure("ECE", "expected calibration error of p_correct, ten bins", is_rate=True),
+    "log_score": Figure(
+        "log score", "mean logarithm of the probability that was given to what is true", 3, more_is_better=True
+    ),
+    "matched": Figure("matched", "share of the edges that belong to a landmark", is_rate=True, is_judged=False),
+    "warned_s": Figure("warned s", "seconds until it is said that the map does not fit", 1, is_judged=False),
+    "ms": Figure("ms", "processor time of an image, mean; edges not counted", 1, is_judged=False),
+    "recall": Figure("recall", "share of the hand-labelled edges that are found", is_rate=True, more_is_better=True),
+    "precision": Figure("precision", "share of the edges found that are labelled", is_rate=True, more_is_better=True),
+    "bearing_deg": Figure("bearing °", "median error of the bearing of an edge", 3),
+    "tilt_deg": Figure("tilt °", "median error of the tilt that the edges of a photograph tell"),
+    "roll_deg": Figure("roll °", "median error of the roll that they tell"),
+    "within_1_deg": Figure(
+        "within 1°", "share of the photographs whose tilt and roll are right to 1°", is_rate=True, more_is_better=True
+    ),
 }
 
 
@@ -151,9 +199,8 @@ def figures(record: Record, *, first: int = 0, stated: bool = False) -> Values:
     first: image from which on it is judged: where the robot was set down. stated: whether a true start was stated, so
     that all images count as found.
     """
-    error_m = np.nan_to_num(np.hypot(record.error[:, 0], record.error[:, 1]), nan=np.inf)[first:]
-    turn, p_correct = np.nan_to_num(np.abs(record.error[first:, 2])), record.p_correct[first:]
-    right, sure = (error_m <= CORRECT_M) & (turn <= CORRECT_RAD), p_correct > SURE
+    error_m, turn, p_correct = record.error_m[first:], np.abs(record.error[first:, 2]), record.p_correct[first:]
+    right, sure = record.right[first:], record.sure[first:]
     in_succession = np.convolve(right, np.ones(SETTLED), "valid") == SETTLED
     found = float(in_succession.argmax()) if in_succession.any() else NEVER
     since = slice(0 if stated else int(min(found, len(right))), None)
