@@ -21,6 +21,7 @@ HONEST_NEES = 3.0
 SHARE, POINT, LARGE = 0.03, 0.01, 0.10
 """Least change of the median; of the median of a rate; of every seed by itself."""
 ENOUGH = 5  # seeds that may say so by themselves
+LONG = 1e4  # from where on a figure is printed by its power of ten
 CALLED = 40  # figures, of which chance alone calls one worse
 
 
@@ -106,7 +107,9 @@ def number(key: str, value: float) -> str:
     """Return a figure as it is printed."""
     if value == NEVER:
         return "never"
-    return f"{100 * value:.1f} %" if FIGURES[key].is_rate else f"{value:.{FIGURES[key].digits}f}"
+    if FIGURES[key].is_rate:
+        return f"{100 * value:.1f} %"
+    return f"{value:.{FIGURES[key].digits}f}" if abs(value) < LONG else f"{value:.1e}"
 
 
 # -- compared ----------------------------------------------------------------------------------------------------------
@@ -174,7 +177,9 @@ def comparison(found: Sequence[Compared], reference: str) -> str:
     """Return what is worse and what is better than the reference, as Markdown, and the ratio of times."""
     judged = [one for one in found if FIGURES[one.key].is_judged]
     count = len({one.title for one in found})
-    lines = [f"Against {reference}: {len(judged)} figures of {count} rows. Chance alone calls 1 in {CALLED} worse."]
+    lines = [
+        f"Against {reference}: {len(judged)} figures of {count} rows. Chance alone calls about 1 in {CALLED} worse."
+    ]
     for word in ("worse", "better"):
         chosen = [one for one in judged if one.verdict == word]
         lines += ["", f"{word}: {len(chosen)}"]

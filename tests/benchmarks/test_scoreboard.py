@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scoreboard
-from board import changes, page
+from board import changes, page, rows
 from board.rows import every_row
 from board.run import FIGURES, NEVER, Drive, Record, figures
 from folders import ROOT
@@ -302,6 +302,7 @@ def test_the_page_has_median_and_worst_and_counts_what_never_came() -> None:
 def test_the_worst_nees_is_the_one_farthest_from_an_honest_one() -> None:
     assert page.cell("nees", [3.0, 2.9, 0.1, 6.0, 3.1]) == "3.00 (0.10)"
     assert page.cell("sure", [0.9, 0.8, 1.0]) == "90.0 % (80.0 %)"
+    assert page.cell("nees", [3.0, 4.0, 7201300.0]) == "4.00 (7.2e+06)"
 
 
 def test_pages_are_compared_by_the_rows_and_seeds_that_both_have() -> None:
@@ -331,12 +332,21 @@ def test_times_are_told_and_not_judged() -> None:
 # -- rows and program --------------------------------------------------------------------------------------------------
 
 
+def test_to_be_sure_is_no_merit_on_a_wrong_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A short drive on another floor of the building: what is judged there is what no filter should do."""
+    monkeypatch.setattr(rows, "MINUTES", 0.1)
+    (row,) = (one for one in every_row() if one.title == "wrong map: floor on another's")
+    values = row.judged(1)
+    assert set(values) == {"sure_wrong", "ece", "log_score", "matched", "warned_s", "ms"}
+    assert 0.0 <= values["sure_wrong"] <= 1.0 and values["log_score"] < 0.0
+
+
 def test_titles_are_unique_and_every_situation_has_a_row() -> None:
-    rows = every_row()
-    assert len({row.title for row in rows}) == len(rows)
-    groups = Counter(row.group for row in rows)
+    every = every_row()
+    assert len({row.title for row in every}) == len(every)
+    groups = Counter(row.group for row in every)
     assert set(groups) == {"real", "edges", "rendered", "simulated", "trust", "wrong map", "worn map", "faults"}
-    assert rows[0].group == "real" and 15 < sum(row.quick for row in rows) < 25
+    assert every[0].group == "real" and 15 < sum(row.quick for row in every) < 25
 
 
 def test_the_committed_page_has_only_rows_that_there_are() -> None:
@@ -344,7 +354,9 @@ def test_the_committed_page_has_only_rows_that_there_are() -> None:
     committed = ROOT / "benchmarks" / "scoreboard.json"
     if not committed.exists():
         pytest.skip("no page is committed yet")
-    assert list(page.load(committed)) == [row.title for row in every_row()]
+    kept = page.load(committed)
+    assert list(kept) == [row.title for row in every_row()]
+    assert (ROOT / "docs" / "scoreboard.md").read_text(encoding="utf-8") == page.markdown(kept)
 
 
 @pytest.mark.slow  # quick: the tests above hold the parts
