@@ -1,8 +1,6 @@
 """Measure the program and compare it with a baseline that is committed: is anything worse than it was?
 
     hashes        digests of trajectories, maps and other files: not one byte has changed
-    logs          errors, NEES, sureness over whole logs
-    scenarios     clutter, bare corridors, no start, robots carried away
     efficiency    errors over the limit of accuracy
     edges         recall, precision and bearing error of edge detectors
     speed         ratios of times within one run

@@ -43,7 +43,6 @@ class HouseView:
     """An image of the rendered house, the robot's pose (3,) and what is visible: landmarks, V of them.
 
     ends_px: (V, 2, 2). share: (V,) visible part. points: (P, 2) exact edges, landmark: (P,) which one each is part of.
-    name: of each landmark in the log's files.
     """
 
     image: Array
@@ -53,12 +52,6 @@ class HouseView:
     share: Array
     points: Array
     landmark: Array
-    name: list[str]
-
-    @property
-    def is_plain(self) -> Array:
-        """Whether (V,) at least 60 px of each are in view, and the median step across them is 8 grey levels."""
-        return _is_counted(self.image, self.ends_px, self.share)
 
 
 def house_views(folder: Path, every: int = 1) -> Iterator[HouseView]:
@@ -84,8 +77,7 @@ def house_views(folder: Path, every: int = 1) -> Iterator[HouseView]:
         points = [exact[edge["landmark_id"]] for edge in known]
         landmark = np.repeat(np.arange(len(points)), [len(each) for each in points])
         flat = np.array([point for each in points for point in each]).reshape(-1, 2)
-        name = [edge["landmark_id"] for edge in known]
-        yield HouseView(image, camera, poses[int(row["t_ns"])], ends, share, flat, landmark, name)
+        yield HouseView(image, camera, poses[int(row["t_ns"])], ends, share, flat, landmark)
 
 
 def house(folder: Path, every: int = 1) -> Iterator[Scene]:

@@ -15,7 +15,6 @@ COUNTED_LENGTH_PX = 60.0
 COUNTED_SIMULATED_STEP = 16.0
 LEAST_STEP = 2.0
 NEIGHBOUR_PX = 6.0
-SLANTED_MOST_DEG = 40.0
 _LEAST_RUN_PX = 8.0
 
 
@@ -37,10 +36,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Difficulty:
-    """How a simulated image is taken: camera, lens, exposure, noise. steps: grey levels between neighbours.
-
-    slanted: number of strips on the wall that lean by anything up to `SLANTED_MOST_DEG`: cables, banisters, gables.
-    """
+    """How a simulated image is taken: camera, lens, exposure, noise. steps: grey levels between neighbours."""
 
     noise_sigma: float = 4.0
     blur_px: float = 0.7
@@ -54,7 +50,6 @@ class Difficulty:
     gain: float = 1.0
     jpeg_quality: int = 0
     colour: bool = False
-    slanted: int = 0
 
     def camera(self) -> Camera:
         """Return the camera; its field of view is that of 554 px for 640."""
@@ -101,7 +96,7 @@ SWEEP = {
 
 
 def simulated(difficulty: Difficulty, count: int, seed: int = 0) -> Iterator[Scene]:
-    """Yield scenes of boxes that stand before one another, with shading, floor boards and slanted clutter."""
+    """Yield scenes of boxes that stand before one another, with shading and floor boards."""
     camera = difficulty.camera()
     view = _Rays(camera)
     for index in range(count):
@@ -140,7 +135,6 @@ def _ramp(position: Array, wide: Array, narrow: Array) -> Array:
 def _simulate(camera: Camera, view: _Rays, difficulty: Difficulty, rng: np.random.Generator) -> Scene:
     step = float(rng.choice(difficulty.steps))
     image = _background(view, camera, step, rng)
-    _draw_slanted(image, view, difficulty, rng)
     grey_at = np.full(image.shape, -1)
     boxes = _boxes(difficulty, rng)
     for index, (left, right, bottom, top, grey, shade) in enumerate(boxes):
@@ -170,18 +164,6 @@ def _background(view: _Rays, camera: Camera, step: float, rng: np.random.Generat
     ahead = camera.mount.height_m / np.maximum(-view.up, 1e-3)
     boards = np.sign(np.sin(2 * np.pi * (ahead + 0.6 * ahead * view.right) / 0.5))
     return image + on_floor * (20 + step / 4 * boards)
-
-
-def _draw_slanted(image: Array, view: _Rays, difficulty: Difficulty, rng: np.random.Generator) -> None:
-    """Draw strips, each of them two lines that are not vertical."""
-    most = np.deg2rad(SLANTED_MOST_DEG)
-    for _ in range(difficulty.slanted):
-        left = rng.uniform(-0.7, 0.7) + np.tan(rng.uniform(-most, most)) * view.up
-        bottom = rng.uniform(-0.5, 0.2)
-        beside = view.beyond(left) - view.beyond(left + rng.uniform(0.03, 0.1))
-        inside = beside * (view.above(bottom) - view.above(bottom + rng.uniform(0.15, 0.6)))
-        grey = 120 + float(rng.choice([-1.0, 1.0]) * rng.choice(difficulty.steps))
-        image += inside * (grey - image)
 
 
 def _boxes(difficulty: Difficulty, rng: np.random.Generator) -> list[tuple[float, ...]]:

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from belief_run import START_SIGMA, Drive, located, run
+from board.run import START_SIGMA, Drive, located, run
 from rich.console import Console
 from rich.table import Table
 from scale_building import CAMERA, drive_of, floor_of
@@ -58,7 +58,7 @@ def figures_of(landmarks: int, drives: int, *, with_file: bool) -> dict[str, Any
     robot = Localiser(floor.landmark_map, CAMERA)
     robot.warm_up(images=False)
     figures: dict[str, Any] = {"landmarks": landmarks, "start_s": perf_counter() - begin, "mb": memory_mb() - before}
-    tracked = run(drive_of(floor, FIRST_ROOM, TRACKED), "line", 1)
+    tracked = run(drive_of(floor, FIRST_ROOM, TRACKED), 1)
     figures |= {"track_ms": float(np.median(tracked.ms[5:])), "track_95_ms": float(np.quantile(tracked.ms[5:], 0.95))}
     figures |= {"error_m": float(np.median(tracked.error_m))}
     figures |= _searched(floor, drives) | _viewed(drive_of(floor, FIRST_ROOM, TRACKED))
@@ -71,7 +71,7 @@ def _searched(floor: Any, drives: int) -> dict[str, Any]:
     found, longest, wrong = [], 0.0, 0
     for drive in range(drives):
         first = int(rng.integers(max(floor.rooms - 12, 1)))
-        record = run(drive_of(floor, first, SEARCHED, drive), "line", drive, start=None)
+        record = run(drive_of(floor, first, SEARCHED, drive), drive, start=None)
         sure = record.sure & record.right
         found.append(int(sure.argmax()) + 1 if sure.any() else SEARCHED)
         longest = max(longest, float(record.ms.max()))

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from belief_run import Drive
-from belief_worlds import hidden_behind
+from board.run import Drive
+from board.worlds import hidden_behind
 from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import Camera, LandmarkMap, Mount, Trajectory

@@ -141,6 +141,8 @@ class Localiser:
         warm_up_filter()
         if self._mcl.search is not None:
             self._mcl.search.warm_up()
+        if self._mcl.odometer is not None:
+            self._mcl.odometer.warm_up()
         if images and self._camera is not None:
             warm_up_edges(self.camera, self.config.edges)
 

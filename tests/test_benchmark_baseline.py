@@ -13,7 +13,7 @@ import pytest
 from folders import ROOT
 
 BENCHMARKS = ROOT / "benchmarks"
-KEY = ("logs", "corridor line", "position_rmse_m")
+KEY = ("efficiency", "line known 300", "rmse / bound")
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_nothing_that_was_not_measured_passes_silently(compare: Any) -> None:
     from figures.show import summary_of
 
     figure = compare.Figure(1.0, "up")
-    keys = {name: ("logs", name, "rmse") for name in ("gone", "skipped", "failed", "new", "same")}
+    keys = {name: ("efficiency", name, "rmse / bound") for name in ("gone", "skipped", "failed", "new", "same")}
     baseline = {key: figure for name, key in keys.items() if name != "new"}
     now = {keys["new"]: 2.0, keys["same"]: 1.0}
     found = compare.compared(baseline, now, {keys["skipped"]: "no data"}, {keys["failed"]: "no such option"})
@@ -199,7 +199,7 @@ def test_a_file_that_is_written_is_read_the_same(benchmark: Any, compare: Any, t
         KEY: compare.Figure(0.5, "up", 0.1, "mean", [0.4, 0.6]),
         ("hashes", "map", "map"): compare.Figure("ab", "change"),
     }
-    about = {"logs": {"seeds": 2}, "hashes": {"seeds": 1}}
+    about = {"efficiency": {"seeds": 2}, "hashes": {"seeds": 1}}
     benchmark.store.write(tmp_path / "file.json", figures, about)
     assert benchmark.store.read(tmp_path / "file.json") == (figures, about)
 
@@ -207,8 +207,8 @@ def test_a_file_that_is_written_is_read_the_same(benchmark: Any, compare: Any, t
 def test_values_are_joined_in_the_order_of_seeds(benchmark: Any) -> None:
     from figures.tasks import Task
 
-    tasks = [Task("logs", "corridor line", seed, dict) for seed in (2, 0, 1)]
-    samples = benchmark.samples_of([(task, {"position_rmse_m": task.seed + 1 / 3}) for task in tasks])
+    tasks = [Task("efficiency", "line known 300", seed, dict) for seed in (2, 0, 1)]
+    samples = benchmark.samples_of([(task, {"rmse / bound": task.seed + 1 / 3}) for task in tasks])
     assert samples == {KEY: [0.333333, 1.33333, 2.33333]}
 
 
@@ -220,13 +220,13 @@ def test_an_interrupted_measurement_keeps_what_it_has(benchmark: Any, tmp_path: 
     from figures.tasks import Task, keep, measured
 
     kept = tmp_path / "kept.jsonl"
-    kept.write_text('["logs/corridor line/0", {"position_rmse_m": 0.5}]\n["logs/corridor line/1", {"posit')
-    task, cut_off = (Task("logs", "corridor line", seed, partial(_broken)) for seed in (0, 1))
-    assert list(measured([task], 1, kept)) == [(task, {"position_rmse_m": 0.5})]
-    keep(kept, cut_off, {"position_rmse_m": 0.25})
+    kept.write_text('["efficiency/line known 300/0", {"rmse / bound": 0.5}]\n["efficiency/line known 300/1", {"posit')
+    task, cut_off = (Task("efficiency", "line known 300", seed, partial(_broken)) for seed in (0, 1))
+    assert list(measured([task], 1, kept)) == [(task, {"rmse / bound": 0.5})]
+    keep(kept, cut_off, {"rmse / bound": 0.25})
     assert list(measured([task, cut_off], 1, kept)) == [
-        (task, {"position_rmse_m": 0.5}),
-        (cut_off, {"position_rmse_m": 0.25}),
+        (task, {"rmse / bound": 0.5}),
+        (cut_off, {"rmse / bound": 0.25}),
     ]
 
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 import numpy as np
 import pytest
+from folders import ROOT
 from live_feed import CONFIG, LOG, Feed, camera, drive
 from short_log import CORRIDOR, FRAMES, cut_log
 from short_log import Localiser as CommandLine
@@ -224,6 +229,45 @@ def test_a_state_can_be_moved_to_another_clock() -> None:
     moved.restore(one.save(shift_ns=7 * SECOND))
     assert moved.state.at_ns - one.state.at_ns == 7 * SECOND
     assert [pose.t_ns for pose in moved.state.odometry] == [pose.t_ns + 7 * SECOND for pose in one.state.odometry]
+
+
+WARMED_UP = """
+    from numba.core import event
+    from localiser import Localiser, open_log, read_config
+
+    compiled = []
+
+    class Listener(event.Listener):
+        def on_start(self, one):
+            compiled.append(one.data["dispatcher"].py_func.__name__)
+
+        def on_end(self, one):
+            pass
+
+    event.register("numba:compile", Listener())
+    log = open_log("logs/corridor")
+    for kind in ("line", "slope"):
+        robot = Localiser(log.landmark_map, log.camera, read_config(None, [f"observation.kind={kind}"], log.settings))
+        robot.warm_up()
+        before = len(compiled)
+        robot.start(log.start.mean, log.start.cov)
+        located = []
+        for one in log.events():
+            if hasattr(one, "pose"):
+                located += robot.odometry(one.t_ns, one.pose)
+            elif hasattr(one, "encoded"):
+                located += robot.image(one.t_ns, one.encoded())
+        print(kind, before > 0, len(located) + len(robot.finish()) == len(log.frames), compiled[before:])
+"""
+
+
+@pytest.mark.slow  # quick: that it changes nothing, above
+def test_a_warm_up_compiles_all_that_a_run_uses(tmp_path: Path) -> None:
+    """Nothing is kept from earlier runs. In the corridor the wheels come under suspicion, and edges are followed."""
+    environment = os.environ | {"LOCALISER_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", dedent(WARMED_UP)]
+    ran = subprocess.run(command, cwd=ROOT, env=environment, check=False, capture_output=True, text=True)
+    assert ran.stdout.splitlines() == ["line True True []", "slope True True []"], ran.stderr
 
 
 # -- one's own observation, motion model and detector -----------------------------------------------------------------

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from figures import detection, hashes, instructions, limit, logs, robust, speed
+from figures import detection, hashes, instructions, limit, speed
 from figures.compare import Figure, Key, Value
 from figures.measures import Measure, tolerance
 from figures.tasks import Task, Values
@@ -53,8 +53,6 @@ class Group:
 
 GROUPS = {
     "hashes": Group(lambda data, _: hashes.tasks(data), hashes.MEASURES),
-    "logs": Group(logs.tasks, logs.MEASURES, 5, SEEDS, portable=True),
-    "scenarios": Group(lambda _, seeds: robust.tasks(seeds), robust.MEASURES, 5, SEEDS, portable=True),
     "efficiency": Group(lambda _, seeds: limit.tasks(seeds), limit.MEASURES, SEEDS, SEEDS, portable=True),
     "edges": Group(lambda data, _: detection.tasks(data), detection.MEASURES),
     "speed": Group(lambda _, seeds: speed.tasks(seeds), speed.MEASURES, 3, SEEDS, alone=True),

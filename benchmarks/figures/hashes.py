@@ -20,13 +20,13 @@ from figures.tasks import Task, Values
 Source = Callable[[Path], Path | str]
 """Makes the log in a folder that does not exist yet, and returns what the program is to open."""
 MRCLAM_SECONDS = 240.0
-MEASURES = {name: Measure("change") for name in ("trajectory", "map", "errors", "files", "edges")}
+MEASURES = {name: Measure("change") for name in ("trajectory", "map", "files", "edges")}
 
 
 def tasks(data: Path) -> list[Task]:
     """Return what is measured. data: folder of the logs that do not ship."""
     alone = [Task("hashes", "simulated log", 0, simulated), Task("hashes", "detectors", 0, detectors)]
-    return [*_replays(data), *_maps(data), *_scenarios(), *alone]
+    return [*_replays(data), *_maps(data), *alone]
 
 
 def _replays(data: Path) -> list[Task]:
@@ -71,11 +71,6 @@ def _maps(data: Path) -> list[Task]:
     ]
 
 
-def _scenarios() -> list[Task]:
-    pairs = (("kidnapped", "line"), ("empty", "slope"))
-    return [Task("hashes", f"{name} {kind}", 0, partial(scenario, name, kind)) for name, kind in pairs]
-
-
 def whole(folder: Path) -> Path:
     """Return the log that ships, as it is."""
     return CORRIDOR
@@ -106,15 +101,6 @@ def landmark_map(source: Source, poses: str) -> Values:
         log, built = source(folder / "log"), folder / "map.yaml"
         run("map", "build", log, "--poses", poses, "-o", built, "--quiet", cache=folder / "cache")
         return {"map": _digest(built)}
-
-
-def scenario(name: str, observation: str) -> Values:
-    """Return the digest of what the filter says along a scenario of benchmarks/robustness.py."""
-    import trials
-
-    told = trials.told_by(trials.SCENARIOS[name](0), trials.configured(observation, ()), 0)
-    columns = (told.error_m, told.turned_rad, told.p_correct)
-    return {"errors": hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest()}
 
 
 def simulated() -> Values:

@@ -47,6 +47,12 @@ class Odometer:
         """Whether anything but wheels counts."""
         return self.parameters.source != "wheel"
 
+    def warm_up(self) -> None:
+        """Compile what follows edges, or load it from the disk, so that no image has to wait for it."""
+        angle = np.zeros(1)
+        one = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
+        self.seen(one, one, 1.0, None)
+
     def increment(
         self,
         wheel: Increment,

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from belief_run import located, run
-from belief_worlds import hours_of
+from board.run import located, run
+from board.worlds import hours_of
 
 from localiser import Localiser, read_config
 from localiser.filter.belief import Belief
@@ -22,11 +22,11 @@ from localiser.relocalisation import Candidates
 def test_the_map_of_another_floor_is_found_out(kind: str) -> None:
     """Its corridor is as wide, so the likelihood believes it for most of the way; the robot passes 10 m of doors."""
     drive, other = hours_of("floor", 1, 0.7), hours_of("floor", 2, 0.1)
-    told = run(drive, kind, 1, start=drive.truth[0], landmark_map=other.landmark_map, same_building=False)
+    told = run(drive, 1, observation=kind, start=drive.truth[0], landmark_map=other.landmark_map, same_building=False)
     first = int(told.warned.argmax())
     assert told.warned.any() and told.seconds[first] < 30.0
     assert told.sure[first:].mean() < 0.05
-    right = run(drive, kind, 1)
+    right = run(drive, 1, observation=kind)
     assert not right.warned.any() and right.right.all() and right.sure.mean() > 0.95
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import efficiency
 import numpy as np
 import pytest
-from belief_run import Drive, run
+from board.run import Drive, run
 from simulated_edges import simulated_edges
 
 from localiser import Localiser, read_config
@@ -124,7 +124,7 @@ def test_on_an_exact_map_images_count_for_more_and_the_pose_is_better(
     kind: str, on_an_exact_map: list[Drive], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def rmse_m(drive: Drive) -> float:
-        return float(np.sqrt(np.mean(run(drive, kind, 0).error_m[50:] ** 2)))
+        return float(np.sqrt(np.mean(run(drive, 0, observation=kind).error_m[50:] ** 2)))
 
     learnt_m = [rmse_m(drive) for drive in on_an_exact_map]
     monkeypatch.setattr(Repetition, "share", 1.0)

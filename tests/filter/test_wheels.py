@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from belief_run import located
-from belief_worlds import hours_of
+from board.run import located
+from board.worlds import hours_of
 from short_log import corridor_with_edges
 from two_views import CAMERA, edges_from
 

@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from folders import ROOT
+import scale_building
+from board.run import run
 from proposal_room import CAMERA, drawn_frames, room
 from scipy.stats import poisson
 
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.relocalisation import Places, hypotheses, places, view_of
-
-
-@pytest.fixture(scope="module")
-def scale() -> Iterator[SimpleNamespace]:
-    """Return the modules of the benchmark, which is not a package."""
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    import belief_run
-    import scale_building
-
-    yield SimpleNamespace(building=scale_building, run=belief_run.run)
-    sys.path.remove(str(ROOT / "benchmarks"))
 
 
 def on_a_grid() -> LandmarkMap:
@@ -68,10 +54,10 @@ def test_of_too_many_pairs_the_farthest_are_left_out(monkeypatch):
     assert len(nearest.pair) == ((every.key % step) <= limit).sum()
 
 
-def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monkeypatch):
+def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(monkeypatch):
     """And in many images one of them is near the true one, though a pair of edges could be any of thousands."""
-    floor = scale.building.floor_of(3000)
-    drive = scale.building.drive_of(floor, 40, 30)
+    floor = scale_building.floor_of(3000)
+    drive = scale_building.drive_of(floor, 40, 30)
     many = Places.of(floor.landmark_map, drive.camera)
     assert many.are_many
     looked_up = []
@@ -88,10 +74,10 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(scale, monke
 
 
 @pytest.mark.parametrize("landmarks", [1000, 3000, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_how_often_a_pose_that_is_tried_is_the_true_one_is_predicted(scale, landmarks):
+def test_how_often_a_pose_that_is_tried_is_the_true_one_is_predicted(landmarks):
     """In 100 images, half to four times as often as expected, with the 99.7 % range of what is expected then."""
-    floor = scale.building.floor_of(landmarks)
-    drive = scale.building.drive_of(floor, 40, 100)
+    floor = scale_building.floor_of(landmarks)
+    drive = scale_building.drive_of(floor, 40, 100)
     many, rng = Places.of(floor.landmark_map, drive.camera), np.random.default_rng(0)
     found, expected = 0, []
     for pose, edges in zip(drive.truth, drive.edges, strict=True):
@@ -119,24 +105,24 @@ def test_how_often_three_edges_are_the_right_landmarks_is_predicted():
     assert expected / 3 < found < 3 * expected and found > 10
 
 
-def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one(scale):
-    floor = scale.building.floor_of(3000)
-    drive = scale.building.drive_of(floor, 40, 1)
+def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one():
+    floor = scale_building.floor_of(3000)
+    drive = scale_building.drive_of(floor, 40, 1)
     view, many = view_of(drive.camera, drive.edges[0]), Places.of(floor.landmark_map, drive.camera)
     hits = [hypotheses.from_feet(view, many, count, np.random.default_rng(0))[1] for count in (1000, 2000, 8000)]
     assert hits == pytest.approx([hits[0], 2 * hits[0], 8 * hits[0]], rel=1e-3)
 
 
 @pytest.mark.slow
-def test_no_place_of_a_large_building_is_sure_before_others_were_looked_at(scale):
+def test_no_place_of_a_large_building_is_sure_before_others_were_looked_at():
     """A pair of edges may be any of thousands, and each image tries a few of them.
 
     Of twelve drives, most are found. Those that are sure of a wrong place are no more than p_correct says (99 %).
     """
-    floor, rng, records = scale.building.floor_of(10_000), np.random.default_rng(5), []
+    floor, rng, records = scale_building.floor_of(10_000), np.random.default_rng(5), []
     for seed in range(12):
-        drive = scale.building.drive_of(floor, int(rng.integers(floor.rooms - 12)), 40, seed)
-        records.append(scale.run(drive, "line", seed, start=None))
+        drive = scale_building.drive_of(floor, int(rng.integers(floor.rooms - 12)), 40, seed)
+        records.append(run(drive, seed, start=None))
     sure = [record for record in records if record.sure.any()]
     first = [int(np.argmax(record.sure)) for record in sure]
     assert min(first) > 10 and len(sure) > 6
@@ -146,19 +132,19 @@ def test_no_place_of_a_large_building_is_sure_before_others_were_looked_at(scale
     assert sum(bool(record.right[-1]) for record in records) > 6
 
 
-def test_a_robot_is_found_in_a_building_of_a_thousand_landmarks(scale):
-    drive = scale.building.drive_of(scale.building.floor_of(1000), 50, 30, seed=1)
-    record = scale.run(drive, "line", 1, start=None)
+def test_a_robot_is_found_in_a_building_of_a_thousand_landmarks():
+    drive = scale_building.drive_of(scale_building.floor_of(1000), 50, 30, seed=1)
+    record = run(drive, 1, start=None)
     assert record.sure.any()
     assert record.right[record.sure].all()
 
 
-def test_the_first_rooms_of_a_larger_building_are_those_of_a_smaller_one(scale):
-    small, large = scale.building.floor_of(100), scale.building.floor_of(1000)
+def test_the_first_rooms_of_a_larger_building_are_those_of_a_smaller_one():
+    small, large = scale_building.floor_of(100), scale_building.floor_of(1000)
     assert len(large.landmark_map) == 1000
     apart = np.abs(small.landmark_map.points - large.landmark_map.points[:100])
     assert apart.max() < 0.1  # but for the errors of the map
-    again = scale.building.floor_of(100)
+    again = scale_building.floor_of(100)
     np.testing.assert_array_equal(small.landmark_map.points, again.landmark_map.points)
 
 

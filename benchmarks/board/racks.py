@@ -1,28 +1,16 @@
-"""Is the filter as certain as it may be among dense racks? Most of their uprights, 5 cm wide, are in view at once.
+"""A hall of dense racks: most of their uprights, 5 cm wide, are in view at once.
 
-Each upright shows two edges 5 cm apart. Boxes on the boards show edges that are on no map. The drive is rendered, its
-edges are found in the images, and the log is replayed with the settings that everything is.
-
-python benchmarks/racks.py --seeds 5
+Each upright shows two edges 5 cm apart. Boxes on the boards show edges that are on no map.
 """
 
 from __future__ import annotations
 
-import argparse
-import tempfile
 from pathlib import Path
 
 import numpy as np
 import yaml
-from belief_run import Drive, run
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
-from localiser import find_edges, read_config, simulate_log
-from localiser.landmarks import sight
-
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 UPRIGHT_M, BAY_M, DEPTH_M, TOP_M = 0.05, 0.9, 0.8, 2.2
 RACKS_X = (-3.9, -1.3, 0.5, 3.1)  # left sides of four rows of racks
 NEAR_Z, BAYS = -1.5, 9
@@ -85,62 +73,3 @@ def world_of(seed: int) -> dict[str, object]:
         "furniture": furniture,
         "drive": world["drive"] | {"path": path},
     }
-
-
-def drive_of(seed: int, folder: Path) -> Drive:
-    """Return the rendered drive with the edges of its images."""
-    path = folder / "world.yaml"
-    path.write_text(yaml.safe_dump(world_of(seed)), encoding="utf-8")
-    log = simulate_log(path, seed)
-    parameters = read_config(None, (), log.settings).edges
-    images = log.images
-    edges = [find_edges(image.load(), log.camera, parameters) for image in images]
-    t_ns = np.array([image.t_ns for image in images])
-    truth = log.groundtruth.sampled(t_ns).poses
-    return Drive("racks", log.landmark_map, log.camera, log.odometry, t_ns, edges, truth, log.settings)
-
-
-def main() -> None:
-    """Print a row for each observation."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=5)
-    arguments = parser.parse_args()
-    drives = []
-    for seed in track(range(arguments.seeds), "Rendering", console=Console(stderr=True)):
-        with tempfile.TemporaryDirectory() as folder:
-            drives.append(drive_of(seed, Path(folder)))
-    table = Table("observation", "RMSE m: median", "worst", "NEES: median", "worst", "3σ holds", "sure", "sure, wrong")
-    for kind in ("line", "slope"):
-        records = [run(drive, kind, seed) for seed, drive in enumerate(drives)]
-        rmse = [float(np.sqrt((one.error_m**2).mean())) for one in records]
-        nees = [float(np.nanmean(one.nees)) for one in records]
-        inside = [float((one.nees < CHI2_3).mean()) for one in records]
-        sure, wrong = (
-            float(np.mean([part.mean() for part in parts]))
-            for parts in ([one.sure for one in records], [one.sure & ~one.right for one in records])
-        )
-        figures = [np.median(rmse), max(rmse), np.median(nees), max(nees)]
-        table.add_row(
-            kind,
-            *(f"{value:.3f}" for value in figures[:2]),
-            *(f"{value:.2f}" for value in figures[2:]),
-            f"{min(inside):.1%}",
-            f"{sure:.1%}",
-            f"{wrong:.2%}",
-        )
-    first = drives[0]
-    seen = sight(first.camera, first.camera.pose_in_map(first.truth), first.landmark_map)
-    in_view = np.bincount(seen.pose, minlength=len(first.truth))
-    console = Console()
-    console.print(table)
-    counts = [len(edges) for edges in first.edges]
-    console.print(
-        f"{len(first.landmark_map)} landmarks; in view {np.median(in_view):.0f} (median), {in_view.max()} at most; "
-        f"{np.median(counts):.0f} edges an image"
-    )
-
-
-CHI2_3 = 14.16  # 99.73 % of a chi-square of three degrees of freedom: 3 σ
-
-if __name__ == "__main__":
-    main()

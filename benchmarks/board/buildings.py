@@ -302,4 +302,3 @@ KINDS: dict[str, Callable[[np.random.Generator], Building]] = {
     "ring": ring,
     "floor": floor,
 }
-HOURS = ("shelves", "chairs", "corridors", "alike", "crowd", "ring")  # that hours of tracking are simulated in

@@ -1,4 +1,4 @@
-"""Simulated hours: a robot drives about a building of `belief_buildings.py`, from one random goal to the next.
+"""Simulated hours: a robot drives about a building of `buildings.py`, from one random goal to the next.
 
 Edges are simulated, at 5 Hz: found with a probability, with errors of their ends, split in two or three, short of their
 end; hidden by walls, tall furniture and people; and in every image a few belong to nothing in the world.
@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from belief_buildings import KINDS, WALL_M, Building
-from belief_run import Drive
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, shortest_path
 from simulated_edges import EdgeNoise, simulated_edges
 
+from board.buildings import KINDS, WALL_M, Building
+from board.run import Drive
 from localiser import Camera, Edges, LandmarkMap, Mount, Trajectory
 from localiser.geometry import Array
 from localiser.landmarks import in_camera

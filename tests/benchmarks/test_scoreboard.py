@@ -1,0 +1,386 @@
+"""The scoreboard: drives that are changed, maps that fit nothing, what is counted, and when a figure is worse."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scoreboard
+from board import changes, page, rows
+from board.rows import every_row
+from board.run import FIGURES, NEVER, Drive, Record, figures
+from folders import ROOT
+
+from localiser import Edges, LandmarkMap, Trajectory, compose
+from localiser.geometry import Array, between
+
+
+def record(error_m: list[float], p_correct: list[float], **known: Any) -> Record:
+    """Return a record of T images at 5 Hz with errors in x."""
+    count = len(error_m)
+    columns = {"warned": np.zeros(count, dtype=bool), "nees": np.full(count, 3.0), "ms": np.ones(count)}
+    error = np.column_stack([error_m, np.zeros((count, 2))])
+    return Record(0.2 * np.arange(count), error, np.array(p_correct), matched=0.5, **(columns | known))
+
+
+# -- drives ------------------------------------------------------------------------------------------------------------
+
+
+def circle(images: int = 300) -> Drive:
+    """A drive in a wide circle with exact wheels at four times the rate of images."""
+    t_ns = np.arange(4 * images) * 50_000_000
+    poses = [np.zeros(3)]
+    for _ in t_ns[1:]:
+        poses.append(compose(poses[-1], np.array([0.0, -0.03, np.deg2rad(0.9)])))
+    truth = np.array(poses)
+    wheels = Trajectory(t_ns, compose(np.array([5.0, -2.0, 2.0]), truth))
+    points = LandmarkMap.from_points(np.zeros((1, 2)))
+    return Drive("circle", points, None, wheels, t_ns[::4], [Edges.none()] * images, truth[::4])
+
+
+def steps(poses: Array) -> Array:
+    """Return the motions (T - 1, 3) from pose to pose."""
+    return between(poses[:-1], poses[1:])
+
+
+def test_wheels_miss_how_the_robot_is_carried() -> None:
+    drive = changes.carried(circle(), seed=3)
+    first = drive.carried
+    assert first == 60
+    assert len(drive.t_ns) == len(drive.edges) == len(drive.truth) == 160
+    assert (np.diff(drive.t_ns) == changes.STEP_NS).all() and (np.diff(drive.odometry.t_ns) > 0).all()
+    driven, moved = steps(drive.odometry.sampled(drive.t_ns).poses), steps(drive.truth)
+    np.testing.assert_allclose(np.delete(driven, first - 1, axis=0), np.delete(moved, first - 1, axis=0), atol=1e-9)
+    np.testing.assert_allclose(driven[first - 1], 0.0, atol=1e-9)
+    assert np.hypot(*moved[first - 1, :2]) >= 2.0 and abs(moved[first - 1, 2]) > np.deg2rad(20)
+
+
+def test_wrong_start_is_far_from_the_true_one() -> None:
+    drive = circle()
+    for seed in range(5):
+        start = changes.elsewhere(drive, seed)
+        assert np.hypot(*(start - drive.truth[0])[:2]) >= 2.0
+        assert np.hypot(*(drive.truth - start)[:, :2].T).min() < 1e-9  # inside the building
+
+
+@pytest.mark.parametrize(("fault", "factor"), [("frozen", 0.0), ("twice", 2.0)])
+def test_wheels_that_err_count_wrong_for_three_seconds(fault: str, factor: float) -> None:
+    drive = circle()
+    wheels = changes.wheels_wrong(drive, fault, 4.0).odometry
+    np.testing.assert_array_equal(wheels.t_ns, drive.odometry.t_ns)
+    bad = (wheels.t_ns[1:] >= 4_000_000_000) & (wheels.t_ns[1:] < 7_000_000_000)
+    said, true = steps(wheels.poses), steps(drive.odometry.poses)
+    assert bad.sum() == 60
+    np.testing.assert_allclose(said[bad], factor * true[bad], atol=1e-9)
+    np.testing.assert_allclose(said[~bad], true[~bad], atol=1e-9)
+
+
+def test_wheels_that_are_missing_say_nothing_for_three_seconds_and_the_truth_after() -> None:
+    drive = circle()
+    wheels = changes.wheels_wrong(drive, "missing", 4.0).odometry
+    t_ns = drive.odometry.t_ns
+    np.testing.assert_array_equal(wheels.t_ns, t_ns[(t_ns < 4_000_000_000) | (t_ns >= 7_000_000_000)])
+    np.testing.assert_array_equal(wheels.poses[80], drive.odometry.poses[140])
+
+
+def test_wheels_that_are_restarted_count_from_0() -> None:
+    drive = circle()
+    wheels = changes.wheels_wrong(drive, "restarted", 4.0).odometry
+    np.testing.assert_allclose(wheels.poses[80], 0.0, atol=1e-12)
+    said, true = steps(wheels.poses), steps(drive.odometry.poses)
+    np.testing.assert_allclose(np.delete(said, 79, axis=0), np.delete(true, 79, axis=0), atol=1e-9)
+
+
+def test_a_part_about_a_fault_has_ten_seconds_before_and_sixteen_after() -> None:
+    drive = changes.part_about(circle(), 20.0)
+    assert (drive.t_ns[0], drive.t_ns[-1]) == (10_000_000_000, 35_800_000_000)
+    assert len(drive.truth) == len(drive.edges) == len(drive.t_ns)
+    assert drive.odometry.t_ns[0] <= drive.t_ns[0] and drive.odometry.t_ns[-1] >= drive.t_ns[-1]
+    np.testing.assert_allclose(steps(drive.odometry.sampled(drive.t_ns).poses), steps(drive.truth), atol=1e-9)
+
+
+def test_late_images_are_stamped_after_they_were_taken() -> None:
+    """At its stamp, an image is where the wheels were 0.1 s before."""
+    drive = circle()
+    late = changes.late_images(drive, 0.1)
+    there = late.odometry.sampled(late.t_ns[:-1]).poses
+    np.testing.assert_allclose(there, drive.odometry.sampled(drive.t_ns[:-1] + 100_000_000).poses, atol=1e-9)
+
+
+# -- maps --------------------------------------------------------------------------------------------------------------
+
+
+def distances(points: Array) -> Array:
+    return np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
+
+
+def town() -> LandmarkMap:
+    return LandmarkMap.from_points(np.random.default_rng(0).uniform(0, 9, (200, 2)))
+
+
+def test_mirrored_map_is_no_rigid_motion() -> None:
+    before, after = town().points, changes.mirrored(town()).points
+    np.testing.assert_allclose(distances(after), distances(before), atol=1e-9)
+    sides = [(p[1] - p[0])[0] * (p[2] - p[0])[1] - (p[1] - p[0])[1] * (p[2] - p[0])[0] for p in (before, after)]
+    assert sides[0] == pytest.approx(-sides[1]) and abs(sides[0]) > 0.1
+
+
+def test_worn_maps_lose_or_move_three_in_ten_or_are_off() -> None:
+    assert len(changes.removed(town(), 0)) == 140
+    moved = np.hypot(*(changes.moved(town(), 0).points - town().points).T)
+    assert np.count_nonzero(moved) == 60
+    np.testing.assert_allclose(moved[moved > 0], 0.3)
+    assert (changes.off(town(), 0).points - town().points).std() == pytest.approx(0.03, rel=0.1)
+
+
+# -- what is counted ---------------------------------------------------------------------------------------------------
+
+
+def test_a_robot_that_is_looked_for_is_judged_from_the_first_of_five_right_images() -> None:
+    error_m = [5.0] * 6 + [0.1] * 4 + [5.0] + [0.1] * 19 + [3.0] * 4 + [0.1] * 6
+    nees = np.where(np.arange(40) < 11, 900.0, 6.0)
+    values = figures(record(error_m, [0.2] * 11 + [0.95] * 29, nees=nees))
+    assert values["found"] == 11
+    assert values["rmse_m"] == pytest.approx(math.sqrt((25 * 0.01 + 4 * 9) / 29))
+    assert values["median_m"] == pytest.approx(0.1)
+    assert values["nees"] == 6.0
+    assert values["sure"] == 29 / 40 and values["sure_wrong"] == 4 / 40  # of all images
+    from_start = figures(record(error_m, [0.2] * 40), stated=True)
+    assert from_start["rmse_m"] == pytest.approx(math.sqrt((29 * 0.01 + 7 * 25 + 4 * 9) / 40))
+
+
+def test_a_heading_that_is_off_is_not_right() -> None:
+    told = record([0.1] * 20, [0.95] * 20)
+    told.error[:10, 2] = np.deg2rad(11.0)
+    values = figures(told, stated=True)
+    assert values["found"] == 10 and values["sure_wrong"] == 0.5
+    assert values["heading_deg"] == pytest.approx(11.0 / math.sqrt(2))
+
+
+def test_a_robot_that_is_never_found_counts_as_worse_than_any() -> None:
+    values = figures(record([0.1, 0.1, 0.1, 0.1, 4.0] * 6, [0.3] * 30))
+    assert all(values[key] == NEVER for key in ("found", "rmse_m", "median_m", "heading_deg", "nees", "warned_s"))
+    assert values["sure"] == 0.0
+
+
+def test_a_carried_robot_is_judged_from_where_it_is_set_down() -> None:
+    told = record([0.1] * 10 + [4.0] * 8 + [0.1] * 22, [0.99] * 13 + [0.3] * 5 + [0.95] * 22)
+    values = figures(told, first=10)
+    assert values["found"] == 8
+    assert values["rmse_m"] == pytest.approx(0.1)
+    assert values["sure_wrong"] == 3 / 30
+
+
+def test_nothing_is_right_on_a_wrong_map() -> None:
+    told = record([math.nan] * 20, [0.95] * 18 + [0.1] * 2, warned=np.arange(20) == 19)
+    told.error[:] = math.nan
+    values = figures(told)
+    assert values["sure"] == values["sure_wrong"] == 0.9
+    assert values["warned_s"] == pytest.approx(3.8)
+    assert values["found"] == values["rmse_m"] == NEVER
+
+
+def test_calibration_by_hand() -> None:
+    values = figures(record([0.1, 0.1, 3.0, 0.1, 3.0], [0.95, 0.95, 0.95, 1.0, 0.25]))
+    assert values["ece"] == pytest.approx((abs(3.85 - 3) + abs(0.25 - 0)) / 5)
+    assert values["log_score"] == pytest.approx((2 * math.log(0.95) + math.log(0.05) + math.log(0.75)) / 5)
+    # Claims in one of the ten bins are made up for by others there, and those in another are not.
+    assert figures(record([0.1, 3.0], [0.51, 0.59]))["ece"] == pytest.approx(0.05)
+    assert figures(record([0.1, 3.0], [0.49, 0.51]))["ece"] == pytest.approx(0.51)
+    assert figures(record([3.0] * 2, [1.0] * 2))["log_score"] == pytest.approx(math.log(1e-6))
+
+
+# -- what is worse -----------------------------------------------------------------------------------------------------
+
+
+def said(key: str, before: list[float], now: list[float], **known: bool) -> str:
+    return page.verdict(key, np.column_stack([before, now]), **known)
+
+
+BEFORE = [0.10, 0.12, 0.09, 0.11, 0.10]
+
+
+@pytest.mark.parametrize("key", FIGURES)
+def test_what_is_the_same_is_neither_better_nor_worse(key: str) -> None:
+    for values in (BEFORE, [0.0] * 5, [NEVER] * 5, [0.1, NEVER, 0.2, NEVER, 0.1]):
+        assert said(key, values, values) == "" and said(key, values, values, exact=True) == ""
+
+
+def test_a_figure_is_worse_where_all_seeds_change_by_more_than_chance_and_three_per_cent() -> None:
+    now = [1.05 * one for one in BEFORE]
+    assert said("rmse_m", BEFORE, now) == "worse" and said("rmse_m", now, BEFORE) == "better"
+    assert said("rmse_m", BEFORE, [1.02 * one for one in BEFORE]) == ""
+    assert said("rmse_m", BEFORE, [one + 0.01 * k for one, k in zip(BEFORE, (1, -1, 1, 1, 0), strict=True)]) == ""
+    assert said("rmse_m", [0.003] * 5, [0.0033] * 5) == "", "a third of a millimetre"
+
+
+def test_a_rate_is_worse_by_one_point() -> None:
+    assert said("sure", [0.90, 0.91, 0.92, 0.90, 0.91], [0.88, 0.89, 0.90, 0.88, 0.89]) == "worse"
+    assert said("sure_wrong", [0.0] * 5, [0.009] * 5) == ""
+    assert said("sure_wrong", [0.0] * 5, [0.02, 0.03, 0.02, 0.02, 0.03]) == "worse"
+    assert said("sure_wrong", [0.0] * 5, [0.0, 0.0, 0.0, 0.0, 0.5]) == "", "one seed is chance"
+
+
+def test_five_of_five_seeds_that_change_by_a_tenth_are_enough() -> None:
+    """Their interval reaches 0, because one of them changes by far more."""
+    now = [0.115, 0.138, 0.103, 0.125, 0.500]
+    assert said("rmse_m", BEFORE, now) == "worse" and said("rmse_m", now, BEFORE) == "better"
+    assert said("rmse_m", BEFORE[:4], now[1:]) == ""
+    assert said("rmse_m", BEFORE, [0.108, *now[1:]]) == ""
+
+
+def test_never_is_worse_than_any_value() -> None:
+    found = [10.0, 12.0, 40.0, 9.0, 11.0]
+    assert said("found", found, [NEVER] * 5) == "worse" and said("found", [NEVER] * 5, found) == "better"
+    assert said("found", found, [10.0, NEVER, NEVER, NEVER, NEVER]) == "worse"
+    assert said("found", found, [10.0, 12.0, 40.0, 9.0, NEVER]) == ""
+    assert said("found", [0.0] * 5, [NEVER] * 5) == "worse"
+    assert said("found", [NEVER] * 5, [NEVER] * 4 + [3.0]) == ""
+
+
+def test_nees_is_judged_by_how_far_it_is_from_that_of_an_honest_filter() -> None:
+    assert said("nees", [3.0, 3.2, 2.9, 3.1, 3.0], [9.0, 9.5, 8.0, 9.1, 9.2]) == "worse"
+    assert said("nees", [0.4, 0.5, 0.45, 0.4, 0.42], [2.0, 2.4, 2.1, 2.2, 2.3]) == "better"
+    assert said("nees", [6.0, 6.2, 5.9, 6.1, 6.0], [1.5, 1.45, 1.52, 1.48, 1.5]) == "", "twice and half are as bad"
+    assert said("nees", [14.0, 14.2, 13.8, 14.1, 14.0], [14.3, 14.5, 14.1, 14.4, 14.3]) == "", "2 %"
+
+
+def test_one_seed_says_nothing_where_chance_has_a_part() -> None:
+    assert said("rmse_m", [0.1], [0.5]) == ""
+    assert said("recall", [0.9], [0.8], exact=True) == "worse"
+    assert said("recall", [0.9], [0.895], exact=True) == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "spread", "least", "most"),
+    [("rmse_m", 0.3, 0.015, 0.035), ("nees", 0.5, 0.015, 0.035), ("sure", 0.05, 0.015, 0.035), ("rmse_m", 0.01, 0, 0)],
+)
+def test_chance_alone_is_called_worse_once_in_forty(key: str, spread: float, least: float, most: float) -> None:
+    """As an interval of 95 % does on either side; where chance changes less than 3 %, never."""
+    rng = np.random.default_rng(8)
+    level = {"rmse_m": 0.2, "nees": 4.0, "sure": 0.7}[key]
+    drawn = level * (1 + spread * rng.uniform(-1.7, 1.7, (2000, 5, 2)))
+    share = Counter(page.verdict(key, pairs) for pairs in drawn)
+    assert least <= share["worse"] / 2000 <= most and least <= share["better"] / 2000 <= most
+
+
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
+def small_page(rmse_m: float = 0.1) -> page.Page:
+    runs = {
+        seed: figures(record([rmse_m + 0.01 * seed] * 20, [0.95] * 20), stated=True) | {"ms": 5.0} for seed in range(5)
+    }
+    wrong = {seed: figures(record([9.0] * 20, [0.95] * 20)) for seed in range(5)}
+    found = {seed: runs[seed] if seed % 2 else wrong[seed] for seed in range(5)}
+    whole = {"real: a, on b": runs, "real: start unknown": found, "wrong map: a on c": wrong}
+    return {title: {seed: page.rounded(one) for seed, one in row.items()} for title, row in whole.items()}
+
+
+def test_a_saved_page_is_read_as_it_was(tmp_path: Path) -> None:
+    page.save(tmp_path / "page.json", small_page())
+    assert page.load(tmp_path / "page.json") == small_page()
+    assert "Infinity" not in (tmp_path / "page.json").read_text()
+
+
+def test_the_page_has_median_and_worst_and_counts_what_never_came() -> None:
+    text = page.markdown(small_page())
+    assert "| real | RMSE m | median m |" in text
+    assert "| a, on b | 0.1200 (0.1400) | 0.1200 (0.1400) |" in text
+    assert "| start unknown | never (3 never) |" in text
+    assert "| wrong map | sure | sure, wrong |" in text, "what no run has is left out"
+    for figure in ("rmse_m", "sure_wrong", "log_score"):
+        assert text.count(FIGURES[figure].meaning) == 1
+    assert FIGURES["recall"].meaning not in text
+
+
+def test_the_worst_nees_is_the_one_farthest_from_an_honest_one() -> None:
+    assert page.cell("nees", [3.0, 2.9, 0.1, 6.0, 3.1]) == "3.00 (0.10)"
+    assert page.cell("sure", [0.9, 0.8, 1.0]) == "90.0 % (80.0 %)"
+    assert page.cell("nees", [3.0, 4.0, 7201300.0]) == "4.00 (7.2e+06)"
+
+
+def test_pages_are_compared_by_the_rows_and_seeds_that_both_have() -> None:
+    before, now = small_page(), small_page(0.2)
+    now["real: new"] = now["real: a, on b"]
+    del before["real: a, on b"][4]
+    found = page.compared(before, now)
+    assert {one.title for one in found} == set(before)
+    worse = [(one.title, one.key) for one in found if one.verdict == "worse"]
+    assert worse == [("real: a, on b", "rmse_m"), ("real: a, on b", "median_m")]
+    assert {one.verdict for one in page.compared(now, now)} == {""}
+    text = page.comparison(found, "HEAD~3")
+    assert "worse: 2\n- real: a, on b: RMSE m 0.1150 → 0.2150, median m 0.1150 → 0.2150\n" in text
+    assert "better: 0" in text
+
+
+def test_times_are_told_and_not_judged() -> None:
+    before, slower = small_page(), small_page()
+    for row in slower.values():
+        for values in row.values():
+            values["ms"] *= 3
+    found = page.compared(before, slower)
+    assert {one.verdict for one in found} == {""}
+    assert "median of rows: 3.00 ×" in page.comparison(found, "before")
+
+
+# -- rows and program --------------------------------------------------------------------------------------------------
+
+
+def test_to_be_sure_is_no_merit_on_a_wrong_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A short drive on another floor of the building: what is judged there is what no filter should do."""
+    monkeypatch.setattr(rows, "MINUTES", 0.1)
+    (row,) = (one for one in every_row() if one.title == "wrong map: floor on another's")
+    values = row.judged(1)
+    assert set(values) == {"sure_wrong", "ece", "log_score", "matched", "warned_s", "ms"}
+    assert 0.0 <= values["sure_wrong"] <= 1.0 and values["log_score"] < 0.0
+
+
+def test_titles_are_unique_and_every_situation_has_a_row() -> None:
+    every = every_row()
+    assert len({row.title for row in every}) == len(every)
+    groups = Counter(row.group for row in every)
+    assert set(groups) == {"real", "edges", "rendered", "simulated", "trust", "wrong map", "worn map", "faults"}
+    assert every[0].group == "real" and 15 < sum(row.quick for row in every) < 25
+
+
+def test_the_committed_page_has_only_rows_that_there_are() -> None:
+    """A row that goes has to go from there as well, and the changelog says why."""
+    committed = ROOT / "benchmarks" / "scoreboard.json"
+    if not committed.exists():
+        pytest.skip("no page is committed yet")
+    kept = page.load(committed)
+    assert list(kept) == [row.title for row in every_row()]
+    assert (ROOT / "docs" / "scoreboard.md").read_text(encoding="utf-8") == page.markdown(kept)
+
+
+@pytest.mark.slow  # quick: the tests above hold the parts
+def test_program_writes_its_page_and_compares_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The log that ships, twice: the same figures but for times, and for one that the page is told to be better."""
+    title, saved = "rendered: corridor, line", tmp_path / "page.json"
+    monkeypatch.setenv("LOCALISER_SCOREBOARD", str(tmp_path / "kept"))
+
+    def ran(*options: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["scoreboard.py", "--only", title, "--seeds", "0-1", *options])
+        code = scoreboard.main()
+        return code, *capfd.readouterr()
+
+    code, out, err = ran("--save", str(saved), "--page", str(tmp_path / "page.md"))
+    assert code == 0 and "1/1 rendered: corridor, line\n" in err
+    assert out.splitlines()[2].startswith("| corridor, line | 0.0")
+    assert (tmp_path / "page.md").read_text().endswith("\n".join(out.splitlines()[:3]) + "\n\n")
+    before = page.load(saved)
+    for values in before[title].values():
+        values["heading_deg"] = 0.0001
+    before["rendered: mine"] = before[title]
+    page.save(saved, before)
+    code, out, _ = ran("--against", str(saved))
+    assert code == 1 and "worse: 1\n- rendered: corridor, line: heading ° 0.00 →" in out and "better: 0" in out
+    assert "no longer among the rows: rendered: mine" in out
