@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -65,24 +66,21 @@ def jpeg_of_scans(size: Size, scans: int, before: bytes = b"", first: Size | Non
     return b"\xff\xd8" + tables + frame(size) + before + mean + rest + (scans - 2) * refined + b"\xff\xd9"
 
 
-def many_frames(make: Any, count: int, t_ns: int = 0, parent: str = "base_link") -> bytes:
-    """Return a message of transforms in one row, from a parent on. make: of `storage.bags.Messages`."""
-    names = [parent, *(f"frame_{number}" for number in range(count))]
+def many_frames(make: Any, count: int, first: int = 0, t_ns: int = 0) -> bytes:
+    """Return a message of transforms in one row from the robot on. make: of `storage.bags.Messages`.
+
+    first: number of the first frame.
+    """
+    names = ["base_link", *(f"frame_{number}" for number in range(first, first + count))]
     return transforms(make, pairwise(names), t_ns)
 
 
 def transforms(make: Any, links: Iterable[tuple[str, str]], t_ns: int = 0) -> bytes:
     """Return a message of transforms that move nothing between frames, by the names of parent and child."""
     seconds, nanoseconds = divmod(t_ns, 10**9)
-    stamped = [
-        make.make(
-            "geometry_msgs/msg/TransformStamped",
-            header={"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": parent},
-            child_frame_id=child,
-            transform={"rotation": {"w": 1.0}},
-        )
-        for parent, child in links
-    ]
+    header = make.make("std_msgs/msg/Header", stamp={"sec": seconds, "nanosec": nanoseconds})
+    still = make.make("geometry_msgs/msg/TransformStamped", header=header, transform={"rotation": {"w": 1.0}})
+    stamped = [replace(still, header=replace(header, frame_id=parent), child_frame_id=child) for parent, child in links]
     return bytes(make.encode(make.make("tf2_msgs/msg/TFMessage", transforms=stamped)))
 
 

@@ -35,6 +35,7 @@ MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/ms
 METADATA_FILE = "metadata.yaml"
 ROS1_SUFFIX = ".bag"
 SUFFIXES = (ROS1_SUFFIX, ".mcap", ".db3")
+MOST_TRANSFORMS_BYTES = 2**20  # of a message; thousands of transforms, each of which takes 2 kB once it is read
 _NS = 1_000_000_000
 
 
@@ -126,7 +127,10 @@ class Bag:
                 if (connection.topic, connection.msgtype) not in wanted:
                     raise ValueError("two topics share a number, so that their messages cannot be told apart")
                 with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
-                    content = self._decode(self._unpack(data), connection.msgtype)
+                    unpacked = self._unpack(data)
+                    if connection.msgtype == TRANSFORMS and len(unpacked) > MOST_TRANSFORMS_BYTES:
+                        raise ValueError(f"expected at most {MOST_TRANSFORMS_BYTES} bytes, found {len(unpacked)}")
+                    content = self._decode(unpacked, connection.msgtype)
                 yield Message(connection.topic, connection.msgtype, int(t_ns), content)
 
 
