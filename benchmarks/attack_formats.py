@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import random
+import re
 import sqlite3
 import struct
 import tempfile
@@ -18,13 +19,18 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+import attack_bombs as bombs
 import attack_values as values
 from rosbags.rosbag2.storage_mcap import zstd
 
 from localiser.documents import dump, parse
 from localiser.errors import InputError
+from localiser.image_files import measure
+from localiser.storage.bags import Messages
 
 Mutation = Callable[[bytes, random.Random], bytes]
+COSTLY = 0.03
+_IS_TRANSFORM = re.compile(rb"\x00\x01..\x01\x00{3}.{12}base_link\x00", re.DOTALL)  # the one of our bags
 
 
 def mutated(data: bytes, suffix: str, rng: random.Random) -> bytes:
@@ -135,7 +141,9 @@ def _table(rows: list[list[str]], rng: random.Random) -> list[list[str]]:
 
 
 def _png(data: bytes, rng: random.Random) -> bytes:
-    """Change a chunk, drop it, repeat it or move it; its checksum is right again, mostly."""
+    """Change a chunk, drop it, repeat it or move it; its checksum is right again, mostly. Or make it a costly one."""
+    if rng.random() < COSTLY:
+        return rng.choice((bombs.png_of_texts(data, 999), bombs.png_of_more((64, 48), 12_000)))
     chunks, place = [], 8
     while place + 8 <= len(data):
         length = int.from_bytes(data[place : place + 4], "big")
@@ -150,7 +158,11 @@ def _png(data: bytes, rng: random.Random) -> bytes:
 
 
 def _jpeg(data: bytes, rng: random.Random) -> bytes:
-    """Change a segment before the first scan, drop it, repeat it or move it."""
+    """Change a segment before the first scan, drop it, repeat it or move it. Or make it a costly one."""
+    if rng.random() < COSTLY:
+        size, _ = measure(data)
+        scans = bombs.jpeg_of_scans(size, 300_000)
+        return rng.choice((scans, bombs.jpeg_of_scans(size, 2, first=(60_000, 10_000))))
     segments, place = [], 2
     while data[place] == 0xFF and data[place + 1] != 0xDA:
         length = int.from_bytes(data[place + 2 : place + 4], "big")
@@ -216,7 +228,7 @@ def _change_database(database: sqlite3.Connection, rng: random.Random) -> None:
     if kind <= 3 and "messages" in tables:
         rows = database.execute("SELECT rowid, data FROM messages ORDER BY rowid").fetchall()
         rowid, content = rng.choice(rows)
-        database.execute("UPDATE messages SET data=? WHERE rowid=?", (_message(content, rng), rowid))
+        database.execute("UPDATE messages SET data=? WHERE rowid=?", (message(content, rng), rowid))
     elif kind <= 5:
         found = rng.choice((values.number(rng), rng.choice(values.TEXTS), None, b"\xff\0", rng.randbytes(9)))
         found = str(found) if isinstance(found, int) and abs(found) >= 2**63 else found
@@ -252,12 +264,19 @@ def _change_database(database: sqlite3.Connection, rng: random.Random) -> None:
         database.execute("UPDATE sqlite_master SET sql=? WHERE name=?", (sql, table))
 
 
-def _message(data: bytes, rng: random.Random) -> bytes:
-    """Change the numbers of a serialised message, which keep their places."""
+def message(data: bytes, rng: random.Random) -> bytes:
+    """Change the numbers of a serialised message, which keep their places. Or make a transform many."""
+    if _IS_TRANSFORM.match(data) and rng.random() < COSTLY:
+        return many_frames(rng)
     for _ in range(rng.choice((1, 1, 4))):
         head, rest = data[:400], data[400:]
         data = values.with_number(head, rng) + rest if rng.random() < 0.85 else values.damaged(data, rng)
     return data
+
+
+def many_frames(rng: random.Random) -> bytes:
+    """Return transforms of as many frames as a search may have to go through."""
+    return bombs.many_frames(Messages(), rng.choice((900, 9000, 15_000)))
 
 
 def _mcap(data: bytes, rng: random.Random) -> bytes:
@@ -285,7 +304,7 @@ def _record(record: tuple[int, bytes], rng: random.Random) -> tuple[int, bytes]:
             body = record[1][:16] + struct.pack("<QI", len(content), 0) + record[1][28 : 32 + named]
             return kind, body + struct.pack("<Q", len(content)) + content
     if kind == 5:  # a message: 22 bytes, and what was serialised
-        return kind, body[:22] + _message(body[22:], rng)
+        return kind, body[:22] + message(body[22:], rng)
     return kind, values.damaged(body, rng) if rng.random() < 0.5 else values.with_number(body, rng)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import attack_values as values
-from attack_formats import mutated
+from attack_formats import COSTLY, many_frames, mutated
 from attack_samples import FEW, ROOT, localiser_of
 
 from localiser.documents import read_bytes
@@ -215,7 +215,9 @@ def _change_messages(path: Path, rng: random.Random) -> None:
         file = rng.choice([part for part in files if part.exists()])
         kind = rng.randrange(10)
         data = file.read_bytes()
-        if kind < 7:
+        if "_transforms_" in file.name and rng.random() < 10 * COSTLY:
+            file.write_bytes(many_frames(rng))
+        elif kind < 7:
             file.write_bytes(values.with_number(data[:400], rng) + data[400:])
         elif kind == 7:
             file.write_bytes(values.damaged(data, rng))

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from localiser.edges.undistort import Image
+from localiser.image_files import decode
 
 DARK_GREY = 64.0
 """Where 95 % of the pixels are darker than this, noise covers faint edges."""
@@ -38,7 +39,7 @@ class Light:
 def light_of(image: Image | bytes) -> Light:
     """Return how an image (H, W) or (H, W, 3), uint8, or as a file, is exposed, at an eighth of its size."""
     if isinstance(image, bytes):
-        some = np.asarray(cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8))
+        some = np.asarray(decode(image, cv2.IMREAD_REDUCED_GRAYSCALE_8))
     else:
         some = image[::_EVERY, ::_EVERY]
     return Light(float(np.percentile(some, 95)), float((some >= SATURATED_GREY).mean()))

@@ -10,6 +10,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.filter import Image, LocatedFrame
 from localiser.geometry import Array, forward
+from localiser.image_files import decode
 from localiser.landmarks import LandmarkMap, landmark_ends, predicted_lines
 
 JPEG_QUALITY = 80
@@ -42,7 +43,7 @@ def image_uri(image: Image) -> str:
     """Return a JPEG as an address that holds its content; other images are encoded as one."""
     content = image if isinstance(image, bytes) else b""
     if content[:2] != b"\xff\xd8":
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else image
+        pixels = decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if content else image
         content = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()  # type: ignore[arg-type]
     return f"data:image/jpeg;base64,{b64encode(content).decode()}"
 

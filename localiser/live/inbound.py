@@ -39,6 +39,7 @@ _TYPES = {
     "clock": CLOCK,
 }
 MOST_BYTES = 64 * 2**20
+MOST_TRANSFORMS_BYTES = 2**18  # 2000 transforms: what is read in a moment
 
 
 def type_of(role: str, topic: str) -> str:
@@ -59,9 +60,10 @@ def topic_for(role: str, name: str) -> Topic:
 
 def message_of(arrival: Arrival) -> Any:
     """Return the message that arrived. Raises ValueError when it is not one of its type."""
-    if len(arrival.content) > MOST_BYTES:
-        raise ValueError(f"expected at most {MOST_BYTES} bytes, found {len(arrival.content)}")
     msgtype = type_of(arrival.role, arrival.topic)
+    most = MOST_TRANSFORMS_BYTES if msgtype == TRANSFORMS else MOST_BYTES
+    if len(arrival.content) > most:
+        raise ValueError(f"expected at most {most} bytes, found {len(arrival.content)}")
     try:
         message = typestore(ros1=False).deserialize_cdr(arrival.content, msgtype)
         if arrival.role not in ("transforms", "moving_transforms", "clock"):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.filter import Image, LocatedFrame
 from localiser.geometry import Array
+from localiser.image_files import decode
 from localiser.landmarks import predicted_lines
 from localiser.storage import encode_image
 from localiser.storage.bags import OPTICAL, Messages
@@ -43,7 +44,7 @@ def annotated(
 def _colour(image: Image) -> NDArray[np.uint8] | None:
     """Return a copy (H, W, 3) to draw on, None where the file cannot be decoded."""
     if isinstance(image, bytes):
-        decoded = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        decoded = decode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
         return None if decoded is None else np.asarray(decoded, dtype=np.uint8)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy(), dtype=np.uint8)
 

@@ -14,7 +14,6 @@ from localiser.storage.images import (
     check_whole,
     decoded,
     encode_image,
-    measure,
     read_image,
 )
 from localiser.storage.log import Event, Log, LogReader, ReadOptions, require_odometry, thinned

@@ -1,14 +1,10 @@
-"""Read image files (JPEG, PNG). They are checked first, because OpenCV decodes half a file without complaint."""
+"""Read image files (JPEG, PNG), and write them."""
 
 from __future__ import annotations
 
-import re
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from struct import unpack_from
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +13,7 @@ from numpy.typing import NDArray
 from localiser.camera import Mount
 from localiser.documents import open_regular, read_bytes
 from localiser.errors import InputError
+from localiser.image_files import PNG_SIGNATURE, decode, measure
 
 Image = NDArray[np.uint8]
 
@@ -24,13 +21,8 @@ MAX_IMAGE_BYTES = 64 * 2**20
 _HEAD_BYTES = 2**12
 _LONG_HEAD_BYTES = 2**18  # what a camera writes before a JPEG's size: a thumbnail, a colour profile
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_COLOUR_TYPE = 25
 _PNG_COLOURS = frozenset((2, 3, 6))
-_JPEG_SIGNATURE = b"\xff\xd8\xff"
-_JPEG_END = 0xD9
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # not a stuffed byte, a filler or a restart
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,20 +92,15 @@ def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None
 
     A PNG in colour becomes grey as a raw image does, not by the rounding of OpenCV's reader of PNG.
     """
-    colour = data.startswith(_PNG_SIGNATURE) and data[_PNG_COLOUR_TYPE] in _PNG_COLOURS
+    colour = data.startswith(PNG_SIGNATURE) and data[_PNG_COLOUR_TYPE] in _PNG_COLOURS
     flags = (cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_IGNORE_ORIENTATION
-    image = decode_pixels(data, flags)
+    try:
+        image = decode(data, flags)
+    except ValueError as error:
+        raise InputError(str(error), path=path, field=field) from None
     if image is None or image.shape[:2] != (size[1], size[0]):
         raise InputError("expected an image that can be decoded", path=path, field=field)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, dtype=np.uint8)
-
-
-def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
-    """Return what OpenCV reads from an image file, None where it cannot."""
-    try:
-        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-    except cv2.error:
-        return None
 
 
 def check_head(path: Path, size: tuple[int, int]) -> None:
@@ -140,61 +127,9 @@ def check_size(path: Path, found: tuple[int, int], size: tuple[int, int], field:
         raise InputError(f"{expected}, found {found[0]}×{found[1]}", path=path, field=field)
 
 
-# -- the structure of the two formats ---------------------------------------------------------------------------------
-
-
-def measure(data: bytes) -> tuple[tuple[int, int], bool]:
-    """Return the size (width, height) that an image file states, and whether the file goes on to its end.
-
-    Raises ValueError when it is neither JPEG nor PNG or ends before the size.
-    """
-    if data.startswith(_JPEG_SIGNATURE):
-        return _measure_jpeg(data)
-    if data.startswith(_PNG_SIGNATURE):
-        return _measure_png(data)
-    raise ValueError("expected a JPEG or PNG image, found " + ("an empty file" if not data else "something else"))
-
-
-def _measure_jpeg(data: bytes) -> tuple[tuple[int, int], bool]:
-    """Walk from marker to marker; compressed data, which follows a scan's header, ends at the next marker."""
-    size = None
-    place = 2
-    while marker := _JPEG_MARKER.search(data, place):
-        kind = data[marker.end() - 1]
-        if kind == _JPEG_END:
-            break
-        start = marker.end()
-        length = int.from_bytes(data[start : start + 2], "big")
-        if kind in _JPEG_FRAMES and start + 7 <= len(data):
-            height, width = unpack_from(">HH", data, start + 3)
-            size = (width, height)
-        place = start + max(length, 2)
-    if size is None:
-        raise ValueError("expected a JPEG image, found one that is cut off before its size")
-    return size, marker is not None
-
-
-def _measure_png(data: bytes) -> tuple[tuple[int, int], bool]:
-    """Walk from chunk to chunk, each of which carries a checksum, to the chunk that ends the file."""
-    if len(data) < 33 or data[12:16] != b"IHDR":
-        raise ValueError("expected a PNG image, found one that is cut off before its size")
-    width, height = unpack_from(">II", data, 16)
-    size = (width, height)
-    place = len(_PNG_SIGNATURE)
-    while place + 12 <= len(data):
-        body_end = place + 8 + int.from_bytes(data[place : place + 4], "big")
-        checksum = int.from_bytes(data[body_end : body_end + 4], "big")
-        if body_end + 4 > len(data) or zlib.crc32(data[place + 4 : body_end]) != checksum:
-            return size, False
-        if data[place + 4 : place + 8] == b"IEND":
-            return size, True
-        place = body_end + 4
-    return size, False
-
-
 def suffix_of(data: bytes) -> str:
     """Return what the name of an image file ends with, by its first bytes."""
-    return ".png" if data.startswith(_PNG_SIGNATURE) else ".jpg"
+    return ".png" if data.startswith(PNG_SIGNATURE) else ".jpg"
 
 
 def encode_image(image: Image, suffix: str, jpeg_quality: int) -> bytes:

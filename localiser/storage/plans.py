@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from localiser.documents import dump, load, read_bytes, validate, write_bytes, write_text
 from localiser.errors import InputError
+from localiser.image_files import PNG_SIGNATURE, decode, measure
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
-from localiser.storage.images import decode_pixels, measure
 
 OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
 _MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text
@@ -143,13 +143,13 @@ def _text_values(body: bytes) -> Picture:
 
 
 def _read_png(data: bytes) -> Picture:
-    if not data.startswith(b"\x89PNG"):
+    if not data.startswith(PNG_SIGNATURE):
         raise ValueError("expected a PGM or PNG picture, found " + ("an empty file" if not data else "something else"))
     (columns, rows), complete = measure(data)
     _check_cells(columns, rows)
     if not complete:
         raise ValueError("expected a whole picture, found one that is cut off or damaged")
-    picture = decode_pixels(data, cv2.IMREAD_UNCHANGED)
+    picture = decode(data, cv2.IMREAD_UNCHANGED)
     if picture is None or picture.shape[:2] != (rows, columns):
         raise ValueError("expected a picture that can be decoded")
     picture = picture.reshape(rows, columns, -1)

@@ -14,6 +14,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.documents import encodable, require_regular, text_of
 from localiser.errors import InputError
+from localiser.image_files import MOST_SCANS
 from localiser.storage.cameras import read_camera
 from localiser.storage.images import check_size, encode_image, image_event
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Log, require_overlap
@@ -53,17 +54,45 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
 
+_JPEG_CODECS, _PNG_CODECS = ("MJPG", "mjpb", "mjpe"), ("MPNG", "apng")  # as OpenCV calls them
+_SCAN = b"\xff\xda"
+
+
 def _open(path: Path) -> Any:
-    """Return the open video; by FFmpeg alone, for which a name with % or :// is still a file."""
+    """Return the open video; by FFmpeg alone, for which a name with % or :// is still a file.
+
+    Frames that are PNG files are refused: FFmpeg unpacks what is beside the pixels, too, to any size.
+    """
     require_regular(path, "video")
     capture = cv2.VideoCapture(text_of(path.resolve()), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError("expected a video that can be decoded", path=path)
+    if _codec(capture) in _PNG_CODECS:
+        raise InputError("expected frames of H.264 or another codec for video, found PNG; convert them", path=path)
     return capture
+
+
+def _codec(capture: Any) -> str:
+    return (int(capture.get(cv2.CAP_PROP_FOURCC)) % 2**32).to_bytes(4, "little").decode("latin-1")
+
+
+def _check_scans(path: Path) -> None:
+    """Raise InputError where a frame that is a JPEG file has too many scans; no frame is decoded."""
+    capture = _open(path)
+    if _codec(capture) in _JPEG_CODECS and capture.set(cv2.CAP_PROP_FORMAT, -1):
+        frame = 0
+        while capture.grab():
+            _, file = capture.retrieve()
+            if file is not None and file.tobytes().count(_SCAN) > MOST_SCANS:
+                problem = f"expected a JPEG of at most {MOST_SCANS} scans, found more"
+                raise InputError(problem, path=path, field=f"frame {frame}")
+            frame += 1
+    capture.release()
 
 
 def _times_ns(path: Path, camera: Camera) -> list[int]:
     """Return the times (T,) of all frames after the first."""
+    _check_scans(path)
     capture = _open(path)
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
     check_size(path, size, (camera.width, camera.height))

@@ -6,10 +6,12 @@ import random
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from threading import Event
 
 import attack
+import attack_bombs as bombs
 import attack_formats
 import attack_pool
 import attack_targets
@@ -20,6 +22,9 @@ from folders import ROOT
 from small_bag import Recorder, bag
 
 from localiser.errors import InputError
+from localiser.image_files import decode
+from localiser.storage import open_log
+from localiser.storage.bags import Messages
 
 KEPT = sorted((ROOT / "tests" / "attacks").glob("*/*/*"))
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
@@ -41,6 +46,24 @@ def test_a_case_is_the_same_each_time_and_differs_from_the_next(suffix: str) -> 
     made = [attack_formats.mutated(data, suffix, random.Random(f"map {number}")) for number in range(20)]
     assert made == [attack_formats.mutated(data, suffix, random.Random(f"map {number}")) for number in range(20)]
     assert len(set(made)) > 5
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_some_pictures_are_costly(suffix: str) -> None:
+    """They are made from a good one, and refused or read."""
+    data = bombs.black((64, 48)) if suffix == ".png" else bombs.jpeg_of_scans((64, 48), 2)
+    made = [attack_formats.FORMS[suffix](data, random.Random(number)) for number in range(200)]
+    costly = {len(each) // 2**19: each for each in made if len(each) > 2**20}
+    assert costly
+    for each in costly.values():
+        with suppress(ValueError):
+            assert decode(each, 0) is not None
+
+
+def test_some_transforms_are_many(tmp_path: Path) -> None:
+    log = open_log(ROOT / "logs" / "corridor")
+    mount = Messages().encode(Messages().mount(5 * 10**9, log.camera))
+    assert max(len(attack_formats.message(mount, random.Random(number))) for number in range(200)) > 2**19
 
 
 def test_numbers_keep_the_length_of_a_message() -> None:

@@ -13,7 +13,8 @@ from localiser.calibration import FEWEST_VIEWS, Board, BoardView, FloorMount, In
 from localiser.camera import Camera, Mount
 from localiser.documents import drafted, read_bytes
 from localiser.errors import InputError
-from localiser.storage import MAX_IMAGE_BYTES, measure, read_image, require_new_file, write_camera
+from localiser.image_files import measure
+from localiser.storage import MAX_IMAGE_BYTES, read_image, require_new_file, write_camera
 
 _DPI = 600
 _MOST_LOOKED_AT = 3

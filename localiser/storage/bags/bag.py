@@ -34,6 +34,7 @@ MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/ms
 METADATA_FILE = "metadata.yaml"
 ROS1_SUFFIX = ".bag"
 SUFFIXES = (ROS1_SUFFIX, ".mcap", ".db3")
+MOST_TRANSFORMS_BYTES = 2**20  # of a message; thousands of transforms, each of which takes 2 kB once it is read
 _NS = 1_000_000_000
 
 
@@ -128,6 +129,8 @@ class Bag:
                 with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
                     data = self._unpack(packed)
                     read.spend(len(data))
+                    if connection.msgtype == TRANSFORMS and len(data) > MOST_TRANSFORMS_BYTES:
+                        raise ValueError(f"expected at most {MOST_TRANSFORMS_BYTES} bytes, found {len(data)}")
                     content = self._decode(data, connection.msgtype)
                 yield Message(connection.topic, connection.msgtype, int(t_ns), content)
 

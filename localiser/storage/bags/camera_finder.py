@@ -12,10 +12,10 @@ from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.storage.bags.bag import stamp_of
 from localiser.storage.bags.cameras import camera_of, intrinsics_of
-from localiser.storage.bags.frames import FrameTree, mount_of, plain_frame
+from localiser.storage.bags.frames import MOST_FRAMES, MOST_FRAMES_LIVE, FrameTree, mount_of, plain_frame
 from localiser.storage.bags.images import stated_size
 from localiser.storage.bags.inertial import Inertial
-from localiser.storage.bags.moving_frames import Link, MovingFrames, at_time, mount_at, moving_links
+from localiser.storage.bags.moving_frames import Link, MovingFrames, at_time, mount_at, way
 
 _IN_RECTIFIED = "image_rect"  # what image_proc calls images with their lens distortion undone
 
@@ -48,7 +48,9 @@ class CameraFinder:
         self._rectified = _IN_RECTIFIED in image_topic
         self._info: Any = None
         self.is_given = given is not None
-        self._tree, self._moving = FrameTree(), MovingFrames(moving_kept)
+        most = MOST_FRAMES_LIVE if at_once else MOST_FRAMES
+        self._tree, self._moving = FrameTree(most), MovingFrames(moving_kept, most)
+        self._ways: dict[Link, tuple[FrameTree, list[Link]]] = {}
         self._inertial = Inertial()
         self._first_ns: int | None = None
         self._optical = self._base = ""
@@ -71,11 +73,15 @@ class CameraFinder:
     def take_transforms(self, message: Any) -> None:
         """Take a TFMessage. Raises ValueError."""
         self._tree.add_all(message.transforms)
+        self._ways.clear()
         self._look()
 
     def take_moving(self, message: Any, offset_ns: int = 0) -> None:
         """Take a TFMessage of transforms that change; offset_ns: what is added to their stamps. Raises ValueError."""
+        known = len(self._moving.links)
         self._moving.add_all(message.transforms, offset_ns)
+        if len(self._moving.links) > known:
+            self._ways.clear()
         self._look()
 
     def forget_moving(self) -> None:
@@ -118,13 +124,12 @@ class CameraFinder:
         """Return the camera by everything until now. Raises InputError; ValueError where something is missing."""
         if self._info is None:
             raise ValueError("expected a topic of sensor_msgs/CameraInfo, found none")
-        mount = self._mount_at(self._first_ns or 0, self._moving_links())
+        mount = self._mount_at(self._first_ns or 0)
         return camera_of(self._info, mount, rectified=self._rectified, name="", source=self._source)
 
     def mounts(self, times_ns: Sequence[int]) -> list[Mount | None]:
         """Return the mount of the camera at each time, None where it does not move. Raises ValueError."""
-        links = self._moving_links()
-        mounts = [self._mount_at(t_ns, links) if links else None for t_ns in times_ns]
+        mounts = [self.mount_at(t_ns) for t_ns in times_ns]
         if not len(self._inertial):
             return mounts
         usual = self.made().mount
@@ -136,23 +141,30 @@ class CameraFinder:
 
     def mount_at(self, stamp_ns: int) -> Mount | None:
         """Return the mount at a time, None where it does not move. Raises ValueError."""
-        links = self._moving_links()
-        return self._mount_at(stamp_ns, links) if links else None
+        return self._mount_at(stamp_ns) if self._moving_links() else None
 
     def _levelled(self, mount: Mount, t_ns: int) -> Mount:
         """Return the mount at a time with tilt and roll by the inertial sensor."""
         frame, optical = self._inertial.frame, self._optical
-        links = [] if frame == optical else moving_links(self._tree, self._moving, frame, optical)
-        tree = at_time(self._tree, self._moving, links, t_ns)
+        fixed, links = (FrameTree(), []) if frame == optical else self._way(frame)
+        tree = at_time(fixed, self._moving, links, t_ns)
         return self._inertial.mount(mount, tree.between(optical, frame)[:3, :3], t_ns)
 
     def _moving_links(self) -> list[Link]:
-        return [] if self.is_given else moving_links(self._tree, self._moving, self._base, self._optical)
+        return [] if self.is_given else self._way(self._base)[1]
 
-    def _mount_at(self, t_ns: int, links: list[Link]) -> Mount:
+    def _way(self, start: str) -> tuple[FrameTree, list[Link]]:
+        """Return the transforms from a frame to the camera's, see `way`; remembered until there are others."""
+        link = start, self._optical
+        if link not in self._ways:
+            self._ways[link] = way(self._tree, self._moving, *link)
+        return self._ways[link]
+
+    def _mount_at(self, t_ns: int) -> Mount:
+        fixed, links = self._way(self._base)
         if not links:
             return mount_of(self._tree, self._base, self._optical)
-        return mount_at(self._tree, self._moving, links, self._base, self._optical, t_ns)
+        return mount_at(fixed, self._moving, links, self._base, self._optical, t_ns)
 
     def _look(self) -> None:
         if not self._at_once or self.camera is not None or self._info is None:

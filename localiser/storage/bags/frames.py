@@ -6,7 +6,9 @@ ROS (REP-103): a robot's frame has x forward, y left, z up; a camera's optical f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from heapq import nsmallest
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,9 @@ from localiser.camera import Mount
 from localiser.geometry import Array, pose_from_ros, ros_cov_from_cov, wrap_angle
 
 FLOOR_FRAME = "base_footprint"  # REP-120: the robot's frame, let down to the floor
+MOST_FRAMES, MOST_FRAMES_LIVE = 10_000, 1000  # a bag may hold those of many robots
+MOST_STEPS = 100  # from the robot to its camera
+_LONGEST_NAME, _MOST_LISTED = 256, 12
 
 _ROBOT_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 _OPTICAL_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
@@ -26,18 +31,32 @@ _LARGEST_SIGMA_M, _LARGEST_SIGMA_RAD = 1000.0, 2 * math.pi
 FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the turns about them
 
 
+Link = tuple[str, str]
+
+
 class FrameTree:
-    """Transforms between named frames at one time. A transform is (4, 4) and takes points of a child to its parent."""
+    """Transforms between named frames at one time. A transform is (4, 4) and takes points of a child to its parent.
 
-    def __init__(self) -> None:
-        """Start with no frame."""
-        self._neighbours: dict[str, dict[str, Array]] = {}
+    neighbours: the frames beside each frame, with the transforms from them.
+    """
 
-    def add_all(self, transforms: Iterable[Any]) -> None:
-        """Add the transforms of a tf2_msgs/TFMessage, all or none. Raises ValueError when one is no rigid motion."""
+    def __init__(self, most: int = MOST_FRAMES) -> None:
+        """Start with no frame. most: how many there may be."""
+        self.neighbours: dict[str, dict[str, Array]] = {}
+        self._most = most
+        self._chains: dict[Link, list[Link] | None] = {}
+
+    def add_all(self, transforms: Sequence[Any]) -> None:
+        """Add the transforms of a tf2_msgs/TFMessage, all or none.
+
+        Raises ValueError when one is no rigid motion, or there are too many frames.
+        """
+        links = links_of(transforms)
+        new = {frame for link in links for frame in link if frame not in self.neighbours}
+        if len(self.neighbours) + len(new) > self._most:
+            raise ValueError(f"expected at most {self._most} frames, found more")
         found = []
-        for stamped in transforms:
-            parent, child = plain_frame(stamped.header.frame_id), plain_frame(stamped.child_frame_id)
+        for (parent, child), stamped in zip(links, transforms, strict=True):
             moved, turned = stamped.transform.translation, stamped.transform.rotation
             transform: Array = np.eye(4)
             transform[:3, :3] = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
@@ -50,45 +69,77 @@ class FrameTree:
     def add(self, parent: str, child: str, transform: Array) -> None:
         """Add a transform (4, 4). Raises ValueError when the child is too far away."""
         _require_near(parent, child, transform)
-        self._neighbours.setdefault(parent, {})[child] = transform
-        self._neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform))
+        if child not in self.neighbours.get(parent, ()):
+            self._chains.clear()
+        self.neighbours.setdefault(parent, {})[child] = transform
+        self.neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform))
 
-    def link(self, parent: str, child: str) -> None:
-        """Add that a transform joins two frames, unless one is there."""
-        for one, other in ((parent, child), (child, parent)):
-            self._neighbours.setdefault(one, {}).setdefault(other, np.eye(4))
+    def part(self, steps: Iterable[Link]) -> FrameTree:
+        """Return a tree of the transforms between these neighbours alone, where there are any, and of FLOOR_FRAME."""
+        other = FrameTree()
+        if FLOOR_FRAME in self:
+            other.neighbours[FLOOR_FRAME] = {}
+        for step in steps:
+            for frame, neighbour in (step, step[::-1]):
+                if neighbour in self.neighbours.get(frame, ()):
+                    other.neighbours.setdefault(frame, {})[neighbour] = self.neighbours[frame][neighbour]
+        return other
 
     def copy(self) -> FrameTree:
         """Return a tree with the same transforms."""
         other = FrameTree()
-        other._neighbours = {frame: dict(beside) for frame, beside in self._neighbours.items()}
+        other.neighbours = {frame: dict(beside) for frame, beside in self.neighbours.items()}
         return other
 
-    def chain(self, target: str, source: str) -> list[tuple[str, str]] | None:
-        """Return the pairs of neighbours from one frame to another, by the fewest transforms; None where none lead."""
-        steps: dict[str, list[tuple[str, str]]] = {target: []}
-        waiting = [target]
-        while waiting and source not in steps:
-            frame = waiting.pop(0)
-            for neighbour in self._neighbours.get(frame, {}):
-                if neighbour not in steps:
-                    steps[neighbour] = [*steps[frame], (frame, neighbour)]
-                    waiting.append(neighbour)
-        return steps.get(source)
+    def chain(self, target: str, source: str) -> list[Link] | None:
+        """Return the pairs of neighbours from one frame to another, as the function `chain`; they are remembered."""
+        if (target, source) not in self._chains:
+            self._chains[target, source] = chain([self.neighbours], target, source)
+        return self._chains[target, source]
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self._neighbours
+        return frame in self.neighbours
 
     def between(self, target: str, source: str) -> Array:
         """Return the transform (4, 4) from `source` to `target` along any chain of frames. Raises ValueError."""
         steps = self.chain(target, source)
         if steps is None:
-            known = ", ".join(sorted(self._neighbours)) or "no frame at all"
-            raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}")
+            known = ", ".join(nsmallest(_MOST_LISTED, self.neighbours)) or "no frame at all"
+            more = f" and {len(self.neighbours) - _MOST_LISTED} more" if len(self.neighbours) > _MOST_LISTED else ""
+            raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}{more}")
         transform: Array = np.eye(4)
         for frame, neighbour in steps:
-            transform = transform @ self._neighbours[frame][neighbour]
+            transform = transform @ self.neighbours[frame][neighbour]
         return transform
+
+
+def chain(neighbours: Sequence[Mapping[str, Iterable[str]]], target: str, source: str) -> list[Link] | None:
+    """Return the pairs of neighbours from one frame to another, by the fewest transforms; None where none lead.
+
+    neighbours: the frames beside each frame, in several mappings. A chain of more than `MOST_STEPS` is none.
+    """
+    came_from, waiting = {target: target}, deque([target])
+    while waiting and source not in came_from:
+        frame = waiting.popleft()
+        for neighbour in (each for beside in neighbours for each in beside.get(frame, ())):
+            if neighbour not in came_from:
+                came_from[neighbour] = frame
+                waiting.append(neighbour)
+    steps: list[Link] = []
+    frame = source if source in came_from else target
+    while frame != target and len(steps) <= MOST_STEPS:
+        steps.append((came_from[frame], frame))
+        frame = came_from[frame]
+    return steps[::-1] if source in came_from and len(steps) <= MOST_STEPS else None
+
+
+def links_of(transforms: Iterable[Any]) -> list[Link]:
+    """Return parent and child of each transform of a tf2_msgs/TFMessage. Raises ValueError for endless names."""
+    links = [(plain_frame(each.header.frame_id), plain_frame(each.child_frame_id)) for each in transforms]
+    longest = max((len(frame) for link in links for frame in link), default=0)
+    if longest > _LONGEST_NAME:
+        raise ValueError(f"expected names of frames of at most {_LONGEST_NAME} characters, found {longest}")
+    return links
 
 
 def _require_near(parent: str, child: str, transform: Array) -> None:

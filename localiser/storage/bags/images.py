@@ -7,7 +7,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image, measure
+from localiser.image_files import measure
+from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image
 
 # What a raw image becomes, and the bytes of a pixel. Bayer and YUV become colour.
 _BYTES = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}

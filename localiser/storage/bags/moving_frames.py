@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,40 +12,57 @@ from numpy.typing import NDArray
 
 from localiser.camera import Mount
 from localiser.geometry import Array
-from localiser.storage.bags.frames import FLOOR_FRAME, FrameTree, mount_of, plain_frame, rotation_from_quaternion
+from localiser.storage.bags.frames import (
+    FLOOR_FRAME,
+    MOST_FRAMES,
+    FrameTree,
+    Link,
+    chain,
+    links_of,
+    mount_of,
+    rotation_from_quaternion,
+)
 
 MOST_APART_S = 0.5
 """How far from an image the transforms may be that its mount is from."""
-_MOST_LINKS = 1000
 _NS = 1e9
-Link = tuple[str, str]
 
 
 class MovingFrames:
-    """Transforms between named frames at many times. They are checked when they are asked for."""
+    """Transforms between named frames at many times. They are checked when they are asked for.
 
-    def __init__(self, most: int | None = None) -> None:
-        """Start with no frame. most: how many times of each transform are kept, the newest; None keeps all."""
-        self._most = most
+    neighbours: the frames beside each frame.
+    """
+
+    def __init__(self, kept: int | None = None, most: int = MOST_FRAMES) -> None:
+        """Start with no frame. kept: how many times of each transform, the newest; None keeps all.
+
+        most: how many transforms there may be at a time.
+        """
+        self._kept, self._most = kept, most
+        self.neighbours: dict[str, dict[str, None]] = {}
         self._times: dict[Link, array[int]] = {}
         self._values: dict[Link, array[float]] = {}
         self._sorted: dict[Link, tuple[NDArray[np.int64], Array]] = {}
 
-    def add_all(self, transforms: Iterable[Any], offset_ns: int = 0) -> None:
-        """Add the transforms of a tf2_msgs/TFMessage; offset_ns: what is added to their stamps.
+    def add_all(self, transforms: Sequence[Any], offset_ns: int = 0) -> None:
+        """Add the transforms of a tf2_msgs/TFMessage, all or none; offset_ns: what is added to their stamps.
 
-        Raises ValueError where there are too many frames, if not all is kept.
+        Raises ValueError where there are too many.
         """
-        for stamped in transforms:
-            link = plain_frame(stamped.header.frame_id), plain_frame(stamped.child_frame_id)
-            if self._most is not None and link not in self._times and len(self._times) >= _MOST_LINKS:
-                raise ValueError(f"expected at most {_MOST_LINKS} transforms between frames, found more")
+        links = links_of(transforms)
+        if len(self._times) + len({link for link in links if link not in self._times}) > self._most:
+            raise ValueError(f"expected at most {self._most} transforms between frames, found more")
+        for link, stamped in zip(links, transforms, strict=True):
             stamp, moved, turned = stamped.header.stamp, stamped.transform.translation, stamped.transform.rotation
-            self._times.setdefault(link, array("q")).append(int(stamp.sec) * 10**9 + int(stamp.nanosec) + offset_ns)
-            numbers = (moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w)
-            self._values.setdefault(link, array("d")).extend(numbers)
-            if self._most is not None and len(self._times[link]) > 2 * self._most:
-                del self._times[link][: -self._most], self._values[link][: -7 * self._most]
+            if link not in self._times:
+                for frame, neighbour in (link, link[::-1]):
+                    self.neighbours.setdefault(frame, {})[neighbour] = None
+            times, values = self._times.setdefault(link, array("q")), self._values.setdefault(link, array("d"))
+            times.append(int(stamp.sec) * 10**9 + int(stamp.nanosec) + offset_ns)
+            values.extend((moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w))
+            if self._kept is not None and len(times) > 1.25 * self._kept:
+                del times[: -self._kept], values[: -7 * self._kept]
         self._sorted.clear()
 
     def forget_times(self) -> None:
@@ -54,9 +71,9 @@ class MovingFrames:
         self._sorted.clear()
 
     @property
-    def links(self) -> Iterable[Link]:
+    def links(self) -> Collection[Link]:
         """Parent and child of each transform."""
-        return self._times
+        return self._times.keys()
 
     def reaches(self, link: Link, t_ns: int) -> bool:
         """Whether a transform is known at a time or later."""
@@ -103,28 +120,27 @@ def _between(one: Array, other: Array, share: float) -> Array:
     return np.asarray(weights[0] * one + weights[1] * other)
 
 
-def moving_links(fixed: FrameTree, moving: MovingFrames, base: str, optical: str) -> list[Link]:
-    """Return which of the moving transforms the mount is made of; none where it does not move.
+def way(fixed: FrameTree, moving: MovingFrames, base: str, optical: str) -> tuple[FrameTree, list[Link]]:
+    """Return the transforms that the mount is made of: those that are fixed, and which of those that move.
 
     It moves where the camera does on its robot, or the robot's frame on its footprint, as that of a robot that leans.
     fixed: transforms that do not change; they come first where both join the frames.
     """
-    both = fixed.copy()
-    for link in moving.links:
-        both.link(*link)
+    on_way: list[Link] = []
     used: list[Link] = []
     for start, end in ((base, optical), (FLOOR_FRAME, base)):
-        if start not in both or end not in both or (start in fixed and fixed.chain(start, end)):
-            continue
-        steps = both.chain(start, end) or []
-        used += [link for link in moving.links if link in steps or link[::-1] in steps]
-    return list(dict.fromkeys(used))
+        steps = fixed.chain(start, end)
+        if not steps:
+            steps = chain([fixed.neighbours, moving.neighbours], start, end) or []
+            used += [link for step in steps for link in (step, step[::-1]) if link in moving.links]
+        on_way += steps
+    return fixed.part(on_way), list(dict.fromkeys(used))
 
 
 def mount_at(
     fixed: FrameTree, moving: MovingFrames, links: Sequence[Link], base: str, optical: str, t_ns: int
 ) -> Mount:
-    """Return the mount at a time; links: those of `moving_links`. Raises ValueError.
+    """Return the mount at a time; fixed, links: see `way`. Raises ValueError.
 
     Where the robot's frame leans over its footprint, the mount is that on the footprint, which is level.
     """

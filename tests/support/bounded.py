@@ -1,0 +1,46 @@
+"""Python code in a process of its own, which may take only so much more memory and processor time than it has taken."""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+from attack_pool import processor_s
+
+MORE_MB, MORE_S = 300, 2
+_PRELUDE = """
+def begin():
+    print("ready", flush=True)
+    input()
+"""
+_FEW_THREADS = {"MALLOC_ARENA_MAX": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+
+
+def bounded(code: str, *arguments: object) -> str:
+    """Run code whose limits hold from where it calls `begin()`; returns what it wrote on standard output since.
+
+    Whoever takes more is refused memory, or killed (Linux).
+    """
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-c", _PRELUDE + code, *map(str, arguments)],
+        stdin=pipe,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        env=os.environ | _FEW_THREADS | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    ) as child:
+        assert child.stdout is not None
+        if child.stdout.readline() == "ready\n":
+            pages = int(Path(f"/proc/{child.pid}/statm").read_text().split()[0])
+            memory = pages * resource.getpagesize() + MORE_MB * 2**20
+            seconds = math.ceil(processor_s(child.pid)) + MORE_S
+            resource.prlimit(child.pid, resource.RLIMIT_AS, (memory, memory))
+            resource.prlimit(child.pid, resource.RLIMIT_CPU, (seconds, seconds))
+        said, errors = child.communicate("\n")
+    assert child.returncode == 0, f"ended with {child.returncode}: {said}{errors[-3000:]}"
+    return said
