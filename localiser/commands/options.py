@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -63,10 +63,6 @@ Domain = Annotated[
 Namespace = Annotated[
     str, typer.Option("--namespace", metavar="NAME", help="Of topics named without a leading slash, such as robot1.")
 ]
-Names = Annotated[
-    Literal["rmw_zenoh", "bridge"],
-    typer.Option("--names", help="How topics are named on the network: as rmw_zenoh does, or zenoh-bridge-ros2dds."),
-]
 Distro = Annotated[
     str | None,
     typer.Option("--ros-distro", metavar="NAME", help="Of ROS 2; by default ROS_DISTRO. Only humble differs."),
@@ -105,7 +101,6 @@ def network_of(
     zenoh_config: Path | None = None,
     domain: int | None = None,
     namespace: str = "",
-    names: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh",
     distro: str | None = None,
     dds: int | None = None,
     interface: str = "lo",
@@ -114,7 +109,7 @@ def network_of(
     from localiser.live import ENDPOINT, NetworkOptions
 
     at = connect or ([] if listen or zenoh_config else [ENDPOINT])
-    return NetworkOptions(at, listen or [], zenoh_config, domain, namespace, names, distro, dds, interface)
+    return NetworkOptions(at, listen or [], zenoh_config, domain, namespace, distro, dds, interface)
 
 
 def with_options(overrides: list[str] | None, **options: object) -> list[str]:

@@ -12,7 +12,6 @@ from localiser.commands.options import (
     Distro,
     Domain,
     Interface,
-    Names,
     Namespace,
     ZenohConfig,
     network_of,
@@ -36,7 +35,6 @@ def pose_set(
     ] = "map",
     domain: Domain = None,
     namespace: Namespace = "",
-    names: Names = "rmw_zenoh",
     distro: Distro = None,
     dds: Dds = None,
     interface: Interface = "lo",
@@ -46,7 +44,7 @@ def pose_set(
     from localiser.live import send_pose
     from localiser.ros import topic_in
 
-    network = network_of(connect, None, zenoh_config, domain, namespace, names, distro, dds, interface)
+    network = network_of(connect, None, zenoh_config, domain, namespace, distro, dds, interface)
     name = topic_in(network.prefix, topic or "initialpose")
     send_pose(pose, sigma, network, name, frame)
     typer.echo(f"sent to {name}", err=True)

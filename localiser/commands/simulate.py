@@ -14,7 +14,6 @@ from localiser.commands.options import (
     Distro,
     Domain,
     Interface,
-    Names,
     Namespace,
     Quiet,
     network_of,
@@ -51,7 +50,6 @@ def simulate(
     connect: Connect = None,
     domain: Domain = None,
     namespace: Namespace = "",
-    names: Names = "rmw_zenoh",
     distro: Distro = None,
     dds: Dds = None,
     interface: Interface = "lo",
@@ -67,7 +65,7 @@ def simulate(
         from localiser.live import ENDPOINT
 
         at = [listen] if listen else [] if connect else [ENDPOINT]
-        network = network_of(connect, at, None, domain, namespace, names, distro, dds, interface)
+        network = network_of(connect, at, None, domain, namespace, distro, dds, interface)
         _serve(world, seed, network, odometry_hz, wait=wait, quiet=quiet)
         return
     if out is None:

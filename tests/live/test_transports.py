@@ -63,10 +63,9 @@ def wait_until(met: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("names", ["rmw_zenoh", "bridge"])
-def test_messages_go_from_client_to_client(endpoint: str, names: Any) -> None:
+def test_messages_go_from_client_to_client(endpoint: str) -> None:
     got: list[tuple[bytes, bytes]] = []
-    with joined(endpoint, names=names) as robot, joined(endpoint, names=names) as live:
+    with joined(endpoint) as robot, joined(endpoint) as live:
         live.subscribe(RELIABLE, lambda *message: got.append(message))
         wait_until(lambda: robot.is_heard(RELIABLE))
         contents = [bytes([number]) for number in range(5)]
@@ -76,19 +75,18 @@ def test_messages_go_from_client_to_client(endpoint: str, names: Any) -> None:
     received = [content for content, _ in got]
     assert received == sorted(received)
     assert sorted(set(received)) == contents
-    assert {len(source) for _, source in got} == ({16} if names == "rmw_zenoh" else {0})
+    assert {len(source) for _, source in got} == {16}
 
 
-@pytest.mark.parametrize("names", ["rmw_zenoh", "bridge"])
-def test_what_is_latched_reaches_those_who_came_before_and_after(endpoint: str, names: Any) -> None:
+def test_what_is_latched_reaches_those_who_came_before_and_after(endpoint: str) -> None:
     early: list[bytes] = []
     late: list[bytes] = []
-    with joined(endpoint, names=names) as first, joined(endpoint, names=names) as robot:
+    with joined(endpoint) as first, joined(endpoint) as robot:
         first.subscribe(FIXED, lambda content, source: early.append(content))
         robot.publish(FIXED, b"old")
         robot.publish(FIXED, b"new")
         wait_until(lambda: b"new" in early)
-        with joined(endpoint, names=names) as live:
+        with joined(endpoint) as live:
             live.subscribe(FIXED, lambda content, source: late.append(content))
             wait_until(lambda: late)
     assert late == [b"new"]

@@ -15,7 +15,6 @@ from localiser.commands.options import (
     Domain,
     Interface,
     Listen,
-    Names,
     Namespace,
     Overrides,
     ZenohConfig,
@@ -59,7 +58,6 @@ def doctor(
     zenoh_config: ZenohConfig = None,
     domain: Domain = None,
     namespace: Namespace = "",
-    names: Names = "rmw_zenoh",
     distro: Distro = None,
     dds: Dds = None,
     interface: Interface = "lo",
@@ -88,7 +86,7 @@ def doctor(
     if connect or listen or zenoh_config or dds is not None:
         from contextlib import closing
 
-        network = network_of(connect, listen, zenoh_config, domain, namespace, names, distro, dds, interface)
+        network = network_of(connect, listen, zenoh_config, domain, namespace, distro, dds, interface)
         heard = examination.Heard(input_topics(topics_by_role(topics), network.prefix))
         with closing(open_transport(network, "localiser_doctor")) as transport:
             heard.listen(transport, seconds)

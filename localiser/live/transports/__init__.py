@@ -1,6 +1,5 @@
-"""Networks of robots: one protocol; behind it zenoh, under the names of rmw_zenoh or of a bridge, or DDS."""
+"""Networks of robots: one protocol; behind it zenoh, under the names of rmw_zenoh, or DDS."""
 
-from localiser.live.transports.bridge_names import BridgeNames
 from localiser.live.transports.link import ENDPOINT
 from localiser.live.transports.opening import NetworkOptions, open_transport
 from localiser.live.transports.rmw_names import RmwNames

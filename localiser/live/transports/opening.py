@@ -7,10 +7,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from localiser.errors import InputError
-from localiser.live.transports.bridge_names import BridgeNames
 from localiser.live.transports.dds_transport import LOOPBACK, DdsTransport
 from localiser.live.transports.link import ENDPOINT, ZenohLink
 from localiser.live.transports.rmw_names import RmwNames
@@ -18,7 +16,6 @@ from localiser.live.transports.transport import Transport
 from localiser.live.transports.zenoh_transport import ZenohTransport
 
 MOST_DOMAIN = 232  # that ROS 2 allows
-NameScheme = Literal["rmw_zenoh", "bridge"]
 _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -28,8 +25,8 @@ class NetworkOptions:
 
     connect: endpoints of routers; the first that can be reached is used. listen: where others may connect.
     config_file: a configuration of zenoh, as for TLS and passwords. domain: None for the environment's ROS_DOMAIN_ID,
-    or 0. namespace: put before every topic that is not named by the user. names: rmw_zenoh's, or a bridge's. distro: of
-    ROS 2; None for the environment's ROS_DISTRO. Only Humble differs: no hashes in keys, longer identities over DDS.
+    or 0. namespace: put before every topic that is not named by the user. distro: of ROS 2; None for the environment's
+    ROS_DISTRO. Only Humble differs: no hashes in keys, longer identities over DDS.
     dds: a domain of DDS, which then takes the place of zenoh. interface: of the network, for DDS.
     """
 
@@ -38,7 +35,6 @@ class NetworkOptions:
     config_file: Path | None = None
     domain: int | None = None
     namespace: str = ""
-    names: NameScheme = "rmw_zenoh"
     distro: str | None = None
     dds: int | None = None
     interface: str = LOOPBACK
@@ -64,9 +60,8 @@ def open_transport(options: NetworkOptions, node: str = "localiser", *, wait: bo
     if options.dds is not None:
         domain = _checked_domain(str(options.dds), "--dds")
         return DdsTransport(domain, options.interface, node, options.prefix, humble=humble)
-    rmw = RmwNames(_domain(options.domain), options.prefix, node, not humble)
     link = ZenohLink(options.connect, options.listen, config_file=options.config_file, wait=wait)
-    return ZenohTransport(link, rmw if options.names == "rmw_zenoh" else BridgeNames())
+    return ZenohTransport(link, RmwNames(_domain(options.domain), options.prefix, node, not humble))
 
 
 def _domain(given: int | None) -> int:

@@ -1,4 +1,4 @@
-"""Topics over a zenoh session, under the names of rmw_zenoh or of a bridge.
+"""Topics over a zenoh session, under the names of rmw_zenoh.
 
 What is latched goes through zenoh's advanced publisher and subscriber: the publisher keeps the last messages, the
 subscriber asks every publisher that it finds, early or late, for what it missed.
@@ -14,7 +14,6 @@ from typing import Any
 
 from localiser.documents import text_of
 from localiser.errors import InputError
-from localiser.live.transports.bridge_names import BridgeNames
 from localiser.live.transports.link import ZenohLink
 from localiser.live.transports.rmw_names import RmwNames, attachment, gid_of, parts_of
 from localiser.live.transports.transport import Reply, Service, Take, Topic
@@ -25,15 +24,13 @@ _HEARTBEAT_S = 0.5  # after a latched message, so that a subscriber notices that
 class ZenohTransport:
     """Publishes and subscribes on one session; also what is asked for before the session is open."""
 
-    def __init__(self, link: ZenohLink, names: RmwNames | BridgeNames) -> None:
+    def __init__(self, link: ZenohLink, names: RmwNames) -> None:
         """Take part under these names."""
         self._link, self._names = link, names
         self._numbers, self._lock = count(1), Lock()
         self._held: list[Any] = []
         self._publishers: dict[str, _Publisher] = {}
-        self._failed: dict[str, bytes] = {}
-        if isinstance(names, RmwNames):
-            link.when_open(lambda session: self._declare_token(session, names.node_token(_zid(session))))
+        link.when_open(lambda session: self._declare_token(session, names.node_token(_zid(session))))
 
     def subscribe(self, topic: Topic, take: Take) -> None:
         """See `Transport`."""
@@ -43,19 +40,12 @@ class ZenohTransport:
         def handle(sample: Any) -> None:
             take(sample.payload.to_bytes(), _source_of(sample))
 
-        def answered(reply: Any) -> None:
-            if reply.ok is not None:
-                handle(reply.ok)
-
         def declare(session: Any) -> None:
             if topic.latched:
                 self._held.append(_latched_subscriber(session, pattern, topic.depth, handle))
-                if isinstance(self._names, BridgeNames):  # older bridges answer a plain query
-                    session.get(pattern, answered)
             else:
                 self._held.append(session.declare_subscriber(pattern, handle))
-            if isinstance(self._names, RmwNames):
-                self._declare_token(session, self._names.subscriber_token(_zid(session), number, topic))
+            self._declare_token(session, self._names.subscriber_token(_zid(session), number, topic))
 
         self._link.when_open(declare)
 
@@ -72,11 +62,8 @@ class ZenohTransport:
         return self._publisher(topic).is_heard()
 
     def serve(self, service: Service, take: Callable[[bytes, Reply], None]) -> None:
-        """See `ServesRequests`. Bridges carry services in a way of their own: there is none under their names."""
-        names = self._names
-        if isinstance(names, BridgeNames):
-            return
-        key, number = names.service_key(service), next(self._numbers)
+        """See `ServesRequests`."""
+        key, number = self._names.service_key(service), next(self._numbers)
 
         def handle(query: Any) -> None:
             sequence, _, gid = parts_of(query.attachment.to_bytes() if query.attachment is not None else b"")
@@ -89,7 +76,7 @@ class ZenohTransport:
 
         def declare(session: Any) -> None:
             self._held.append(session.declare_queryable(key, _checked_query(handle), complete=True))
-            self._declare_token(session, names.service_token(_zid(session), number, service))
+            self._declare_token(session, self._names.service_token(_zid(session), number, service))
 
         self._link.when_open(declare)
 
@@ -114,12 +101,9 @@ class ZenohTransport:
                 number = next(self._numbers)
 
                 def declare(session: Any) -> None:
-                    token = ""
-                    if isinstance(self._names, RmwNames):
-                        token = self._names.publisher_token(_zid(session), number, topic)
+                    token = self._names.publisher_token(_zid(session), number, topic)
                     publisher.declare(session, token)
-                    if token:
-                        self._declare_token(session, token)
+                    self._declare_token(session, token)
 
                 self._link.when_open(declare)
             return self._publishers[topic.name]
@@ -140,9 +124,9 @@ class _Publisher:
         self._lock = Lock()
 
     def declare(self, session: Any, token: str) -> None:
-        """Begin to exist; what was latched before goes out now. token: "" where messages carry no attachment."""
+        """Begin to exist; what was latched before goes out now. token: by which others know it."""
         with self._lock:
-            self._gid = gid_of(token) if token else b""
+            self._gid = gid_of(token)
             self._declared = _declared(session, self._topic, self._key)
             kept, self._kept = self._kept, None
         if kept is not None:
@@ -155,8 +139,7 @@ class _Publisher:
                 self._kept = content if self._topic.latched else None
                 return
             self._sequence += 1
-            extra = attachment(self._sequence, time.time_ns(), self._gid) if self._gid else None
-            self._declared.put(content, attachment=extra)
+            self._declared.put(content, attachment=attachment(self._sequence, time.time_ns(), self._gid))
 
     def is_heard(self) -> bool:
         """Whether anyone subscribes now; whoever comes later counts for what is latched."""
