@@ -98,7 +98,7 @@ def live(
         typer.Option(
             "--publish",
             metavar="KIND=NAME",
-            help="Another topic for pose, tf, particles, map, landmarks, matches, path, image, annotations or "
+            help="Another topic for pose, tf, particles, map, landmarks, matches, path, image or "
             "diagnostics, such as pose=amcl_pose; `KIND=` for none. Repeatable.",
         ),
     ] = None,

@@ -12,7 +12,6 @@ from localiser.camera import Camera
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, landmark_ends
-from localiser.ros.annotations import drawn_lines
 from localiser.ros.diagnostics import LEAST_SURE, diagnostics
 from localiser.ros.markers import landmark_markers, match_markers
 from localiser.ros.outputs import OUTPUTS
@@ -95,7 +94,6 @@ class Outgoing:
             "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.map),
             "path": lambda: self._path.message(self._make, stamp_ns, self.frames.map),
             "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.camera),
-            "annotations": lambda: drawn_lines(self._make, frame, self._ends, self.camera, stamp_ns),
             "diagnostics": lambda: diagnostics(self._make, frame, stamp_ns, facts or {}),
         }
         if not self._path.grows(stamp_ns, frame.located.estimate.pose):

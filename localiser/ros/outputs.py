@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from localiser.documents import nearest
 from localiser.errors import InputError
 from localiser.storage.bags import (
-    ANNOTATIONS,
     COMPRESSED,
     DIAGNOSTICS,
     MAP_TOPIC,
@@ -44,7 +43,6 @@ _ALL = (
     Output("matches", "/localiser/matches", MARKERS),
     Output("path", "/localiser/path", PATH),
     Output("image", "/localiser/image/compressed", COMPRESSED),
-    Output("annotations", "/localiser/annotations", ANNOTATIONS),
     Output("diagnostics", "/diagnostics", DIAGNOSTICS),
 )
 
