@@ -107,7 +107,7 @@ def live(
         typer.Option(
             "--service",
             metavar="KIND=NAME",
-            help="Another name for look_everywhere, load_map or save_state; `KIND=` for none. Repeatable.",
+            help="Another name for look_everywhere or load_map; `KIND=` for none. Repeatable.",
         ),
     ] = None,
     frames: Annotated[

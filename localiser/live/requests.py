@@ -1,4 +1,4 @@
-"""Answer requests of services between two images: look everywhere, load another map, save the state."""
+"""Answer requests of services between two images: look everywhere, load another map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.documents import nearest
-from localiser.errors import InputError, LocaliserError
+from localiser.errors import InputError
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.transports import ServesRequests, Transport
 from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, request_of, response_bytes, topic_in
@@ -50,7 +50,6 @@ class Requests:
         self._answers = {
             "look_everywhere": self._look_everywhere,
             "load_map": self._load_map,
-            "save_state": self._save_state,
         }
 
     def answer(self, run: LiveRun, arrival: Arrival) -> None:
@@ -74,9 +73,3 @@ class Requests:
             run.monitor.warn("bad map", f"the map stays as it was: {error}")
             return {"result": MAP_INVALID}
         return {"result": MAP_LOADED}
-
-    def _save_state(self, run: LiveRun, _request: Any) -> dict[str, Any]:
-        try:
-            return {"success": True, "message": str(run.save_state())}
-        except LocaliserError as error:
-            return {"success": False, "message": str(error)}

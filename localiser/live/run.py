@@ -413,14 +413,6 @@ class LiveRun:
         name = landmark_map.name or "another one"
         self.monitor.inform(f"the map is now {name}; the robot is looked for on the whole of it")
 
-    def save_state(self) -> Path:
-        """Save the state now, and return where. Raises InputError without --checkpoint or before the first image."""
-        if self.checkpoints is None:
-            raise InputError("expected --checkpoint FILE to save the state in")
-        if self.localiser is None or not self.localiser.state.is_begun:
-            raise InputError("expected a robot that was located, found none yet")
-        return self.checkpoints.save(self.localiser, self.clock.offset_ns)
-
     def _weigh_next(self) -> None:
         """Weigh one image, or find the edges of one that waits for the wheels."""
         if self.localiser is None:

@@ -43,12 +43,6 @@ SERVICES = {
         "string map_url",
         "nav_msgs/OccupancyGrid map\nuint8 result",
     ),
-    "save_state": Service(
-        "/localiser/save_state",
-        "std_srvs/srv/Trigger",
-        "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
-        response="bool success\nstring message",
-    ),
 }
 """Every service that a live run answers, by its kind."""
 

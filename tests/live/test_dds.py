@@ -143,17 +143,17 @@ def test_who_is_slow_gets_the_newest_messages_of_a_flood() -> None:
 
 def test_a_service_answers_who_asks() -> None:
     """As Cyclone's middleware of ROS 2 asks: who it is and which request stand before the message."""
-    service = SERVICES["save_state"]
+    service = SERVICES["look_everywhere"]
     requests: list[bytes] = []
 
     def answer(content: bytes, reply: Reply) -> None:
         requests.append(content)
-        reply(response_bytes("save_state", success=True, message="saved"))
+        reply(response_bytes("look_everywhere"))
 
     with joined(ASKED) as transport, counterpart(ASKED, "ask") as other:
         transport.serve(service, answer)
-        assert other.stdout is not None and other.stdout.read() == "5 True saved\n"
-    assert requests[0].startswith(request_bytes("save_state")), "and what fills it up to four bytes"
+        assert other.stdout is not None and other.stdout.read() == "5 answered\n"
+    assert requests[0].startswith(request_bytes("look_everywhere")), "and what fills it up to four bytes"
 
 
 def test_a_node_has_a_name_and_its_topics() -> None:

@@ -119,19 +119,6 @@ def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Pa
     assert not any(text.startswith("started") for text in feed.said), "the start was on the map before"
 
 
-def test_the_state_is_saved_when_asked_for(tmp_path: Path) -> None:
-    feed, _ = fed(tmp_path)
-    feed([*camera(), *drive(3)])
-    answer = asked(feed, "save_state")
-    assert not answer.success and "--checkpoint" in answer.message
-    feed.run.checkpoints = Checkpoints(tmp_path / "state", feed.said.append)
-    answer = asked(feed, "save_state")
-    assert answer.success and answer.message == str(tmp_path / "state")
-    again = RobotLocaliser(LOG.landmark_map, LOG.camera, feed.config)
-    again.restore((tmp_path / "state").read_bytes())
-    assert again.state.is_begun
-
-
 def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Path) -> None:
     """By the command as it was. A map that has changed since, and another command, leave the state out."""
     begun, loaded = tmp_path / "house.yaml", tmp_path / "upstairs.yaml"
@@ -143,7 +130,7 @@ def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Pa
     feed([*camera(), *drive(3)])
     assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
     feed(drive(3, first=4))
-    assert asked(feed, "save_state").success
+    feed.run.checkpoints.close(feed.run.localiser, 0)
     assert Resumed(tmp_path / "state").map_file(begun) == loaded
 
     options = LiveOptions(begun, feed.config, checkpoint=tmp_path / "state", resume=True)
