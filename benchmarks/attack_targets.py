@@ -344,7 +344,7 @@ simulate {samples}/small_world.yaml --out out/made --seed 1
 convert {samples}/video.avi out/made --camera {samples}/camera.yaml --every 0.2s --start-ns 5 --to folder
 convert {samples}/file.db3 out/made.mcap --topic odometry=/odom --camera {samples}/camera.yaml
 edges {samples}/image.jpg --camera {samples}/camera.yaml --detector columns --out out --set edges.min_contrast=0.1
-map show {samples}/map.yaml --out map.png --rrd map.rrd
+map show {samples}/map.yaml --out map.png
 map add {samples}/map.yaml --at 1,2 --out new.yaml --id x --bottom 0 --top 1
 map move {samples}/map.yaml 2 --to 1,2 --out new.yaml
 map remove {samples}/map.yaml 2 3 --out new.yaml
