@@ -358,6 +358,6 @@ camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m
 camera tilt {samples}/log --plot tilt.png --images 3 --set edges.min_contrast=0.1
 config show --config {samples}/config.yaml --set mcl.particles=100 --set motion.alpha1=0.1
 doctor --map {samples}/map.yaml --camera {samples}/camera.yaml --at 1,2 --seconds 0.5 --picture x.png
-pose set 1,2,3 --sigma 0.1,3 --connect tcp/127.0.0.1:1 --topic /initialpose
+pose set 1,2,3 --sigma 0.1,3 --set live.connect=tcp/127.0.0.1:1
 """
 """Commands whose options are changed, a line each."""

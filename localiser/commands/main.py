@@ -22,7 +22,7 @@ from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry.arguments import odometry_app
 from localiser.commands.pose import pose_app
-from localiser.errors import LocaliserError
+from localiser.errors import InputError, LocaliserError
 
 app = typer.Typer(
     name="localiser",
@@ -79,6 +79,37 @@ app.command(epilog=edges.EPILOG)(edges.edges)
 app.command(epilog=paper.EPILOG)(paper.paper)
 
 
+_NETWORK = ("live", "live demo", "doctor", "simulate", "pose")
+_SETTINGS = {
+    "--connect": ("live.connect=ENDPOINT", ("live demo", "doctor", "simulate", "pose")),
+    "--dds": ("live.dds=DOMAIN", ("live demo", "doctor", "simulate", "pose")),
+    "--domain": ("live.domain=N", ("live demo", "doctor", "simulate", "pose")),
+    "--listen": ("live.listen=ENDPOINT", _NETWORK),
+    "--namespace": ("live.namespace=NAME", _NETWORK),
+    "--interface": ("live.interface=NAME", _NETWORK),
+    "--zenoh-config": ("live.zenoh_config=FILE", _NETWORK),
+    "--topic": ("live.topics.KIND=NAME", ("live", "doctor", "pose")),
+    "--publish": ("live.publish.KIND=NAME", _NETWORK),
+    "--service": ("live.services.KIND=NAME", _NETWORK),
+    "--frame": ("live.map_frame=NAME or live.odom_frame=NAME", _NETWORK),
+    "--use-sim-time": ("live.use_sim_time=true", _NETWORK),
+    "--transform-tolerance": ("live.transform_tolerance_s=S", _NETWORK),
+    "--seed": ("seed=N", ("live", "live demo")),
+}
+"""Options that are settings now, and of which commands they were."""
+
+
+def _check_options(arguments: list[str]) -> None:
+    """Raise InputError for an option that has become a setting, with its name."""
+    command = "live demo" if arguments[:2] == ["live", "demo"] else arguments[0] if arguments else ""
+    for option in (argument.partition("=")[0] for argument in arguments):
+        setting, commands = _SETTINGS.get(option, ("", ()))
+        if command in commands:
+            raise InputError(f"is a setting now: --set {setting}", field=option)
+        if option == "--ros-distro" and command in _NETWORK:
+            raise InputError("is the environment's ROS_DISTRO now", field=option)
+
+
 def main() -> None:
     """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]  # which may stand anywhere
@@ -97,6 +128,7 @@ def main() -> None:
 
 def _run(arguments: list[str]) -> None:
     """Run a command; what it printed has reached its reader at the end, or raises OSError."""
+    _check_options(arguments)
     try:
         app(arguments, prog_name="localiser")
     except SystemExit:

@@ -2,8 +2,7 @@
 
 from localiser.live.inbound import TOPICS, message_of, topic_for, type_of
 from localiser.live.prepare import LiveOptions, opened
-from localiser.live.send_pose import send_pose
 from localiser.live.stand_in import Passage, StandIn
 from localiser.live.status import end_table, status_line
 from localiser.live.topic_names import check_outputs, input_topics
-from localiser.live.transports import ENDPOINT, NetworkOptions, open_transport
+from localiser.live.transports import ENDPOINT, Topic, endpoints_of, open_transport, prefix_of

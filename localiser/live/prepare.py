@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from localiser import view
 from localiser.camera import Camera, Mount
-from localiser.config import Config
+from localiser.config import Config, LiveParameters
 from localiser.documents import read_text
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
@@ -28,7 +28,7 @@ from localiser.live.simulated_time import SimulatedTime
 from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.topic_names import check_outputs, input_topics
-from localiser.live.transports import NetworkOptions, ReportsProblems, Take, Transport, open_transport
+from localiser.live.transports import ReportsProblems, Take, Transport, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import Frames, Output, outputs_named
@@ -44,20 +44,14 @@ JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is reco
 class LiveOptions:
     """What a live run is asked to do.
 
-    topics: names by what they are for, in place of `TOPICS`. publish, services: names by kind, in place of those in
-    `ros.OUTPUTS` and `ros.SERVICES`; an empty one for what there shall not be. network: how to take part in the
-    robot's. image: a camera or stream that OpenCV reads, in place of a topic. start: where the robot is at the first
-    image, None where that is not known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint:
-    where the state is saved. resume: whether to go on from there, if it is there. frames, transform_tolerance_s: see
-    `Publisher`. use_sim_time: whether the clock topic tells the time, as a simulator or a player of bags has it.
+    config: its section `live` says how to take part in the robot's network, and under which names. image: a camera or
+    stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
+    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
+    resume: whether to go on from there, if it is there.
     """
 
     map_file: Path
     config: Config
-    topics: Mapping[str, str] = field(default_factory=dict)
-    publish: Mapping[str, str] = field(default_factory=dict)
-    services: Mapping[str, str] = field(default_factory=dict)
-    network: NetworkOptions = field(default_factory=NetworkOptions)
     camera: Path | None = None
     image: str | None = None
     start: Start | None = None
@@ -66,9 +60,6 @@ class LiveOptions:
     view: str = "none"
     checkpoint: Path | None = None
     resume: bool = False
-    frames: Frames = field(default_factory=lambda: Frames(odom=""))
-    transform_tolerance_s: float = 0.2
-    use_sim_time: bool = False
 
 
 @contextmanager
@@ -80,7 +71,8 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
     landmark_map = read_map(options.map_file)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
-    topics, outputs = _names(options)
+    live = options.config.live
+    topics, outputs = _names(live)
     viewers: list[view.LiveView] = []
 
     def tell(text: str, level: str) -> None:
@@ -103,7 +95,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         recording = begun_recording(options, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
-        transport = stack.enter_context(closing(open_transport(options.network)))
+        transport = stack.enter_context(closing(open_transport(live)))
         if isinstance(transport, ReportsProblems):
             transport.report_to(lambda text: monitor.warn("network", text))
         publish: list[Callable[[Published], None]] = []
@@ -116,13 +108,23 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         warm_up(landmark_map, options.config)
         say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
-        run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
-        run.publisher = _publisher(options, transport, outputs, recording)
-        run.simulated = SimulatedTime() if options.use_sim_time else None
-        run.map_frame = options.frames.map
-        run.requests = Requests(begun_map.parent)
-        serve(transport, inbox, options.network.prefix, options.services)
-        run.checkpoints, run.resumed = _checkpoints(options, begun_map, monitor), resumed
+        serve(transport, inbox, prefix_of(live), live.services)
+        run = LiveRun(
+            inbox,
+            finder,
+            localiser_of,
+            monitor,
+            publish,
+            recording,
+            options.start,
+            resumed,
+            _checkpoints(options, begun_map, monitor),
+            viewers,
+            _publisher(live, transport, outputs, recording),
+            Requests(begun_map.parent),
+            SimulatedTime() if live.use_sim_time else None,
+            map_frame=live.map_frame,
+        )
         for role, topic in topics.items():
             if _is_listened_to(role, options):
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
@@ -159,22 +161,24 @@ def _checkpoints(options: LiveOptions, begun_map: Path, monitor: Monitor) -> Che
 def _is_listened_to(role: str, options: LiveOptions) -> bool:
     if role == "image":
         return options.image is None
-    return role != "clock" or options.use_sim_time
+    return role != "clock" or options.config.live.use_sim_time
 
 
-def _names(options: LiveOptions) -> tuple[dict[str, str], dict[str, Output]]:
+def _names(live: LiveParameters) -> tuple[dict[str, str], dict[str, Output]]:
     """Return the topics that come in, by role, and what goes out, by kind. Raises InputError where two are the same."""
-    topics = input_topics(options.topics, options.network.prefix)
-    outputs = outputs_named(options.publish, options.network.prefix)
+    prefix = prefix_of(live)
+    topics, outputs = input_topics(live.topics, prefix), outputs_named(live.publish, prefix)
     check_outputs(topics, outputs)
     return topics, outputs
 
 
 def _publisher(
-    options: LiveOptions, transport: Transport, outputs: Mapping[str, Output], recording: Recording | None
+    live: LiveParameters, transport: Transport, outputs: Mapping[str, Output], recording: Recording | None
 ) -> Publisher:
     """Return what publishes results."""
-    publisher = Publisher(transport, outputs, options.frames, round(options.transform_tolerance_s * 1e9))
+    publisher = Publisher(
+        transport, outputs, Frames(live.map_frame, live.odom_frame), round(live.transform_tolerance_s * 1e9)
+    )
     if recording is not None:
         publisher.record = lambda topic, msgtype, content: recording.write(topic, msgtype, time.time_ns(), content)
     return publisher
@@ -189,7 +193,7 @@ def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None
-    topics, outputs = _names(options)
+    topics, outputs = _names(options.config.live)
     latched = {output.topic for output in outputs.values() if output.latched}
     recording = Recording(options.record, failed, latched | {topics["transforms"], LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC})
     texts = {
@@ -206,7 +210,7 @@ def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
 def _changed_settings(config: Config) -> dict[str, Any]:
     """Return every setting that is not the default, by its name with dots."""
     found: dict[str, Any] = {}
-    for name, value in config.model_dump(exclude_defaults=True, exclude={"versions"}).items():
+    for name, value in config.model_dump(exclude_defaults=True, exclude={"versions", "live"}).items():
         section = isinstance(value, dict)
         found |= {f"{name}.{key}": part for key, part in value.items()} if section else {name: value}
     return found

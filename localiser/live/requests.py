@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     from localiser.live.run import LiveRun
 
 
-def serve(transport: Transport, inbox: Inbox, namespace: str = "", names: Mapping[str, str] | None = None) -> None:
-    """Let the requests of all services come into the inbox. names: in place of those in SERVICES, "" for none.
+def serve(
+    transport: Transport, inbox: Inbox, namespace: str = "", names: Mapping[str, str | None] | None = None
+) -> None:
+    """Let the requests of all services come into the inbox. names: in place of those in SERVICES, None for none.
 
     namespace: of all names but those that are given with a leading slash. Raises InputError for an unknown kind.
     """
     names = names or {}
     for kind in names:
         if kind not in SERVICES:
-            raise InputError(f"unknown kind of service; {nearest(kind, list(SERVICES))}", field="--service")
+            raise InputError(f"unknown kind of service; {nearest(kind, list(SERVICES))}", field="live.services")
     if not isinstance(transport, ServesRequests):
         return
     for kind, service in SERVICES.items():

@@ -21,10 +21,10 @@ def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str
     """
     for role in asked:
         if role not in TOPICS:
-            raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="--topic")
+            raise InputError(f"unknown kind of topic; {nearest(role, list(TOPICS))}", field="live.topics")
     names = {role: topic if role == "clock" else topic.removeprefix("/") for role, topic in TOPICS.items()}
     topics = {role: topic_in(namespace, name) for role, name in (names | dict(asked)).items()}
-    _check_apart([(role, "--topic", name) for role, name in topics.items()])
+    _check_apart([(role, "live.topics", name) for role, name in topics.items()])
     return topics
 
 
@@ -35,11 +35,11 @@ def check_outputs(topics: Mapping[str, str], outputs: Mapping[str, Output]) -> N
     """
     shared = outputs["tf"].topic if "tf" in outputs else None
     incoming = [
-        (f"what comes in as {role}", "--topic", name)
+        (f"what comes in as {role}", "live.topics", name)
         for role, name in topics.items()
         if not (role == "moving_transforms" and name == shared)
     ]
-    outgoing = [(f"what goes out as {kind}", "--publish", output.topic) for kind, output in outputs.items()]
+    outgoing = [(f"what goes out as {kind}", "live.publish", output.topic) for kind, output in outputs.items()]
     _check_apart(incoming + outgoing)
 
 

@@ -50,20 +50,20 @@ OUTPUTS: dict[str, Output] = {output.kind: output for output in _ALL}
 """Every kind by its name, with the topic that it has unless another is asked for."""
 
 
-def topic_in(namespace: str, name: str) -> str:
+def topic_in(namespace: str, name: str | None) -> str:
     """Return a topic by ROS's rule: a name without a leading slash belongs to the namespace, such as `/robot1`."""
-    return name if not name or name.startswith("/") else f"{namespace}/{name}"
+    return name or "" if not name or name.startswith("/") else f"{namespace}/{name}"
 
 
-def outputs_named(names: Mapping[str, str] | None = None, namespace: str = "") -> dict[str, Output]:
-    """Return all outputs, some with topics of another name; an empty name leaves an output out.
+def outputs_named(names: Mapping[str, str | None] | None = None, namespace: str = "") -> dict[str, Output]:
+    """Return all outputs, some with topics of another name; None leaves an output out.
 
     namespace: of all topics but those that are named with a leading slash. Raises InputError for an unknown kind.
     """
     names = names or {}
     for kind in names:
         if kind not in OUTPUTS:
-            raise InputError(f"unknown kind of message; {nearest(kind, list(OUTPUTS))}", field="--publish")
+            raise InputError(f"unknown kind of message; {nearest(kind, list(OUTPUTS))}", field="live.publish")
     asked = {
         kind: replace(output, topic=topic_in(namespace, names.get(kind, output.topic.removeprefix("/"))))
         for kind, output in OUTPUTS.items()

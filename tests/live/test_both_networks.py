@@ -47,7 +47,7 @@ def test_a_demo_is_identical_to_the_replay_of_its_recording(localiser: Localiser
     pytest.importorskip("cyclonedds" if kind == "dds" else "zenoh")
     bag = tmp_path / "drive.db3"
     settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
-    network = ("--dds", free_domain()) if kind == "dds" else ()
+    network = ("--set", f"live.dds={free_domain()}") if kind == "dds" else ()
     with program("live", "demo", CORRIDOR, *network, "--json", "--record", bag, *settings) as live:
         lines = live.poses(15)
         assert live.end() == 0, live.all_said()

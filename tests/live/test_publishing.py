@@ -46,7 +46,7 @@ def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
 
 def test_names_of_topics_and_frames_can_be_changed() -> None:
     transport = KeepingTransport()
-    outputs = outputs_named({"pose": "/amcl_pose", "image": ""}, "/robot1")
+    outputs = outputs_named({"pose": "/amcl_pose", "image": None}, "/robot1")
     fed(Publisher(transport, outputs, Frames("world", "wheels")))([*camera(), *drive(3)])
     assert "/amcl_pose" in transport.kinds() and "/robot1/tf" in transport.kinds()
     assert not any("image" in topic for topic in transport.kinds())

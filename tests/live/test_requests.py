@@ -12,6 +12,7 @@ from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image
 from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 
+from localiser.config import LiveParameters
 from localiser.errors import InputError
 from localiser.live.prepare import LiveOptions, opened, state_to_resume
 from localiser.live.publishing import Publisher
@@ -19,7 +20,6 @@ from localiser.live.requests import Requests, serve
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
-from localiser.live.transports import NetworkOptions
 from localiser.localiser import Localiser as RobotLocaliser
 from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, outputs_named, request_bytes, response_of
 from localiser.storage import read_track, write_map
@@ -144,8 +144,9 @@ def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Pa
         replace(options, map_file=CORRIDOR / "map.yaml"), lambda text, level: said.append(text)
     )
     assert resumed is None and other.map_file == CORRIDOR / "map.yaml" and "state belongs to another map" in said[-1]
-    network = NetworkOptions(connect=("tcp/127.0.0.1:9",))  # where nobody is
-    with opened(replace(options, network=network), lambda text, level: said.append(text)) as run:
+    live = LiveParameters(connect=("tcp/127.0.0.1:9",))  # where nobody is
+    config = options.config.model_copy(update={"live": live})
+    with opened(replace(options, config=config), lambda text, level: said.append(text)) as run:
         assert run.localiser_of(LOG.camera).landmark_map.name == "upstairs" and run.resumed is not None
         assert run.checkpoints is not None and run.checkpoints.loaded_map == loaded, "also after the next restart"
     write_map(replace(shifted, points=shifted.points + 1.0), loaded)

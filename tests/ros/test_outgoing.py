@@ -186,7 +186,7 @@ def test_diagnostics_say_how_far_to_trust_the_pose(frames: list[LocatedFrame], p
 
 
 def test_outputs_can_be_named_left_out_and_put_in_a_namespace() -> None:
-    named = outputs_named({"pose": "/amcl_pose", "image": ""}, "/robot1")
+    named = outputs_named({"pose": "/amcl_pose", "image": None}, "/robot1")
     assert named["pose"].topic == "/amcl_pose" and named["tf"].topic == "/robot1/tf" and "image" not in named
     with pytest.raises(InputError, match="unknown kind of message"):
         outputs_named({"poses": "/amcl_pose"})

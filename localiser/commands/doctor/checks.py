@@ -141,7 +141,7 @@ def topic_checks(heard: Heard) -> Iterator[Finding]:
     for role, topic in heard.topics.items():
         if topic not in heard.counts and role not in ("moving_transforms", "initialpose", "groundtruth", "clock"):
             state: State = "missing" if role in ("image", "odometry") else "warning"
-            yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --topic {role}=NAME")
+            yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --set live.topics.{role}=NAME")
     roles = {topic: role for role, topic in heard.topics.items()}
     for topic, count in sorted(heard.counts.items()):
         known = roles.get(topic)

@@ -1,7 +1,7 @@
 """Networks of robots: one protocol; behind it zenoh, under the names of rmw_zenoh, or DDS."""
 
 from localiser.live.transports.link import ENDPOINT
-from localiser.live.transports.opening import NetworkOptions, open_transport
+from localiser.live.transports.opening import endpoints_of, open_transport, prefix_of
 from localiser.live.transports.rmw_names import RmwNames
 from localiser.live.transports.transport import (
     HearsAll,

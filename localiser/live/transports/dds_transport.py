@@ -62,7 +62,7 @@ class DdsTransport:
             raise InputError(
                 f"expected a network interface and a domain that no other part of this program uses, found "
                 f"{interface!r} and {domain}",
-                field="--dds",
+                field="live.dds",
             ) from None
         self._node = Node(self._participant, node, namespace or "/", humble)
         self._readers = Readers(self._participant, self._tell)
@@ -92,7 +92,7 @@ class DdsTransport:
 
     def serve(self, service: Service, take: Callable[[bytes, Reply], None]) -> None:
         """See `ServesRequests`. Requests come, and answers go, as Cyclone's middleware of ROS 2 has them."""
-        name, quality = checked_name(service.name, "--service"), Topic(service.name, service.srvtype)
+        name, quality = checked_name(service.name, "live.services"), Topic(service.name, service.srvtype)
         answers = raw_part(service.srvtype, "Response", service.response)
         writer = self._write(quality, f"rr/{name}Reply", answers)
 

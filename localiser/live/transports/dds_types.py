@@ -35,7 +35,7 @@ def dds() -> Any:
 
 def dds_name(topic: Topic) -> str:
     """Return the name of a topic as ROS 2 has it in DDS. Raises InputError."""
-    return f"rt/{checked_name(topic.name, '--topic')}"
+    return f"rt/{checked_name(topic.name, 'live.topics')}"
 
 
 def checked_name(given: str, field: str) -> str:

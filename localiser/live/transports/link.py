@@ -33,13 +33,13 @@ class ZenohLink:
         connect: Sequence[str] = (ENDPOINT,),
         listen: Sequence[str] = (),
         *,
-        config_file: Path | None = None,
+        config_file: str = "",
         wait: bool = True,
     ) -> None:
         """Open a session. wait: whether to wait for a router that cannot be reached. Raises InputError.
 
         config_file: a configuration of zenoh, as for TLS and passwords. It decides everything but the endpoints that
-        are given.
+        are given; empty for none.
         """
         self._connect, self._listen = [text_of(one) for one in connect], [text_of(one) for one in listen]
         self._config_file = config_file
@@ -73,12 +73,12 @@ class ZenohLink:
 
     def _open(self) -> Any:
         zenoh = _zenoh()
-        config = zenoh.Config() if self._config_file is None else _from_file(self._config_file)
+        config = _from_file(Path(self._config_file)) if self._config_file else zenoh.Config()
         settings: dict[str, Any] = {
             "connect/endpoints": list(self._connect),
             "listen/endpoints": list(self._listen),
         }
-        if self._config_file is not None:
+        if self._config_file:
             settings = {name: endpoints for name, endpoints in settings.items() if endpoints}
         else:
             settings |= {
@@ -123,7 +123,7 @@ def _from_file(path: Path) -> Any:
         return _zenoh().Config.from_file(text_of(path))
     except _zenoh().ZError:
         problem = "expected a configuration of zenoh, JSON5 or YAML as the name ends, found something else"
-        raise InputError(problem, path=path, field="--zenoh-config") from None
+        raise InputError(problem, path=path, field="live.zenoh_config") from None
 
 
 def _zenoh() -> Any:

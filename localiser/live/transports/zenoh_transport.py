@@ -196,9 +196,9 @@ def _checked(topic: Topic, key: str) -> str:
     try:
         zenoh.KeyExpr(text_of(key))
     except zenoh.ZError:
-        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="--topic") from None
+        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="live.topics") from None
     if any(mark in topic.name for mark in "*$?#") or not topic.name.strip("/"):
-        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="--topic")
+        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="live.topics")
     return key
 
 
