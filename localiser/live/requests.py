@@ -11,7 +11,7 @@ from localiser.documents import nearest
 from localiser.errors import InputError
 from localiser.live.sources import Arrival, Inbox
 from localiser.live.transports import ServesRequests, Transport
-from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, request_of, response_bytes, topic_in
+from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, service_bytes, service_message, topic_in
 from localiser.storage import read_map
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ class Requests:
 
     def answer(self, run: LiveRun, arrival: Arrival) -> None:
         """Do what a request asks for, and answer it. Raises ValueError when it is none."""
-        fields = self._answers[arrival.role](run, request_of(arrival.role, arrival.content))
+        fields = self._answers[arrival.role](run, service_message(arrival.role, "Request", arrival.content))
         if arrival.reply is not None:
-            arrival.reply(response_bytes(arrival.role, **fields))
+            arrival.reply(service_bytes(arrival.role, "Response", **fields))
 
     def _look_everywhere(self, run: LiveRun, _request: Any) -> dict[str, Any]:
         run.look_everywhere()

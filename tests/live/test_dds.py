@@ -22,7 +22,7 @@ from localiser.live import open_transport
 from localiser.live.publishing import Publisher
 from localiser.live.transports import Reply, Topic, Transport
 from localiser.live.transports.dds_types import dds_name, dds_type
-from localiser.ros import SERVICES, outputs_named, request_bytes, response_bytes
+from localiser.ros import SERVICES, outputs_named, service_bytes
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
@@ -147,12 +147,12 @@ def test_a_service_answers_who_asks() -> None:
 
     def answer(content: bytes, reply: Reply) -> None:
         requests.append(content)
-        reply(response_bytes("look_everywhere"))
+        reply(service_bytes("look_everywhere", "Response"))
 
     with joined(ASKED) as transport, counterpart(ASKED, "ask") as other:
         transport.serve(service, answer)
         assert other.stdout is not None and other.stdout.read() == "5 answered\n"
-    assert requests[0].startswith(request_bytes("look_everywhere")), "and what fills it up to four bytes"
+    assert requests[0].startswith(service_bytes("look_everywhere", "Request")), "and what fills it up to four bytes"
 
 
 def test_a_node_has_a_name_and_its_topics() -> None:

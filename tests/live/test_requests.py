@@ -21,7 +21,15 @@ from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser as RobotLocaliser
-from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, outputs_named, request_bytes, response_of
+from localiser.ros import (
+    MAP_INVALID,
+    MAP_LOADED,
+    MAP_NOT_THERE,
+    SERVICES,
+    outputs_named,
+    service_bytes,
+    service_message,
+)
 from localiser.storage import read_track, write_map
 
 N = 8
@@ -30,9 +38,11 @@ N = 8
 def asked(feed: Feed, kind: str, **fields: Any) -> Any:
     """Ask a service in the middle of a run; return its answer."""
     replies: list[bytes] = []
-    arrival = Arrival(kind, SERVICES[kind].name, request_bytes(kind, **fields), feed.now_ns, reply=replies.append)
+    arrival = Arrival(
+        kind, SERVICES[kind].name, service_bytes(kind, "Request", **fields), feed.now_ns, reply=replies.append
+    )
     feed([arrival])
-    return response_of(kind, replies[0]) if replies else None
+    return service_message(kind, "Response", replies[0]) if replies else None
 
 
 def fed(folder: Path, **settings: Any) -> tuple[Feed, KeepingTransport]:

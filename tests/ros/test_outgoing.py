@@ -17,8 +17,7 @@ from localiser.errors import InputError
 from localiser.filter import LocatedFrame
 from localiser.geometry import pose_from_ros
 from localiser.ros import OUTPUTS, Frames, Message, Outgoing, outputs_named
-from localiser.ros.outgoing import MOST_PARTICLES
-from localiser.ros.path import MOST_POSES
+from localiser.ros.outgoing import MOST_PARTICLES, MOST_POSES
 from localiser.storage import open_log, read_map
 from localiser.storage.bags import typestore
 
