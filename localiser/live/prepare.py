@@ -17,18 +17,16 @@ from localiser.config import Config, LiveParameters
 from localiser.documents import read_text
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
-from localiser.live.inbound import topic_for
+from localiser.live.camera_source import CameraSource
+from localiser.live.clock import SimulatedTime
+from localiser.live.inbox import Arrival, Inbox, check_outputs, input_topics, topic_for
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import JsonLines, Published
-from localiser.live.publishing import Publisher
+from localiser.live.outputs import JsonLines, Published, Publisher
 from localiser.live.recording import Recording
 from localiser.live.requests import Requests, serve
 from localiser.live.run import LiveRun
-from localiser.live.simulated_time import SimulatedTime
-from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
-from localiser.live.topic_names import check_outputs, input_topics
-from localiser.live.transports import ReportsProblems, Take, Transport, open_transport, prefix_of
+from localiser.live.transport import ReportsProblems, Take, Transport, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import Frames, Output, outputs_named

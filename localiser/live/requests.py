@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from localiser.documents import nearest
 from localiser.errors import InputError
-from localiser.live.sources import Arrival, Inbox
-from localiser.live.transports import ServesRequests, Transport
+from localiser.live.inbox import Arrival, Inbox
+from localiser.live.transport import ServesRequests, Transport
 from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, service_bytes, service_message, topic_in
 from localiser.storage import read_map
 

@@ -18,15 +18,12 @@ from localiser.errors import InputError
 from localiser.filter import SURE, LocatedFrame, Start
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live.clock import LATE_NS, RobotClock
-from localiser.live.inbound import message_of, type_of
+from localiser.live.clock import LATE_NS, RobotClock, SimulatedTime
+from localiser.live.inbox import Arrival, Inbox, message_of, type_of
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import Published, pose_now
-from localiser.live.publishing import Publisher
+from localiser.live.outputs import Published, Publisher, pose_now
 from localiser.live.recording import Recording
 from localiser.live.requests import Requests
-from localiser.live.simulated_time import SimulatedTime
-from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Frame, Timeline
 from localiser.localiser import Localiser

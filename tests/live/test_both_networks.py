@@ -15,7 +15,7 @@ from live_processes import LEAST_HZ, PATIENCE_S, SETTINGS, START, free_domain, p
 from short_log import CORRIDOR, Localiser
 
 from localiser.live import open_transport
-from localiser.live.transports import Topic
+from localiser.live.transport import Topic
 from localiser.ros import OUTPUTS
 from localiser.storage import open_log, read_map, read_track
 from localiser.storage.bags import ODOM, ODOMETRY, Messages, typestore

@@ -19,9 +19,9 @@ from short_log import CORRIDOR, Localiser
 from localiser.config import LiveParameters
 from localiser.errors import InputError
 from localiser.live import open_transport
-from localiser.live.publishing import Publisher
-from localiser.live.transports import Reply, Topic, Transport
-from localiser.live.transports.dds_types import dds_name, dds_type
+from localiser.live.dds_transport import dds_name, dds_type
+from localiser.live.outputs import Publisher
+from localiser.live.transport import Reply, Topic, Transport
 from localiser.ros import SERVICES, outputs_named, service_bytes
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
 

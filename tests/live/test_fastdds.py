@@ -15,7 +15,7 @@ from live_processes import free_domain
 
 from localiser.config import LiveParameters
 from localiser.live import open_transport
-from localiser.live.transports import Topic
+from localiser.live.transport import Topic
 from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, stated_size, typestore
 
 IMAGES, RATE_HZ = 60, 20.0

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from live_feed import BEGIN_NS, MAKE, Feed, arrival, camera, drive, image, odometry
 
 from localiser.live.clock import RobotClock
-from localiser.live.inbound import TOPICS, message_of
-from localiser.live.sources import Arrival
+from localiser.live.inbox import TOPICS, Arrival, message_of
 from localiser.storage.bags.decisions import Decisions
 
 DAMAGED = 10_000

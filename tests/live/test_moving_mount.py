@@ -10,7 +10,7 @@ import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive
 
 from localiser.camera import Mount
-from localiser.live.sources import Arrival
+from localiser.live.inbox import Arrival
 from localiser.live.timeline import PATIENCE_NS
 from localiser.replay import replay_log
 from localiser.storage import open_log

@@ -17,7 +17,7 @@ from short_log import CORRIDOR
 from localiser.config import LiveParameters
 from localiser.live import open_transport
 from localiser.live.stand_in import WHEELS
-from localiser.live.transports import Topic
+from localiser.live.transport import Topic
 from localiser.storage.bags import ODOM, POSE, Messages
 
 pytestmark = pytest.mark.slow  # in part, without processes: test_transports.py, test_flood.py, test_senders.py

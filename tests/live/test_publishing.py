@@ -14,7 +14,7 @@ from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReli
 from rosbags.rosbag2 import Reader
 
 from localiser.geometry import compose, pose_from_ros
-from localiser.live.publishing import Publisher
+from localiser.live.outputs import Publisher
 from localiser.ros import Frames, outputs_named
 from localiser.storage.bags import typestore
 

@@ -16,8 +16,8 @@ from short_log import Localiser
 
 from localiser.camera import Camera
 from localiser.live.clock import AGREEING
-from localiser.live.publishing import Publisher
-from localiser.live.sources import Arrival
+from localiser.live.inbox import Arrival
+from localiser.live.outputs import Publisher
 from localiser.ros import outputs_named
 from localiser.storage import open_log, read_track
 from localiser.storage.images import encode_image

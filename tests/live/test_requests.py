@@ -14,10 +14,10 @@ from short_log import CORRIDOR, Localiser
 
 from localiser.config import LiveParameters
 from localiser.errors import InputError
+from localiser.live.inbox import Arrival, Inbox
+from localiser.live.outputs import Publisher
 from localiser.live.prepare import LiveOptions, opened, state_to_resume
-from localiser.live.publishing import Publisher
 from localiser.live.requests import Requests, serve
-from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser as RobotLocaliser

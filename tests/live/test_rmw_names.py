@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localiser.live.transports import RmwNames, Service, Topic
-from localiser.live.transports.rmw_names import attachment, gid_of, mangled, parts_of, quality
+from localiser.live.transport import Service, Topic
+from localiser.live.zenoh_transport import RmwNames, attachment, gid_of, mangled, parts_of, quality
 
 ZID = "ac50be7e5e2b5b0a28fd5e8f2e1ad1d5"
 IMAGE = Topic("/camera/image_raw", "sensor_msgs/msg/Image", reliable=False, depth=5)

@@ -16,9 +16,8 @@ from short_log import Localiser
 from localiser.config import read_config
 from localiser.filter import mcl
 from localiser.geometry import compose
-from localiser.live.inbound import TOPICS, message_of
+from localiser.live.inbox import TOPICS, Arrival, Inbox, message_of
 from localiser.live.prepare import open_camera
-from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser as RobotLocaliser

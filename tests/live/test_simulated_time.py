@@ -12,8 +12,8 @@ from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, 
 from short_log import Localiser
 
 from localiser.filter import Start
-from localiser.live.simulated_time import SLACK_NS, SimulatedTime
-from localiser.live.sources import Arrival
+from localiser.live.clock import SLACK_NS, SimulatedTime
+from localiser.live.inbox import Arrival
 from localiser.storage import read_track
 from localiser.storage.bags import CLOCK
 

@@ -16,16 +16,8 @@ from live_processes import free_endpoint
 
 from localiser.config import LiveParameters
 from localiser.errors import InputError
-from localiser.live.transports import (
-    HearsAll,
-    ServesRequests,
-    Service,
-    Topic,
-    Transport,
-    ZenohTransport,
-    open_transport,
-)
-from localiser.live.transports.rmw_names import attachment
+from localiser.live.transport import HearsAll, ServesRequests, Service, Topic, Transport, open_transport
+from localiser.live.zenoh_transport import ZenohTransport, attachment
 
 zenoh = pytest.importorskip("zenoh")
 
@@ -247,7 +239,7 @@ def test_the_domain_is_that_of_the_environment(monkeypatch: pytest.MonkeyPatch, 
 PEER = """
 import os, sys, time
 from localiser.config import LiveParameters
-from localiser.live.transports import Topic, open_transport
+from localiser.live.transport import Topic, open_transport
 topic = Topic("/odom", "nav_msgs/msg/Odometry", reliable=False, depth=5)
 transport = open_transport(LiveParameters([sys.argv[1]]))
 end = time.monotonic() + 30

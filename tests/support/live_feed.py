@@ -13,11 +13,11 @@ from localiser.camera import Camera
 from localiser.config import Config, read_config
 from localiser.filter import mcl
 from localiser.live import TOPICS, LiveOptions
+from localiser.live.inbox import Arrival, Inbox
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Published
 from localiser.live.prepare import begun_recording
 from localiser.live.run import LiveRun
-from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Resumed
 from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, open_log
