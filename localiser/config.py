@@ -173,9 +173,12 @@ def schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema()}
 
 
-def to_yaml(config: Config) -> str:
-    """Return the configuration as YAML that `read_config` reads, each value with its meaning, unit and range."""
-    return "".join(_lines(config.model_dump(), (), Schema(TypeAdapter(Config)))).lstrip("\n")
+def to_yaml(config: Config, without: Iterable[str] = ()) -> str:
+    """Return the configuration as YAML that `read_config` reads, each value with its meaning, unit and range.
+
+    without: sections that are left out.
+    """
+    return "".join(_lines(config.model_dump(exclude=set(without)), (), Schema(TypeAdapter(Config)))).lstrip("\n")
 
 
 def _lines(values: dict[str, Any], key: tuple[str, ...], schema: Schema) -> Iterable[str]:

@@ -125,19 +125,19 @@ def test_a_build_can_be_watched_and_a_viewer_that_is_missing_is_no_obstacle(
 ) -> None:
     import sys
 
-    from localiser.view import live
+    from localiser.view import viewer
 
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60])
     code = "import sys, rerun_cli.__main__ as cli; sys.exit(cli.main())"
     shown, kept = tmp_path / "live.rrd", tmp_path / "file.rrd"
     command = [sys.executable, "-c", code, "rrd", "merge", "-o", str(shown)]
-    monkeypatch.setattr(live, "viewer_command", lambda kind: (command, "http://here"))
+    monkeypatch.setattr(viewer, "viewer_command", lambda kind: (command, "http://here"))
     options = ("--view", "web", "--rrd", kept, "-q")
     watched = run("map", "build", log, "-o", tmp_path / "map.yaml", *options)
     assert watched.exit_code == 0
     assert "Watch at http://here" in watched.stderr
     assert recorded(shown) == recorded(kept)
-    monkeypatch.setattr(live, "viewer_command", lambda kind: (["/no/such/viewer"], None))
+    monkeypatch.setattr(viewer, "viewer_command", lambda kind: (["/no/such/viewer"], None))
     alone = run("map", "build", log, "-o", tmp_path / "b.yaml", "--view", "native", "-q")
     assert "without it" in alone.stderr
     assert read_map(tmp_path / "b.yaml").points == pytest.approx(read_map(tmp_path / "map.yaml").points)
