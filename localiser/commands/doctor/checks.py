@@ -25,10 +25,7 @@ from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live import message_of, topic_for, type_of
-from localiser.live.camera_source import CameraSource
-from localiser.live.inbox import Arrival
-from localiser.live.transport import HearsAll, Transport
+from localiser.live import Arrival, CameraSource, HearsAll, Transport, message_of, topic_for, type_of
 from localiser.storage import Image, check_whole, decoded, encode_image, write_bytes
 from localiser.storage.bags import CameraFinder, floor_pose, grey_image, image_file, stamp_of
 
