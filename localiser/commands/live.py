@@ -222,7 +222,7 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
     with asked_to_stop() as stop, opened(options, partial(say, console)) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
         with shown_status(
-            console, lambda: status_line(run.monitor), shown=console.is_terminal and not shared
+            console, lambda: status_line(run.outputs.monitor), shown=console.is_terminal and not shared
         ) as refresh:
 
             def ended() -> bool:

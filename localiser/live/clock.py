@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 LATE_NS = 1_000_000_000
@@ -140,3 +142,26 @@ class SimulatedTime:
             return made_up_ns
         self._clock_ns = max(clock_ns, self.clock_ns)
         return 0
+
+
+@dataclass(slots=True, eq=False)
+class Clocks:
+    """The clocks of a run. simulated: in place of this machine's; None where that counts. machine_ns: its own."""
+
+    robot: RobotClock = field(default_factory=RobotClock)
+    simulated: SimulatedTime | None = None
+    machine_ns: Callable[[], int] = time.monotonic_ns
+
+    @property
+    def now_ns(self) -> int:
+        """The time of arrivals, which goes on steadily."""
+        return self.machine_ns() if self.simulated is None else self.simulated.now_ns
+
+    def stamp_of(self, t_ns: int) -> int:
+        """Return a time as the robot stamps it now."""
+        return t_ns - self.robot.offset_ns
+
+    def latency_ms(self, stamp_ns: int) -> float:
+        """Return how long ago a stamp was: by the simulated time, else by this machine's calendar."""
+        now_ns = time.time_ns() if self.simulated is None else self.simulated.clock_ns
+        return (now_ns - stamp_ns) / 1e6

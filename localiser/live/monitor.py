@@ -199,9 +199,9 @@ def status_line(monitor: Monitor) -> str:
 
 def end_table(run: LiveRun) -> Table:
     """Return what a run came to: its figures, what was wrong how often, and what was left out."""
-    figures = run.monitor.figures()
+    figures = run.outputs.monitor.figures()
     rows = {label: text.format(figures[key] * per) for key, label, text, per in ROWS if key in figures}
-    return table_of(rows, run.monitor.wrong, _left_out(run))
+    return table_of(rows, run.outputs.monitor.wrong, _left_out(run))
 
 
 def table_of(figures: Mapping[str, str], wrong: Mapping[str, int], left_out: Mapping[str, int]) -> Table:
@@ -221,7 +221,7 @@ def table_of(figures: Mapping[str, str], wrong: Mapping[str, int], left_out: Map
 
 
 def _left_out(run: LiveRun) -> dict[str, int]:
-    left_out = {**run.timeline.skipped, **{f"{role} dropped": n for role, n in run.inbox.dropped.items()}}
-    if run.timeline.late_odometry:
-        left_out["odometry"] = run.timeline.late_odometry
+    left_out = {**run.tracker.timeline.skipped, **{f"{role} dropped": n for role, n in run.inbox.dropped.items()}}
+    if run.tracker.timeline.late_odometry:
+        left_out["odometry"] = run.tracker.timeline.late_odometry
     return left_out

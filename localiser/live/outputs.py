@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,14 +14,18 @@ from threading import Thread
 
 import numpy as np
 
-from localiser import geometry
 from localiser.camera import Camera
 from localiser.documents import write_all
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
+from localiser.live.inbox import Arrival, type_of
+from localiser.live.monitor import Monitor
+from localiser.live.recording import Recording
 from localiser.live.transport import Topic, Transport
+from localiser.replay import Sink
 from localiser.ros import Frames, Message, Outgoing, Output
+from localiser.storage.bags import DECISIONS_TOPIC
 
 MOST_LINES = 1000
 
@@ -29,15 +34,14 @@ MOST_LINES = 1000
 class Published:
     """One image's result as it goes out. stamp_ns, now_ns: of the image and of the wheels' last pose, by the robot.
 
-    now: (3,) pose in the map then. by_wheels: whether wheels were ever heard. latency_ms: from the image's stamp, by
-    this machine's calendar. error_m: where the robot tells the truth beside.
+    now: (3,) pose in the map then. latency_ms: from the image's stamp, by this machine's calendar. error_m: where the
+    robot tells the truth beside.
     """
 
     located: Located
     stamp_ns: int
     now_ns: int
     now: Array
-    by_wheels: bool
     latency_ms: float
     error_m: float | None = None
 
@@ -59,11 +63,6 @@ class Published:
             "latency_ms": round(self.latency_ms, 3),
         }
         return json.dumps(data | ({} if self.error_m is None else {"error_m": round(self.error_m, 6)}))
-
-
-def pose_now(located: Located, odometry_now: Array) -> Array:
-    """Return the pose (3,) in the map at the wheels' last pose: the estimate, moved on by what the wheels did since."""
-    return geometry.compose(located.estimate.pose, geometry.between(located.odometry, odometry_now))
 
 
 class JsonLines:
@@ -182,3 +181,56 @@ class Publisher:
             self.transport.publish(topic, message.content)
             if self.record is not None:
                 self.record(topic.name, topic.msgtype, message.content)
+
+
+@dataclass(slots=True, eq=False)
+class Outputs:
+    """All that a live run tells: its user, the network, the recording, lines of JSON, views.
+
+    recording: None where nothing is recorded. publish: take every result. sinks: get every located image.
+    """
+
+    monitor: Monitor
+    publisher: Publisher
+    recording: Recording | None = None
+    publish: Sequence[Callable[[Published], None]] = ()
+    sinks: Sequence[Sink] = ()
+    _counts: Counter[str] = field(default_factory=Counter)
+
+    def record(self, arrival: Arrival) -> int:
+        """Record a message that can be read; return how many of its role were recorded before."""
+        number = self._counts[arrival.role]
+        self._counts[arrival.role] += 1
+        if self.recording is not None:
+            msgtype = type_of(arrival.role, arrival.topic)
+            self.recording.write(arrival.topic, msgtype, arrival.wall_ns, arrival.content)
+        return number
+
+    def decide(self, decision: str) -> None:
+        """Record a decision, which a replay takes too."""
+        self.tell(DECISIONS_TOPIC, decision)
+
+    def tell(self, topic: str, text: str) -> None:
+        """Record what no message says."""
+        if self.recording is not None:
+            self.recording.tell(topic, text)
+
+    def end_recording(self, why: str) -> None:
+        """End the recording, if there is one, and say why."""
+        if self.recording is not None:
+            self.recording.close()
+            self.recording = None
+            self.monitor.warn("recording ended", f"the recording ended, {why}")
+        self.publisher.record = None
+
+    def located(self, found: LocatedFrame, published: Published, camera_frame: str) -> None:
+        """Tell what was located in an image. camera_frame: as the image names it."""
+        facts = {"latency_ms": f"{published.latency_ms:.1f}", "rate_hz": f"{self.monitor.rate_now_hz:.2f}"}
+        facts |= {f"warnings, {kind}": str(count) for kind, count in self.monitor.wrong.items()}
+        self.publisher.image(found, published.stamp_ns, facts, camera_frame)
+        for publish in self.publish:
+            publish(published)
+        work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]
+        self.monitor.located(found, published.latency_ms, work_ms, published.error_m)
+        for sink in self.sinks:
+            sink.frame(found)

@@ -14,22 +14,23 @@ import numpy as np
 from localiser import view
 from localiser.camera import Camera, Mount
 from localiser.config import Config, LiveParameters
-from localiser.documents import read_text
+from localiser.documents import nearest, read_text
+from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
 from localiser.live.camera_source import CameraSource
-from localiser.live.clock import SimulatedTime
+from localiser.live.clock import Clocks, SimulatedTime
 from localiser.live.inbox import Arrival, Inbox, check_outputs, input_topics, topic_for
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import JsonLines, Published, Publisher
+from localiser.live.outputs import JsonLines, Outputs, Published, Publisher
 from localiser.live.recording import Recording
-from localiser.live.requests import Requests, serve
 from localiser.live.run import LiveRun
 from localiser.live.state import Checkpoints, Resumed
-from localiser.live.transport import ReportsProblems, Take, Transport, open_transport, prefix_of
+from localiser.live.tracker import Tracker
+from localiser.live.transport import Reply, ReportsProblems, ServesRequests, Take, Transport, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
-from localiser.ros import Frames, Output, outputs_named
+from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
 from localiser.storage import encode_image, read_camera, read_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
@@ -106,29 +107,36 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         warm_up(landmark_map, options.config)
         say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
+        clocks = Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
+        told = Outputs(monitor, _publisher(live, transport, outputs, recording), recording, publish, viewers)
+        checkpoints = _checkpoints(options, begun_map, monitor)
+        tracker = Tracker(finder, localiser_of, clocks, told, options.start, resumed, checkpoints)
         serve(transport, inbox, prefix_of(live), live.services)
-        run = LiveRun(
-            inbox,
-            finder,
-            localiser_of,
-            monitor,
-            publish,
-            recording,
-            options.start,
-            resumed,
-            _checkpoints(options, begun_map, monitor),
-            viewers,
-            _publisher(live, transport, outputs, recording),
-            Requests(begun_map.parent),
-            SimulatedTime() if live.use_sim_time else None,
-            map_frame=live.map_frame,
-        )
         for role, topic in topics.items():
             if _is_listened_to(role, options):
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
-        yield run
+        yield LiveRun(inbox, tracker, clocks, told, begun_map.parent, live.map_frame)
+
+
+def serve(transport: Transport, inbox: Inbox, namespace: str, names: Mapping[str, str | None]) -> None:
+    """Let the requests of all services come into the inbox. names: in place of those in SERVICES, None for none.
+
+    namespace: of all names but those that are given with a leading slash. Raises InputError for an unknown kind.
+    """
+    for kind in names:
+        if kind not in SERVICES:
+            raise InputError(f"unknown kind of service; {nearest(kind, list(SERVICES))}", field="live.services")
+    if not isinstance(transport, ServesRequests):
+        return
+    for kind, service in SERVICES.items():
+        if name := topic_in(namespace, names.get(kind, service.name.removeprefix("/"))):
+
+            def take(content: bytes, reply: Reply, kind: str = kind, name: str = name) -> None:
+                inbox.put(Arrival(kind, name, content, reply=reply))
+
+            transport.serve(replace(service, name=name), take)
 
 
 def state_to_resume(options: LiveOptions, say: Callable[[str, str], None]) -> tuple[LiveOptions, Resumed | None]:

@@ -90,7 +90,7 @@ def test_the_last_pose_reaches_a_transient_local_subscriber_that_comes_late() ->
     """As Nav2's programs subscribe to the pose of AMCL."""
     with joined(RECALLS) as transport:
         feed = Feed()
-        feed.run.publisher = Publisher(transport, outputs_named())
+        feed.run.outputs.publisher = Publisher(transport, outputs_named())
         feed([*camera(), *drive(2)])
         with counterpart(RECALLS, "recall") as other:
             assert other.stdout is not None

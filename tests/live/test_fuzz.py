@@ -52,7 +52,7 @@ def test_ten_thousand_damaged_messages_and_the_run_goes_on() -> None:
     feed(camera())
     feed(drive(6, first=3))
     assert len(feed.published) >= 4
-    assert sum(count for what, count in feed.run.monitor.counts.items() if what.startswith("bad")) > DAMAGED / 2
+    assert sum(count for what, count in feed.run.outputs.monitor.counts.items() if what.startswith("bad")) > DAMAGED / 2
     said = [text for text in feed.said if not text.startswith("started at")]
     assert len(said) < 100, "not a word for every message"
     assert np.isfinite(feed.poses).all()

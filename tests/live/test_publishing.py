@@ -21,7 +21,7 @@ from localiser.storage.bags import typestore
 
 def fed(publisher: Publisher, **settings: Any) -> Feed:
     feed = Feed(**settings)
-    feed.run.publisher = publisher
+    feed.run.outputs.publisher = publisher
     return feed
 
 
@@ -165,7 +165,7 @@ def test_a_player_of_a_recording_keeps_what_was_latched(tmp_path: Path) -> None:
     """As rosbags reads the quality of service that players offer."""
     feed = Feed(record=tmp_path / "drive.db3")
     assert feed.recording is not None
-    feed.run.publisher = Publisher(
+    feed.run.outputs.publisher = Publisher(
         KeepingTransport(),
         outputs_named(),
         record=lambda topic, kind, content: feed.recording.write(topic, kind, 0, content),

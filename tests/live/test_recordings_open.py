@@ -69,7 +69,7 @@ def test_a_recording_of_all_that_went_out_replays(localiser: Localiser, tmp_path
     feed = Feed(record=tmp_path / "drive.db3")
     recording = feed.recording
     assert recording is not None
-    feed.run.publisher = Publisher(
+    feed.run.outputs.publisher = Publisher(
         KeepingTransport(),
         outputs_named(),
         record=lambda topic, msgtype, content: recording.write(topic, msgtype, 0, content),
