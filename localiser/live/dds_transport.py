@@ -291,7 +291,7 @@ class DdsTransport:
         self._readers = Readers(self._participant, self._tell)
 
     def report_to(self, report: Callable[[str], None]) -> None:
-        """See `ReportsProblems`."""
+        """See `Transport`."""
         self._report = report
 
     def _tell(self, problem: str) -> None:
@@ -314,7 +314,7 @@ class DdsTransport:
         return topic.latched or bool(self._writer(topic).get_matched_subscriptions())
 
     def serve(self, service: Service, take: Callable[[bytes, Reply], None]) -> None:
-        """See `ServesRequests`. Requests come, and answers go, as Cyclone's middleware of ROS 2 has them."""
+        """See `Transport`. Requests come, and answers go, as Cyclone's middleware of ROS 2 has them."""
         name, quality = checked_name(service.name, "live.services"), Topic(service.name, service.srvtype)
         answers = raw_part(service.srvtype, "Response", service.response)
         writer = self._write(quality, f"rr/{name}Reply", answers)
@@ -326,7 +326,7 @@ class DdsTransport:
         self._read(quality, f"rq/{name}Request", raw_part(service.srvtype, "Request", service.request), handle)
 
     def listen_to_all(self, take: Callable[[str, str | None, bytes], None]) -> None:
-        """See `HearsAll`. Topics whose types are not known are left out."""
+        """See `Transport`. Topics whose types are not known are left out."""
 
         def found(name: str, msgtype: str) -> None:
             if msgtype in typestore(ros1=False).fielddefs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -139,41 +139,27 @@ class Monitor:
         span = self._times[-1] - self._times[0] if self._times else 0.0
         return (len(self._times) - 1) / span if span > 0 else 0.0
 
-    def figures(self) -> dict[str, float]:
-        """Return what a run comes to."""
-        figures: dict[str, float] = {"located": float(self.counts["located"])}
+    def rows(self) -> dict[str, str]:
+        """Return what a run comes to, as texts by their labels."""
+        counts, rows = self.counts, {"images located": str(self.counts["located"])}
         if len(self.latency_ms) > 1 and self._last > self._first:
-            figures["rate_hz"] = (self.counts["located"] - 1) / (self._last - self._first)
-        for name, values in (("latency", self.latency_ms), ("edges_and_filter", self.work_ms)):
+            rows["rate"] = f"{(counts['located'] - 1) / (self._last - self._first):.1f} Hz"
+        for name, values in (("latency", self.latency_ms), ("edges and filter", self.work_ms)):
             if values:
-                figures[f"{name}_median_ms"], figures[f"{name}_99_ms"] = np.percentile(values, [50, 99]).tolist()
-        if self.counts["located"]:
-            figures["sure"] = self.counts["sure"] / self.counts["located"]
-        if self.counts["edges"]:
-            figures["edges_matched"] = self.counts["matched"] / self.counts["edges"]
+                for label, value in zip(("median", "99 %"), np.percentile(values, [50, 99]), strict=True):
+                    rows[f"{name}, {label}"] = f"{value:.0f} ms"
+        if counts["located"]:
+            rows["images sure"] = f"{100 * counts['sure'] / counts['located']:.0f} %"
+        if counts["edges"]:
+            rows["edges matched"] = f"{100 * counts['matched'] / counts['edges']:.0f} %"
         if self.error_m:
-            figures["error_rmse_m"] = float(np.sqrt(np.mean(np.square(self.error_m))))
-            figures["error_worst_m"] = max(self.error_m)
-        return figures
+            rows["error, RMSE"] = f"{np.sqrt(np.mean(np.square(self.error_m))):.3f} m"
+            rows["error, worst"] = f"{max(self.error_m):.3f} m"
+        return rows
 
 
 def _way(motion: Array) -> str:
     return f"{np.hypot(motion[0], motion[1]):.2f} m and {np.degrees(motion[2]):.1f}°"
-
-
-# Key in `Monitor.figures`, how it reads, format, and what it is multiplied by.
-ROWS = (
-    ("located", "images located", "{:.0f}", 1.0),
-    ("rate_hz", "rate", "{:.1f} Hz", 1.0),
-    ("latency_median_ms", "latency, median", "{:.0f} ms", 1.0),
-    ("latency_99_ms", "latency, 99 %", "{:.0f} ms", 1.0),
-    ("edges_and_filter_median_ms", "edges and filter, median", "{:.0f} ms", 1.0),
-    ("edges_and_filter_99_ms", "edges and filter, 99 %", "{:.0f} ms", 1.0),
-    ("sure", "images sure", "{:.0f} %", 100.0),
-    ("edges_matched", "edges matched", "{:.0f} %", 100.0),
-    ("error_rmse_m", "error, RMSE", "{:.3f} m", 1.0),
-    ("error_worst_m", "error, worst", "{:.3f} m", 1.0),
-)
 
 
 def status_line(monitor: Monitor) -> str:
@@ -199,29 +185,19 @@ def status_line(monitor: Monitor) -> str:
 
 def end_table(run: LiveRun) -> Table:
     """Return what a run came to: its figures, what was wrong how often, and what was left out."""
-    figures = run.outputs.monitor.figures()
-    rows = {label: text.format(figures[key] * per) for key, label, text, per in ROWS if key in figures}
-    return table_of(rows, run.outputs.monitor.wrong, _left_out(run))
-
-
-def table_of(figures: Mapping[str, str], wrong: Mapping[str, int], left_out: Mapping[str, int]) -> Table:
-    """Return a table of figures, and of counts of what was wrong and left out."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    monitor, timeline = run.outputs.monitor, run.tracker.timeline
+    left_out = {**timeline.skipped, **{f"{role} dropped": count for role, count in run.inbox.dropped.items()}}
+    if timeline.late_odometry:
+        left_out["odometry"] = timeline.late_odometry
+    rows = monitor.rows()
+    for title, counts in (("warning", monitor.wrong), ("left out", left_out)):
+        rows |= {f"{title}: {kind}": str(count) for kind, count in counts.items()}
     table = Table(title="Live run", title_justify="left", box=SIMPLE_HEAD, show_header=False, pad_edge=False)
     table.add_column("figure")
     table.add_column("value", justify="right")
-    for label, text in figures.items():
+    for label, text in rows.items():
         table.add_row(label, text)
-    for title, counts in (("warning", wrong), ("left out", left_out)):
-        for kind, count in counts.items():
-            table.add_row(f"{title}: {kind}", str(count))
     return table
-
-
-def _left_out(run: LiveRun) -> dict[str, int]:
-    left_out = {**run.tracker.timeline.skipped, **{f"{role} dropped": n for role, n in run.inbox.dropped.items()}}
-    if run.tracker.timeline.late_odometry:
-        left_out["odometry"] = run.tracker.timeline.late_odometry
-    return left_out

@@ -27,7 +27,7 @@ from localiser.live.recording import Recording
 from localiser.live.run import LiveRun
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.tracker import Tracker
-from localiser.live.transport import Reply, ReportsProblems, ServesRequests, Take, Transport, open_transport, prefix_of
+from localiser.live.transport import Reply, Take, Transport, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
@@ -95,8 +95,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         if recording is not None:
             stack.callback(recording.close)
         transport = stack.enter_context(closing(open_transport(live)))
-        if isinstance(transport, ReportsProblems):
-            transport.report_to(lambda text: monitor.warn("network", text))
+        transport.report_to(lambda text: monitor.warn("network", text))
         publish: list[Callable[[Published], None]] = []
         if options.json is not None:
             lines = JsonLines(options.json)
@@ -128,8 +127,6 @@ def serve(transport: Transport, inbox: Inbox, namespace: str, names: Mapping[str
     for kind in names:
         if kind not in SERVICES:
             raise InputError(f"unknown kind of service; {nearest(kind, list(SERVICES))}", field="live.services")
-    if not isinstance(transport, ServesRequests):
-        return
     for kind, service in SERVICES.items():
         if name := topic_in(namespace, names.get(kind, service.name.removeprefix("/"))):
 

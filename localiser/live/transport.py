@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from localiser.config import MOST_DOMAIN, LiveParameters
 from localiser.errors import InputError
@@ -49,32 +49,17 @@ class Transport(Protocol):
     def is_heard(self, topic: Topic) -> bool:
         """Whether a message on this topic would reach anybody now; True where that cannot be known."""
 
-    def close(self) -> None:
-        """Leave the network."""
-
-
-@runtime_checkable
-class ServesRequests(Protocol):
-    """A transport that can also answer requests of services."""
-
     def serve(self, service: Service, take: Callable[[bytes, Reply], None]) -> None:
-        """Hand every request (CDR) over, with what answers it."""
-
-
-@runtime_checkable
-class ReportsProblems(Protocol):
-    """A transport that notices what keeps messages from passing."""
-
-    def report_to(self, report: Callable[[str], None]) -> None:
-        """Tell of what is wrong from now on, in any thread."""
-
-
-@runtime_checkable
-class HearsAll(Protocol):
-    """A transport that can also listen to topics that are not known before."""
+        """Hand every request (CDR) of a service over, with what answers it."""
 
     def listen_to_all(self, take: Callable[[str, str | None, bytes], None]) -> None:
-        """Hand over topic, type where the network tells it, and content of every message."""
+        """Hand over topic, type where the network tells it, and content of every message, also of unknown topics."""
+
+    def report_to(self, report: Callable[[str], None]) -> None:
+        """Tell of what keeps messages from passing from now on, in any thread, where the network tells it."""
+
+    def close(self) -> None:
+        """Leave the network."""
 
 
 ENDPOINT = "tcp/127.0.0.1:7447"

@@ -20,8 +20,12 @@ from localiser.storage.bags import typestore
 
 AGAIN_S = 0.3
 _CLOSE_S = 5.0
+_HEARTBEAT_S = 0.5  # after a latched message, so that a subscriber notices that it missed one
 _RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 _UNREACHABLE = "Unable to connect"
+_ATTACHMENT = struct.Struct("<qqB16s")  # sequence number, time in ns, length of the gid, gid
+NO_HASH = "TypeHashNotSupported"
+"""What ROS 2 Humble has in the place of a type's hash."""
 
 
 class ZenohLink:
@@ -133,13 +137,6 @@ def _zenoh() -> Any:
     return zenoh
 
 
-NO_HASH = "TypeHashNotSupported"
-"""What ROS 2 Humble has in the place of a type's hash."""
-
-_ATTACHMENT = struct.Struct("<qqB16s")  # sequence number, time in ns, length of the gid, gid
-_TYPE_MARK = "::dds_::"
-
-
 @dataclass(frozen=True, slots=True)
 class RmwNames:
     """Names of one node. domain: only nodes of the same one meet. namespace: "" or such as `/robot1`.
@@ -160,14 +157,10 @@ class RmwNames:
         """Return the keys under which messages are awaited: of any hash, so that Humble is heard too."""
         return f"{self._stem(topic)}/*"
 
-    @property
-    def everything(self) -> str:
-        """The keys of all messages in this domain."""
-        return f"{self.domain}/**"
-
     def service_key(self, service: Service) -> str:
         """Return the key under which requests come."""
-        return f"{self.domain}/{service.name.strip('/')}/{dds_type(service.srvtype)}/{self._service_hash(service)}"
+        stem = f"{self.domain}/{service.name.strip('/')}/{dds_type(service.srvtype)}"
+        return f"{stem}/{service.type_hash if self.hashes else NO_HASH}"
 
     def node_token(self, zid: str) -> str:
         """Return the token by which others know the node. zid: of the zenoh session."""
@@ -183,13 +176,13 @@ class RmwNames:
 
     def service_token(self, zid: str, number: int, service: Service) -> str:
         """Return the token of a service; number: see `publisher_token`."""
-        name, kind = mangled(service.name), dds_type(service.srvtype)
-        return f"{self._node(zid, number, 'SS')}/{name}/{kind}/{self._service_hash(service)}/{quality(Topic('', ''))}"
+        _, *_, kind, type_hash = self.service_key(service).split("/")
+        return f"{self._node(zid, number, 'SS')}/{mangled(service.name)}/{kind}/{type_hash}/{quality(Topic('', ''))}"
 
     def topic_of(self, key: str) -> tuple[str, str | None]:
         """Return the topic of a key, and the type of its messages where the key tells it."""
         parts = key.split("/")
-        if len(parts) >= 4 and _TYPE_MARK in parts[-2]:
+        if len(parts) >= 4 and "::dds_::" in parts[-2]:
             package, _, rest = parts[-2].partition("::")
             name = rest.rsplit("::", 1)[-1].removesuffix("_")
             return "/" + "/".join(parts[1:-2]), f"{package}/msg/{name}"
@@ -206,9 +199,6 @@ class RmwNames:
 
     def _hash(self, topic: Topic) -> str:
         return type_hash(topic.msgtype) if self.hashes else NO_HASH
-
-    def _service_hash(self, service: Service) -> str:
-        return service.type_hash if self.hashes else NO_HASH
 
 
 def mangled(name: str) -> str:
@@ -252,9 +242,6 @@ def parts_of(content: bytes) -> tuple[int, int, bytes]:
     return sequence, t_ns, gid
 
 
-_HEARTBEAT_S = 0.5  # after a latched message, so that a subscriber notices that it missed one
-
-
 class ZenohTransport:
     """Publishes and subscribes on one session; also what is asked for before the session is open."""
 
@@ -276,7 +263,14 @@ class ZenohTransport:
 
         def declare(session: Any) -> None:
             if topic.latched:
-                self._held.append(_latched_subscriber(session, pattern, topic.depth, handle))
+                from zenoh import ext
+
+                history = ext.HistoryConfig(detect_late_publishers=True, max_samples=topic.depth)
+                recovery = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+                subscriber = ext.declare_advanced_subscriber(
+                    session, pattern, handle, history=history, recovery=recovery
+                )
+                self._held.append(subscriber)
             else:
                 self._held.append(session.declare_subscriber(pattern, handle))
             self._declare_token(session, self._names.subscriber_token(_zid(session), number, topic))
@@ -296,11 +290,15 @@ class ZenohTransport:
         return self._publisher(topic).is_heard()
 
     def serve(self, service: Service, take: Callable[[bytes, Reply], None]) -> None:
-        """See `ServesRequests`."""
+        """See `Transport`."""
         key, number = self._names.service_key(service), next(self._numbers)
 
         def handle(query: Any) -> None:
-            sequence, _, gid = parts_of(query.attachment.to_bytes() if query.attachment is not None else b"")
+            try:
+                sequence, _, gid = parts_of(query.attachment.to_bytes() if query.attachment is not None else b"")
+            except ValueError:  # no request of ROS 2
+                query.drop()
+                return
 
             def reply(content: bytes) -> None:
                 query.reply(key, content, attachment=attachment(sequence, time.time_ns(), gid))
@@ -309,19 +307,22 @@ class ZenohTransport:
             take(b"" if query.payload is None else query.payload.to_bytes(), reply)
 
         def declare(session: Any) -> None:
-            self._held.append(session.declare_queryable(key, _checked_query(handle), complete=True))
+            self._held.append(session.declare_queryable(key, handle, complete=True))
             self._declare_token(session, self._names.service_token(_zid(session), number, service))
 
         self._link.when_open(declare)
 
     def listen_to_all(self, take: Callable[[str, str | None, bytes], None]) -> None:
-        """See `HearsAll`."""
+        """See `Transport`."""
 
         def handle(sample: Any) -> None:
             take(*self._names.topic_of(str(sample.key_expr)), sample.payload.to_bytes())
 
-        everything = self._names.everything
+        everything = f"{self._names.domain}/**"
         self._link.when_open(lambda session: self._held.append(session.declare_subscriber(everything, handle)))
+
+    def report_to(self, report: Callable[[str], None]) -> None:
+        """See `Transport`. Nothing is told here: zenoh has no quality of service that could differ."""
 
     def close(self) -> None:
         """See `Transport`."""
@@ -399,18 +400,6 @@ def _declared(session: Any, topic: Topic, key: str) -> Any:
     )
 
 
-def _latched_subscriber(session: Any, pattern: str, depth: int, handle: Callable[[Any], None]) -> Any:
-    from zenoh import ext
-
-    return ext.declare_advanced_subscriber(
-        session,
-        pattern,
-        handle,
-        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth),
-        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-    )
-
-
 def _zid(session: Any) -> str:
     return str(session.info.zid())
 
@@ -434,15 +423,3 @@ def _checked(topic: Topic, key: str) -> str:
     if any(mark in topic.name for mark in "*$?#") or not topic.name.strip("/"):
         raise InputError(f"expected the name of a topic, found {topic.name!r}", field="live.topics")
     return key
-
-
-def _checked_query(handle: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a handler of queries that leaves out those which are no request of ROS 2."""
-
-    def checked(query: Any) -> None:
-        try:
-            handle(query)
-        except ValueError:
-            query.drop()
-
-    return checked

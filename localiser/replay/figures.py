@@ -20,7 +20,6 @@ from localiser.evaluate import Track
 from localiser.filter import LocatedFrame, Sighting, Start
 from localiser.geometry import Array, Trajectory
 from localiser.localiser import Localiser
-from localiser.particles import Estimate
 from localiser.replay.frames import KeptFrames
 from localiser.storage import Log, fingerprint
 
@@ -139,7 +138,7 @@ class _EdgesOf(Sequence[Edges]):
 
 def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
     """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
-    edges, summary = _EdgesOf(run.frames), run.summary
+    edges, summary, last = _EdgesOf(run.frames), run.summary, run.frames[-1].located.estimate
     figures = evaluate.metrics(
         summary.track,
         truth_of(run),
@@ -148,14 +147,16 @@ def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
         bound=bound,
         sighted=summary.sighted,
         reasons=summary.reasons,
-        distance_scale=_learnt(run.frames[-1].located.estimate, "distance_scale"),
+        distance_scale=float(last.mean[last.names.index("distance_scale")]) if "distance_scale" in last.names else 0.0,
     )
-    figures |= {"biases": _constants(run)} | _mount(run, edges) | _height(run) | _map_scale(run)
+    mount, warnings = _mount(run, edges)
+    height, height_warnings = _height(run)
     clock, clock_warnings = _clock(run, edges)
-    figures |= clock
-    figures |= _light(run)
-    figures["warnings"] += clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run)
-    figures["warnings"] += _silence_warnings(run) + _height_warnings(run)
+    light, light_warnings = _light(run)
+    warnings += clock_warnings + light_warnings + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
+    scale = {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
+    figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height | scale
+    figures |= clock | light
     in_view, matched = (summary.landmark_use > 0).T
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
@@ -187,11 +188,6 @@ def bound_of(run: Results) -> Array | None:
         np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
         np.array(informations),
     )
-
-
-def _learnt(estimate: Estimate, name: str) -> float:
-    """Return the estimated constant, 0 where it is none of the motion model's."""
-    return float(estimate.mean[estimate.names.index(name)]) if name in estimate.names else 0.0
 
 
 def _constants(run: Results) -> dict[str, Any]:
@@ -247,25 +243,18 @@ def _silence_warnings(run: Results) -> list[str]:
     ]
 
 
-def _light(run: Results) -> dict[str, Any]:
-    """Return how the images were exposed, medians and fractions; nothing where there are none."""
+def _light(run: Results) -> tuple[dict[str, Any], list[str]]:
+    """Return how the images were exposed, and that many are too dark or washed out; nothing where there are none."""
     light = run.light
     if not light:
-        return {}
-    return {
-        "light": {
-            "bright_grey_median": round(float(np.median([one.bright_grey for one in light])), 1),
-            "saturated_median": round(float(np.median([one.saturated for one in light])), 4),
-            "dark": round(sum(one.is_dark for one in light) / len(light), 6),
-            "washed_out": round(sum(one.is_washed_out for one in light) / len(light), 6),
-        }
+        return {}, []
+    dark, washed_out = [one for one in light if one.is_dark], [one for one in light if one.is_washed_out]
+    figures = {
+        "bright_grey_median": round(float(np.median([one.bright_grey for one in light])), 1),
+        "saturated_median": round(float(np.median([one.saturated for one in light])), 4),
+        "dark": round(len(dark) / len(light), 6),
+        "washed_out": round(len(washed_out) / len(light), 6),
     }
-
-
-def _light_warnings(run: Results) -> list[str]:
-    """Return that many images are too dark or washed out, as texts for people."""
-    light = run.light
-    dark, washed_out = ([one for one in light if getattr(one, name)] for name in ("is_dark", "is_washed_out"))
     texts, fewest = [], max(BADLY_LIT * len(light), WRONG_IMAGES)
     if len(dark) >= fewest:
         grey = np.median([one.bright_grey for one in dark])
@@ -280,31 +269,21 @@ def _light_warnings(run: Results) -> list[str]:
             f"{len(washed_out)} of {len(light)} images looked at are washed out: {share:.0%} of their pixels are white "
             f"(median; expected below {WASHED_OUT:.0%}). Give the camera less light or a shorter exposure."
         )
-    return texts
+    return {"light": figures}, texts
 
 
-def _height(run: Results) -> dict[str, float]:
-    """Return the height of the camera by where the edges of landmarks end; nothing where a log has no ends."""
+def _height(run: Results) -> tuple[dict[str, float], list[str]]:
+    """Return the height of the camera by where the edges of landmarks end, and that what is stated cannot be right."""
     last = run.frames[-1].located
-    if not any(len(frame.located.edges) and np.isfinite(frame.located.edges.ends_px).all() for frame in run.frames):
-        return {}
     stated_m = run.log.camera.at(last.edges.mount).mount.height_m
+    warning = last.height.warning(stated_m)
+    warnings = [f"{warning[0].upper()}{warning[1:]}."] if warning else []
+    if not any(len(frame.located.edges) and np.isfinite(frame.located.edges.ends_px).all() for frame in run.frames):
+        return {}, warnings  # a log without ends
     return {
         "height_found_m": round(stated_m + last.height.mean_m, 6),
         "height_found_sigma_m": round(last.height.sigma_m, 6),
-    }
-
-
-def _map_scale(run: Results) -> dict[str, float]:
-    """Return by how much landmarks are farther from where the map has them than it says."""
-    return {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
-
-
-def _height_warnings(run: Results) -> list[str]:
-    """Return that the stated height of the camera cannot be right, as a text for people."""
-    last = run.frames[-1].located
-    text = last.height.warning(run.log.camera.at(last.edges.mount).mount.height_m)
-    return [f"{text[0].upper()}{text[1:]}."] if text else []
+    }, warnings
 
 
 def _clock(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
@@ -318,20 +297,20 @@ def _clock(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[s
     return figures, [] if warning is None else [warning]
 
 
-def _mount(run: Results, edges: Sequence[Edges]) -> dict[str, Any]:
-    """Return what the edges of all images together say about tilt and roll.
+def _mount(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
+    """Return what the edges of all images together say about tilt and roll, and when that contradicts what is stated.
 
-    `warnings` has a text when they contradict what is stated; see `check_mount`.
+    See `check_mount`.
     """
     log, parameters = run.log, run.localiser.config.edges
     if not log.has_images:
-        return {"warnings": []}
+        return {}, []
     check = check_mount(edges, run.track.odometry, log.camera, parameters.mount_sigma_rad)
     warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.found, check.sigma])
-    figures: dict[str, Any] = {"warnings": [] if warning is None else [warning]}
+    figures: dict[str, Any] = {}
     for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):
         figures |= {f"{name}_found_deg": round(float(value), 6), f"{name}_found_sigma_deg": round(float(one), 6)}
-    return figures
+    return figures, [] if warning is None else [warning]
 
 
 # -- what a run was made from ------------------------------------------------------------------------------------------
