@@ -214,12 +214,12 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
     """Run until the time is over, Ctrl-C or SIGTERM, with a line that says how it goes; then say what it came to."""
     from rich.console import Console
 
-    from localiser.live import end_table, opened, status_line
+    from localiser.live import end_table, open_run, status_line
     from localiser.replay import asked_to_stop
 
     console = Console(stderr=True)
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
-    with asked_to_stop() as stop, opened(options, partial(say, console)) as run:
+    with asked_to_stop() as stop, open_run(options, partial(say, console)) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
         with shown_status(
             console, lambda: status_line(run.outputs.monitor), shown=console.is_terminal and not shared

@@ -13,10 +13,9 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, evaluate, example, paper, replay, simulate, view
+from localiser.commands import batch, convert, doctor, evaluate, example, paper, replay, simulate, view
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
-from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
@@ -122,7 +121,7 @@ def main() -> None:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()
         with suppress(OSError):
-            typer.secho(f"Error: {_told(error)}", fg="red", err=True)
+            typer.secho(f"Error: {_text_of(error)}", fg="red", err=True)
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
 
 
@@ -146,7 +145,7 @@ def _flush() -> None:
             raise
 
 
-def _told(error: LocaliserError | OSError) -> str:
+def _text_of(error: LocaliserError | OSError) -> str:
     """Return what is wrong; of the system's errors, with the path that it is about."""
     if isinstance(error, LocaliserError):
         return str(error)

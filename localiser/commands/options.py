@@ -69,11 +69,11 @@ def show(renderable: object) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from localiser.commands.fitted import fitted
+    from localiser.commands.tables import split_to_width
 
     # A pipe has no width: then a table is as wide as it wants.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    for part in fitted(renderable, console) if isinstance(renderable, Table) else (renderable,):
+    for part in split_to_width(renderable, console) if isinstance(renderable, Table) else (renderable,):
         console.print(part)
 
 

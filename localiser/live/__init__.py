@@ -3,6 +3,6 @@
 from localiser.live.camera_source import CameraSource
 from localiser.live.inbox import TOPICS, Arrival, check_outputs, input_topics, message_of, topic_for, type_of
 from localiser.live.monitor import end_table, status_line
-from localiser.live.prepare import LiveOptions, opened
+from localiser.live.prepare import LiveOptions, open_run
 from localiser.live.stand_in import Passage, StandIn
 from localiser.live.transport import ENDPOINT, Topic, Transport, endpoints_of, open_transport, prefix_of

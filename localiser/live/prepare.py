@@ -62,7 +62,7 @@ class LiveOptions:
 
 
 @contextmanager
-def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
+def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
     begun_map = options.map_file
@@ -91,7 +91,7 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
 
     with ExitStack() as stack:
         inbox, monitor = Inbox(), Monitor(tell)
-        recording = begun_recording(options, lambda why: tell(why, "WARNING"))
+        recording = start_recording(options, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
         transport = stack.enter_context(closing(open_transport(live)))
@@ -192,7 +192,7 @@ def into(inbox: Inbox, role: str, topic: str) -> Take:
     return lambda content, source: inbox.put(Arrival(role, topic, content, source=source))
 
 
-def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
+def start_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None

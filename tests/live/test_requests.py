@@ -16,7 +16,7 @@ from localiser.config import LiveParameters
 from localiser.errors import InputError
 from localiser.live.inbox import Arrival, Inbox
 from localiser.live.outputs import Publisher
-from localiser.live.prepare import LiveOptions, opened, serve, state_to_resume
+from localiser.live.prepare import LiveOptions, open_run, serve, state_to_resume
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser as RobotLocaliser
@@ -155,7 +155,7 @@ def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Pa
     assert resumed is None and other.map_file == CORRIDOR / "map.yaml" and "state belongs to another map" in said[-1]
     live = LiveParameters(connect=("tcp/127.0.0.1:9",))  # where nobody is
     config = options.config.model_copy(update={"live": live})
-    with opened(replace(options, config=config), lambda text, level: said.append(text)) as run:
+    with open_run(replace(options, config=config), lambda text, level: said.append(text)) as run:
         assert run.tracker.localiser_of(LOG.camera).landmark_map.name == "upstairs" and run.tracker.resumed is not None
         assert run.tracker.checkpoints is not None and run.tracker.checkpoints.loaded_map == loaded, (
             "also after the next restart"

@@ -18,7 +18,7 @@ from localiser.live.clock import Clocks
 from localiser.live.inbox import Arrival, Inbox
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Outputs, Published, Publisher
-from localiser.live.prepare import begun_recording
+from localiser.live.prepare import start_recording
 from localiser.live.run import LiveRun
 from localiser.live.state import Resumed
 from localiser.live.tracker import Tracker
@@ -82,7 +82,7 @@ class Feed:
             return Localiser(LOG.landmark_map, camera, self.config)
 
         options = LiveOptions(CORRIDOR / "map.yaml", self.config, record=self.record)
-        self.recording = begun_recording(options, self.said.append)
+        self.recording = start_recording(options, self.said.append)
         clocks = Clocks(machine_ns=lambda: self.now_ns)
         monitor = Monitor(lambda text, level: self.said.append(text))
         outputs = Outputs(

@@ -10,7 +10,7 @@ import typer
 from localiser.commands.options import ConfigFile, Overrides, show
 
 if TYPE_CHECKING:
-    from localiser.commands.doctor.checks import Finding
+    from localiser.commands.doctor_checks import Finding
 
 EPILOG = """Examples:
 
@@ -44,7 +44,7 @@ def doctor(
     Listens to a robot when a setting says where it is: `--set live.connect=tcp/127.0.0.1:7447`, or live.listen,
     live.zenoh_config, live.dds. Exit code 1 when something is missing.
     """
-    from localiser.commands.doctor import checks as examination
+    from localiser.commands import doctor_checks as examination
     from localiser.commands.map.edit import parse_point
     from localiser.config import read_config
     from localiser.live import input_topics, open_transport, prefix_of
