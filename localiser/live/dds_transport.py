@@ -1,4 +1,10 @@
-"""Topics over DDS, the default middleware of ROS 2, with Cyclone DDS and no ROS."""
+"""Topics over DDS, the default middleware of ROS 2, with Cyclone DDS and no ROS.
+
+A topic `/odom` of ROS 2 is `rt/odom` there, and its type `nav_msgs::msg::dds_::Odometry_`. Messages pass as the bytes
+that they are, CDR: a type is declared with its fields, by which others compare it with theirs, and is not used to
+write or read. Which topics belong to which node, DDS does not tell, so every participant says it on
+`ros_discovery_info`: the names of its nodes, with the identities of their publishers and subscribers.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +24,21 @@ from localiser.storage.bags import typestore
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
+_RECEIVE_BYTES = 4 * 2**20
+_POLICIES = {
+    2: "durability",
+    4: "deadline",
+    8: "liveliness",
+    11: "reliability",
+    13: "history",
+    23: "data representation",
+    24: "type consistency",
+}
+_MOST_AT_ONCE, _LONGEST_NS = 64, 10**9  # messages that are handed over before others have their turn
+_DISCOVERY = "ros_discovery_info"
+_INFO, _NODE, _GID = (f"rmw_dds_common/msg/{name}" for name in ("ParticipantEntitiesInfo", "NodeEntitiesInfo", "Gid"))
+_LOOK_S = 0.1
+_MOST_NEWS = 100
 ASKER_BYTES = 16
 """What stands before a request and its answer, after the four bytes of CDR's own: who asked, and how often before."""
 
@@ -107,12 +128,12 @@ def _field(store: Typestore, node: Any, of: Any) -> Any:
     return types.array[inner, length] if node == Nodetype.ARRAY else types.sequence[inner]
 
 
-_MOST_AT_ONCE = 64
-_LONGEST_NS = 10**9
-
-
 class Readers:
-    """The subscribers of a participant. Their messages are handed over in the order in which each received them."""
+    """The subscribers of a participant. One thread hands their messages over, in the order in which each received them.
+
+    The threads of Cyclone DDS that read the network do not wait for it. In a flood it is therefore the subscriber that
+    drops the oldest messages, by its depth, and no buffer of a socket keeps thousands of them until they are of no use.
+    """
 
     def __init__(self, participant: Any, report: Callable[[str], None]) -> None:
         """Begin with none. report: takes what went wrong."""
@@ -163,12 +184,6 @@ class Readers:
                 take(content, struct.pack("<Q", sample.sample_info.publication_handle))
 
 
-TOPIC = "ros_discovery_info"
-_INFO, _NODE, _GID = (f"rmw_dds_common/msg/{name}" for name in ("ParticipantEntitiesInfo", "NodeEntitiesInfo", "Gid"))
-_LOOK_S = 0.1
-_MOST_NEWS = 100
-
-
 class Node:
     """Tells others of one node. namespace: begins with a slash. humble: identities are longer there (24 bytes)."""
 
@@ -181,7 +196,7 @@ class Node:
         self._participant, self._name, self._namespace = participant, name, namespace
         self._lock = Lock()
         self._ours: tuple[list[Any], list[Any]] = [], []
-        topic = package.topic.Topic(participant, TOPIC, raw(self._store, _INFO, dds_type(_INFO)))
+        topic = package.topic.Topic(participant, _DISCOVERY, raw(self._store, _INFO, dds_type(_INFO)))
         quality = package.core.Qos(
             policy.Reliability.Reliable(max_blocking_time=0),
             policy.Durability.TransientLocal,
@@ -242,19 +257,6 @@ class Publications:
                     self._found(name.removeprefix("rt"), ros_type(one.type_name))
 
 
-LOOPBACK = "lo"
-_RECEIVE_BYTES = 4 * 2**20
-_POLICIES = {
-    2: "durability",
-    4: "deadline",
-    8: "liveliness",
-    11: "reliability",
-    13: "history",
-    23: "data representation",
-    24: "type consistency",
-}
-
-
 class DdsTransport:
     """Takes part in a DDS domain as a node. interface: of the network; by default nothing leaves this machine.
 
@@ -264,7 +266,7 @@ class DdsTransport:
     def __init__(
         self,
         domain: int,
-        interface: str = LOOPBACK,
+        interface: str,
         node: str = "localiser",
         namespace: str = "",
         *,

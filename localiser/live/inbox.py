@@ -26,6 +26,20 @@ from localiser.storage.bags import (
     typestore,
 )
 
+_ROLES = {
+    "image": ("/camera/image_raw/compressed", ""),
+    "camera_info": ("/camera/camera_info", CAMERA_INFO),
+    "odometry": ("/odom", ODOMETRY),
+    "groundtruth": ("/ground_truth/odom", ODOMETRY),
+    "transforms": ("/tf_static", TRANSFORMS),
+    "moving_transforms": ("/tf", TRANSFORMS),
+    "initialpose": ("/initialpose", POSE),
+    "clock": ("/clock", CLOCK),
+}
+TOPICS = {role: topic for role, (topic, _) in _ROLES.items()}
+"""What is listened to by what it is for, unless another topic is named; to the clock only where it is asked for."""
+
+MOST_MESSAGE_BYTES = 64 * 2**20
 MOST_IMAGES = 32
 MOST_OTHERS = 1024
 """Seconds of images, and of odometry: what a pause of the program may take, and no more than is read within 0.3 s."""
@@ -92,6 +106,38 @@ class Inbox:
         self.dropped[role] += 1
 
 
+def type_of(role: str, topic: str) -> str:
+    """Return the type of the messages on a topic; compressed images are told by its name, as ROS has it."""
+    if role == "image":
+        return COMPRESSED if topic.rsplit("/", 1)[-1].startswith("compressed") else IMAGE
+    return _ROLES[role][1]
+
+
+def topic_for(role: str, name: str) -> Topic:
+    """Return the topic of a role with its quality of service: sensor data may be lost, fixed transforms are latched."""
+    if role == "transforms":
+        return Topic(name, type_of(role, name), latched=True, depth=100)
+    if role == "initialpose":
+        return Topic(name, type_of(role, name))
+    return Topic(name, type_of(role, name), reliable=False, depth=5 if role == "image" else 100)
+
+
+def message_of(arrival: Arrival) -> Any:
+    """Return the message that arrived. Raises ValueError when it is not one of its type."""
+    if len(arrival.content) > MOST_MESSAGE_BYTES:
+        raise ValueError(f"expected at most {MOST_MESSAGE_BYTES} bytes, found {len(arrival.content)}")
+    msgtype = type_of(arrival.role, arrival.topic)
+    try:
+        message: Any = typestore(ros1=False).deserialize_cdr(arrival.content, msgtype)
+        stamp = message.header.stamp if arrival.role not in ("transforms", "moving_transforms", "clock") else None
+        if stamp is not None and not (stamp.sec >= 0 and 0 <= stamp.nanosec < 10**9):
+            raise ValueError(f"a stamp of {stamp.sec} s and {stamp.nanosec} ns")
+    except Exception as error:  # whatever bytes that are no message make of a decoder
+        reason = " ".join(str(error).split())[:100] or type(error).__name__
+        raise ValueError(f"expected a {msgtype}, found {len(arrival.content)} bytes that are none ({reason})") from None
+    return message
+
+
 def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str]:
     """Return the topic of every role. asked: in place of those in TOPICS.
 
@@ -116,13 +162,9 @@ def check_outputs(topics: Mapping[str, str], outputs: Mapping[str, Output]) -> N
     topics: of what comes in, by role. All transforms that move are on one topic, those of the robot and our own.
     """
     shared = outputs["tf"].topic if "tf" in outputs else None
-    incoming = [
-        (f"what comes in as {role}", "live.topics", name)
-        for role, name in topics.items()
-        if not (role == "moving_transforms" and name == shared)
-    ]
-    outgoing = [(f"what goes out as {kind}", "live.publish", output.topic) for kind, output in outputs.items()]
-    _check_apart(incoming + outgoing)
+    incoming = {role: name for role, name in topics.items() if (role, name) != ("moving_transforms", shared)}
+    named = [(f"what comes in as {role}", "live.topics", name) for role, name in incoming.items()]
+    _check_apart(named + [(f"what goes out as {kind}", "live.publish", one.topic) for kind, one in outputs.items()])
 
 
 def _check_apart(named: list[tuple[str, str, str]]) -> None:
@@ -136,64 +178,3 @@ def _check_apart(named: list[tuple[str, str, str]]) -> None:
                 field=option,
             )
         found[topic] = what
-
-
-TOPICS = {
-    "image": "/camera/image_raw/compressed",
-    "camera_info": "/camera/camera_info",
-    "odometry": "/odom",
-    "groundtruth": "/ground_truth/odom",
-    "transforms": "/tf_static",
-    "moving_transforms": "/tf",
-    "initialpose": "/initialpose",
-    "clock": "/clock",
-}
-"""What is listened to by what it is for, unless another topic is named; to the clock only where it is asked for."""
-
-_TYPES = {
-    "camera_info": CAMERA_INFO,
-    "odometry": ODOMETRY,
-    "groundtruth": ODOMETRY,
-    "transforms": TRANSFORMS,
-    "moving_transforms": TRANSFORMS,
-    "initialpose": POSE,
-    "clock": CLOCK,
-}
-MOST_MESSAGE_BYTES = 64 * 2**20
-
-
-def type_of(role: str, topic: str) -> str:
-    """Return the type of the messages on a topic; compressed images are told by its name, as ROS has it."""
-    if role == "image":
-        return COMPRESSED if topic.rsplit("/", 1)[-1].startswith("compressed") else IMAGE
-    return _TYPES[role]
-
-
-def topic_for(role: str, name: str) -> Topic:
-    """Return the topic of a role with its quality of service: sensor data may be lost, fixed transforms are latched."""
-    if role == "transforms":
-        return Topic(name, type_of(role, name), latched=True, depth=100)
-    if role == "initialpose":
-        return Topic(name, type_of(role, name))
-    return Topic(name, type_of(role, name), reliable=False, depth=5 if role == "image" else 100)
-
-
-def message_of(arrival: Arrival) -> Any:
-    """Return the message that arrived. Raises ValueError when it is not one of its type."""
-    if len(arrival.content) > MOST_MESSAGE_BYTES:
-        raise ValueError(f"expected at most {MOST_MESSAGE_BYTES} bytes, found {len(arrival.content)}")
-    msgtype = type_of(arrival.role, arrival.topic)
-    try:
-        message = typestore(ros1=False).deserialize_cdr(arrival.content, msgtype)
-        if arrival.role not in ("transforms", "moving_transforms", "clock"):
-            _check_header(message)
-    except Exception as error:  # whatever bytes that are no message make of a decoder
-        reason = " ".join(str(error).split())[:100] or type(error).__name__
-        raise ValueError(f"expected a {msgtype}, found {len(arrival.content)} bytes that are none ({reason})") from None
-    return message
-
-
-def _check_header(message: Any) -> None:
-    stamp = message.header.stamp
-    if not (stamp.sec >= 0 and 0 <= stamp.nanosec < 10**9):
-        raise ValueError(f"a stamp of {stamp.sec} s and {stamp.nanosec} ns")

@@ -1,4 +1,14 @@
-"""Topics over a zenoh session, under the names that ROS 2's own middleware rmw_zenoh gives them."""
+"""Topics over a zenoh session, under the names that ROS 2's own middleware rmw_zenoh gives them.
+
+With nothing to listen on, the session is a client of a router: ROS 2's router passes on what clients say, and nothing
+between peers that cannot reach each other. With an address to listen on, it is a router itself. Multicast and gossip
+are off: every participant is named by its endpoint.
+
+A message goes under `<domain>/<topic>/<type>/<hash of the type>`. Nodes, publishers, subscribers and services are known
+to others by liveliness tokens below `@ros2_lv`. Every message carries an attachment of 33 bytes; a subscriber drops one
+without it. What is latched goes through zenoh's advanced publisher, which keeps the last messages, and subscriber,
+which asks every publisher that it finds, early or late, for what it missed.
+"""
 
 from __future__ import annotations
 
