@@ -361,7 +361,7 @@ simulate {samples}/small_world.yaml --out out/made --seed 1
 convert {samples}/video.avi out/made --camera {samples}/camera.yaml --every 0.2s --start-ns 5 --to folder
 convert {samples}/file.db3 out/made.mcap --topic odometry=/odom --camera {samples}/camera.yaml
 edges {samples}/image.jpg --camera {samples}/camera.yaml --detector columns --out out --set edges.min_contrast=0.1
-map show {samples}/map.yaml --out map.png --rrd map.rrd
+map show {samples}/map.yaml --out map.png
 map add {samples}/map.yaml --at 1,2 --out new.yaml --id x --bottom 0 --top 1
 map move {samples}/map.yaml 2 --to 1,2 --out new.yaml
 map remove {samples}/map.yaml 2 3 --out new.yaml
@@ -375,6 +375,6 @@ camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m
 camera tilt {samples}/log --plot tilt.png --images 3 --set edges.min_contrast=0.1
 config show --config {samples}/config.yaml --set mcl.particles=100 --set motion.alpha1=0.1
 doctor --map {samples}/map.yaml --camera {samples}/camera.yaml --at 1,2 --seconds 0.5 --picture x.png
-pose set 1,2,3 --sigma 0.1,3 --connect tcp/127.0.0.1:1 --topic /initialpose
+pose set 1,2,3 --sigma 0.1,3 --set live.connect=tcp/127.0.0.1:1
 """
 """Commands whose options are changed, a line each."""

@@ -1,82 +1,111 @@
-"""Count the lines of code of Python files: without blank lines, comments and docstrings.
+"""Count the project: lines and files of every package, words of documentation, commands and options.
 
-    python benchmarks/code_size.py localiser paper
-    python benchmarks/code_size.py localiser --against REVISION
+    python benchmarks/code_size.py            # the table, beside the budget
+    python benchmarks/code_size.py --check    # exit code 1 where something is above its ceiling
 
-With `--against`, the same folders of a git revision are counted beside it. A folder that the revision lacks counts 0
-there, so that code that moved elsewhere still counts.
+Lines are those of all kinds, in Python files. What grows has to pay with something else of its group: where the project
+is not at its goal yet, the ceiling is what it has now, and goes down with it.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import io
-import subprocess
-import tokenize
+import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-_NOT_CODE = frozenset(
-    [tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER]
-)
+from typer.main import get_command
 
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
 
-def code_lines(source: str) -> int:
-    """Return how many lines of a module hold code; a docstring or any other bare string is none."""
-    bare_strings = {
-        line
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
-    }
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    code = {line for token in tokens if token.type not in _NOT_CODE for line in range(token.start[0], token.end[0] + 1)}
-    return len(code - bare_strings)
+from localiser.commands import app  # noqa: E402
 
+FILTER = ("observation", "filter", "relocalisation", "visual_odometry")
+CORE = ("edges", "landmarks", "particles", "motion", "geometry", "documents", "camera", "localiser", "errors")
 
-def sources_now(folder: str) -> Iterable[str]:
-    """Return the modules of a folder as they are on the disk."""
-    return [path.read_text() for path in sorted(Path(folder).rglob("*.py"))]
-
-
-def sources_at(revision: str, folder: str) -> Iterable[str]:
-    """Return the modules of a folder as they were at a git revision."""
-    listed = subprocess.run(
-        ["git", "ls-tree", "-r", "--name-only", revision, f"{folder}/"], capture_output=True, text=True, check=True
-    )
-    names = [name for name in listed.stdout.splitlines() if name.endswith(".py")]
-    return [
-        subprocess.run(["git", "show", f"{revision}:{name}"], capture_output=True, text=True, check=True).stdout
-        for name in names
-    ]
-
-
-def counts(sources: Iterable[str]) -> tuple[int, int, int]:
-    """Return the number of files, of all lines and of lines of code."""
-    texts = list(sources)
-    return len(texts), sum(text.count("\n") for text in texts), sum(map(code_lines, texts))
+# What is counted: the ceiling of today, and the goal.
+BUDGETS = {
+    "lines: " + ", ".join(FILTER): (7_800, 4_600),
+    "lines: " + ", ".join(CORE): (7_000, 5_200),
+    "lines: around the core": (30_100, 24_500),
+    "lines: all of localiser": (44_800, 34_300),
+    "files: all of localiser": (360, 220),
+    "lines: tests": (33_200, 28_000),
+    "lines: benchmarks": (10_900, 6_500),
+    "lines: other Python": (1_600, 1_600),
+    "words: docs, README, CHANGELOG": (88_900, 45_000),
+    "commands": (35, 24),
+    "options": (215, 125),
+}
 
 
 def main() -> None:
-    """Print files, lines and lines of code of each folder and of all."""
+    """Print the table; with --check end with exit code 1 where something is above its ceiling."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+")
-    parser.add_argument("--against", metavar="REVISION")
+    parser.add_argument("--check", action="store_true", help="exit code 1 where something is above its ceiling")
     arguments = parser.parse_args()
+    packages = by_package()
+    print(f"{'package':<24}{'files':>8}{'lines':>8}{'below 60 lines':>16}")
+    for name, lengths in packages.items():
+        print(f"{name:<24}{len(lengths):>8}{sum(lengths):>8}{sum(length < 60 for length in lengths):>16}")
+    found = counted(packages)
+    width = max(map(len, BUDGETS)) + 2
+    print(f"\n{'':<{width}}{'now':>8}{'ceiling':>9}{'goal':>8}")
+    over = [name for name, (ceiling, _) in BUDGETS.items() if found[name] > ceiling]
+    for name, (ceiling, goal) in BUDGETS.items():
+        print(f"{name:<{width}}{found[name]:>8}{ceiling:>9}{goal:>8}{'  above' if name in over else ''}")
+    if over and arguments.check:
+        sys.exit(1)
 
-    revisions = [arguments.against] if arguments.against else []
-    totals = {}
-    print(f"{'folder':24}{'revision':>12}{'files':>8}{'lines':>8}{'code':>8}")
-    for revision in (*revisions, None):
-        rows = [
-            counts(sources_at(revision, folder) if revision else sources_now(folder)) for folder in arguments.folders
-        ]
-        for folder, row in zip(arguments.folders, rows, strict=True):
-            print(f"{folder:24}{(revision or 'now')[:10]:>12}{row[0]:8}{row[1]:8}{row[2]:8}")
-        totals[revision] = sum(row[2] for row in rows)
-    if arguments.against:
-        print(f"code now / at {arguments.against}: {totals[None] / totals[arguments.against]:.3f}")
+
+def by_package() -> dict[str, list[int]]:
+    """Return the lengths in lines of the files of every package and module of localiser."""
+    packages: dict[str, list[int]] = {}
+    for path in python_files("localiser"):
+        name = path.relative_to(ROOT / "localiser").parts[0].removesuffix(".py")
+        packages.setdefault(name, []).append(lines_of(path))
+    return packages
+
+
+def counted(packages: dict[str, list[int]]) -> dict[str, int]:
+    """Return what `BUDGETS` names. packages: see `by_package`."""
+    lines = {name: sum(lengths) for name, lengths in packages.items()}
+    core = [sum(lines[name] for name in names) for names in (FILTER, CORE)]
+    commands = list(commands_of(get_command(app)))
+    pages = [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CHANGELOG.md"]
+    others = [*python_files("docs"), *python_files("examples"), *python_files("paper"), *ROOT.glob("*.py")]
+    values = [
+        *core,
+        sum(lines.values()) - sum(core),
+        sum(lines.values()),
+        sum(map(len, packages.values())),
+        *(sum(map(lines_of, python_files(folder))) for folder in ("tests", "benchmarks")),
+        sum(map(lines_of, others)),
+        sum(len(page.read_text(encoding="utf-8").split()) for page in pages),
+        len(commands),
+        sum(parameter.param_type_name == "option" for command in commands for parameter in command.params),
+    ]
+    return dict(zip(BUDGETS, values, strict=True))
+
+
+def python_files(folder: str) -> Iterable[Path]:
+    """Return the Python files of a folder of the project."""
+    return sorted((ROOT / folder).rglob("*.py"))
+
+
+def lines_of(path: Path) -> int:
+    """Return the number of lines of a file."""
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+def commands_of(command: Any) -> Iterable[Any]:
+    """Yield a command that does something by itself, and those below it."""
+    if not getattr(command, "commands", {}) or getattr(command, "invoke_without_command", False):
+        yield command
+    for inner in getattr(command, "commands", {}).values():
+        yield from commands_of(inner)
 
 
 if __name__ == "__main__":

@@ -25,8 +25,9 @@ sys.path[:0] = [str(ROOT / "tests" / "support")]
 import fast_dds  # noqa: E402
 from live_processes import free_domain  # noqa: E402
 
-from localiser.live import NetworkOptions, open_transport  # noqa: E402
-from localiser.live.transports import Topic  # noqa: E402
+from localiser.config import LiveParameters  # noqa: E402
+from localiser.live import open_transport  # noqa: E402
+from localiser.live.transport import Topic  # noqa: E402
 from localiser.storage.bags import IMAGE, ODOMETRY, stamp_of, typestore  # noqa: E402
 
 RATE_HZ = 20.0
@@ -40,7 +41,7 @@ def received(peer: Path, reliable: bool, count: int) -> tuple[int, np.ndarray]:
     arrived: list[tuple[int, bytes]] = []
     wheels: list[int] = []
     command = [peer, str(domain), "send", "reliable" if reliable else "best", str(count), str(RATE_HZ)]
-    with closing(open_transport(NetworkOptions(dds=domain))) as transport:
+    with closing(open_transport(LiveParameters(dds=domain))) as transport:
         image = Topic("/camera/image_raw", IMAGE, reliable=reliable, depth=5)
         transport.subscribe(image, lambda content, source: arrived.append((time.time_ns(), content)))
         odometry = Topic("/odom", ODOMETRY, reliable=reliable, depth=5)

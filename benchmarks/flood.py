@@ -26,7 +26,7 @@ from live_processes import SETTINGS, START, Program, program  # noqa: E402
 
 from localiser.live import open_transport  # noqa: E402
 from localiser.live.stand_in import IMAGE, WHEELS  # noqa: E402
-from localiser.live.transports import Topic  # noqa: E402
+from localiser.live.transport import Topic  # noqa: E402
 from localiser.storage import ImageEvent, open_log  # noqa: E402
 from localiser.storage.bags import ODOM, Messages  # noqa: E402
 

@@ -67,7 +67,7 @@ class Robot:
         elif fault == "stopped":
             self._program.process.send_signal(signal.SIGSTOP)
         elif fault == "pose stated":
-            with program("pose", "set", START, "--connect", self._endpoint) as stating:
+            with program("pose", "set", START, "--set", f"live.connect={self._endpoint}") as stating:
                 stating.process.wait(60)
         else:
             self._program.tell(fault)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 
 from localiser import __version__, documents
 from localiser.documents import Document, Place, Schema
@@ -29,6 +30,51 @@ _LIBRARIES = ("numpy", "numba", "scipy", "opencv-python-headless", "pydantic", "
 _BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
+Endpoints = Annotated[tuple[str, ...], BeforeValidator(lambda given: [given] if isinstance(given, str) else given)]
+MOST_DOMAIN = 232  # that ROS 2 allows
+
+
+@dataclass(frozen=True, slots=True)
+class LiveParameters:
+    """How a live run takes part in a robot's network, and under which names. No pose depends on it."""
+
+    connect: Annotated[
+        Endpoints, Field(description="zenoh routers; the first that can be reached is used. None: tcp/127.0.0.1:7447")
+    ] = ()
+    listen: Annotated[
+        Endpoints, Field(description="where others may connect; the program is then a zenoh router itself")
+    ] = ()
+    zenoh_config: Annotated[str, Field(description="file of zenoh's own configuration: TLS, passwords")] = ""
+    domain: Annotated[
+        int, Field(ge=-1, le=MOST_DOMAIN, description="domain of ROS 2; -1: the environment's ROS_DOMAIN_ID, or 0")
+    ] = -1
+    dds: Annotated[
+        int, Field(ge=-1, le=MOST_DOMAIN, description="domain of DDS, which takes the place of zenoh; -1: zenoh")
+    ] = -1
+    interface: Annotated[
+        str, Field(min_length=1, description="network interface for DDS; by lo nothing leaves this machine")
+    ] = "lo"
+    namespace: Annotated[
+        str, Field(description="of topics and services that are named without a leading slash, such as robot1")
+    ] = ""
+    topics: Annotated[
+        dict[str, str], Field(description="other names of what comes in, by kind, such as {image: /camera/image_raw}")
+    ] = field(default_factory=dict)
+    publish: Annotated[
+        dict[str, str | None],
+        Field(description="other names of what goes out, by kind, such as {pose: amcl_pose}; null for none"),
+    ] = field(default_factory=dict)
+    services: Annotated[dict[str, str | None], Field(description="other names of services, by kind; null for none")] = (
+        field(default_factory=dict)
+    )
+    map_frame: Annotated[str, Field(min_length=1, description="name of the map's frame")] = "map"
+    odom_frame: Annotated[str, Field(description="name of the odometry's frame; empty: as its messages have it")] = ""
+    transform_tolerance_s: Annotated[
+        float, Field(ge=0, le=10, description="how far transforms on /tf are post-dated, as by AMCL (s)")
+    ] = 0.2
+    use_sim_time: Annotated[bool, Field(description="take the time from /clock: of a simulator or a bag")] = False
+
+
 class Config(BaseModel):
     """Everything that can be set. A section is the parameters of the module of that name."""
 
@@ -43,9 +89,14 @@ class Config(BaseModel):
     edges: EdgeParameters = EdgeParameters()
     sensor: BearingSensor = BearingSensor()
     mapping: MappingParameters = MappingParameters()
+    live: LiveParameters = LiveParameters()
     versions: Annotated[
         dict[str, str], Field(description="what wrote this file; read by people, not by the program")
     ] = {}
+
+    def of_results(self) -> dict[str, Any]:
+        """Return all settings that a pose may depend on."""
+        return self.model_dump(exclude={"versions", "live"})
 
 
 def read_config(
@@ -122,9 +173,12 @@ def schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema()}
 
 
-def to_yaml(config: Config) -> str:
-    """Return the configuration as YAML that `read_config` reads, each value with its meaning, unit and range."""
-    return "".join(_lines(config.model_dump(), (), Schema(TypeAdapter(Config)))).lstrip("\n")
+def to_yaml(config: Config, without: Iterable[str] = ()) -> str:
+    """Return the configuration as YAML that `read_config` reads, each value with its meaning, unit and range.
+
+    without: sections that are left out.
+    """
+    return "".join(_lines(config.model_dump(exclude=set(without)), (), Schema(TypeAdapter(Config)))).lstrip("\n")
 
 
 def _lines(values: dict[str, Any], key: tuple[str, ...], schema: Schema) -> Iterable[str]:
@@ -132,7 +186,7 @@ def _lines(values: dict[str, Any], key: tuple[str, ...], schema: Schema) -> Iter
     for name, value in values.items():
         (found,) = schema.at((*key, name))
         section = isinstance(value, dict)
-        if section and not value:
+        if section and not value and not key:
             continue
         if section and not key:
             yield "\n"

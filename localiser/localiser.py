@@ -294,7 +294,7 @@ class Localiser:
         Observation, motion model and detector of one's own are told apart by the names of their classes.
         """
         return identity_of(
-            self.config.model_dump(exclude={"versions"}),
+            self.config.of_results(),
             map=self.landmark_map.without_remarks(),
             camera=self._camera and replace(self._camera, name=""),
         ) | {f"own {part}": _name_of(own) for part, own in self._own.items() if own is not None}

@@ -39,10 +39,11 @@ def pytest_xdist_auto_num_workers() -> int:
     return usable + 1
 
 
-# Without deadlines: how long an example takes depends on what else the machine does.
-settings.register_profile("usual", max_examples=50, deadline=None)
-settings.register_profile("thorough", max_examples=1000, deadline=None)  # ten times `examples`
-settings.load_profile("usual")
+# The same examples in every run; `LOCALISER_EXAMPLES=1000 pytest …` takes that many new ones. Without deadlines: how
+# long an example takes depends on what else the machine does.
+asked = int(os.environ.get("LOCALISER_EXAMPLES", "0"))
+settings.register_profile("localiser", max_examples=asked or 100, derandomize=not asked, deadline=None)
+settings.load_profile("localiser")
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -4,7 +4,6 @@ import importlib
 import re
 import tomllib
 
-import pytest
 from folders import ROOT
 
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -37,14 +36,15 @@ def test_layers_are_those_that_are_checked() -> None:
     assert len(checked) <= 13
 
 
-@pytest.mark.parametrize("name", sorted(set.union(*layers())))
-def test_every_layer_can_be_imported(name: str) -> None:
-    assert importlib.import_module(f"localiser.{name}").__doc__
+def test_every_layer_can_be_imported() -> None:
+    for name in set.union(*layers()):
+        assert importlib.import_module(f"localiser.{name}").__doc__, name
 
 
-@pytest.mark.parametrize("name", stations())
-def test_every_station_exists(name: str) -> None:
-    assert found(name) is not None
+def test_every_station_exists() -> None:
+    assert len(stations()) >= 10
+    for name in stations():
+        assert found(name) is not None, name
 
 
 def test_the_way_of_one_image_has_at_most_ten_stations() -> None:

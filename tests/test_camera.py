@@ -6,15 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from floor_points import floor_points
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from localiser import geometry as g
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount
-
-settings.register_profile("localiser", derandomize=True, deadline=None, max_examples=100)
-settings.load_profile("localiser")
 
 LENSES = {
     "none": (),

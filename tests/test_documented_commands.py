@@ -34,16 +34,16 @@ def test_there_are_commands_to_test() -> None:
     assert len([words for page in PAGES for words in commands(page)]) > 80
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_is_one_of_the_program(page: Path) -> None:
+def test_every_command_is_one_of_the_program() -> None:
     """As it is written, where nothing in it stands for something else."""
-    for words in commands(page):
-        if not stands_for_another(words):
-            parsed(words)
-    for words in mentions(page):
-        if not stands_for_another(words) and words != ["--install-completion"]:  # which would be done
-            with suppress(typer.BadParameter):
+    for page in PAGES:
+        for words in commands(page):
+            if not stands_for_another(words):
                 parsed(words)
+        for words in mentions(page):
+            if not stands_for_another(words) and words != ["--install-completion"]:  # which would be done
+                with suppress(typer.BadParameter):
+                    parsed(words)
 
 
 def test_a_command_that_the_program_has_not_is_found() -> None:
@@ -91,10 +91,10 @@ def named(word: str) -> list[str]:
 PROGRAM = re.compile(r"\bpython ((?:benchmarks|docs)/\w+\.py)([^\n`#]*)")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_programs_beside_the_package_have_the_options_that_are_documented(page: Path) -> None:
+def test_programs_beside_the_package_have_the_options_that_are_documented() -> None:
     """They take minutes to hours, so they are not run here; tests/benchmarks runs their parts."""
-    for program, arguments in PROGRAM.findall(page.read_text(encoding="utf-8")):
-        code = (ROOT / program).read_text(encoding="utf-8")
-        for option in re.findall(r"--[a-z-]+", arguments):
-            assert f'"{option}"' in code, f"{program} has no option {option}"
+    for page in PAGES:
+        for program, arguments in PROGRAM.findall(page.read_text(encoding="utf-8")):
+            code = (ROOT / program).read_text(encoding="utf-8")
+            for option in re.findall(r"--[a-z-]+", arguments):
+                assert f'"{option}"' in code, f"{page}: {program} has no option {option}"

@@ -27,7 +27,7 @@ from localiser.errors import InputError
 from localiser.filter import LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live import LiveOptions, opened
+from localiser.live import LiveOptions, open_run
 from localiser.localiser import Localiser
 from localiser.motion import MotionModel
 from localiser.observation import NearLandmarks, Observation, Visibility, matches_of
@@ -423,7 +423,7 @@ def test_replay_and_live_refuse_the_same_settings_with_the_same_words(
     log = cut_log(CORRIDOR, tmp_path / "log", 2)
     write_camera(UNTILTED, log / "camera.yaml")
     options = LiveOptions(log / "map.yaml", read_config(None, settings), camera=log / "camera.yaml")
-    with pytest.raises(InputError) as by_live, opened(options, lambda text, level: None):
+    with pytest.raises(InputError) as by_live, open_run(options, lambda text, level: None):
         pass
     assert str(by_live.value).startswith(told)
     assert refused_by_replay(localiser, log, tmp_path / "out", *settings).endswith(str(by_live.value))

@@ -7,7 +7,6 @@ import re
 import shlex
 import subprocess
 from pathlib import Path
-from unittest import mock
 
 import pytest
 import yaml
@@ -15,6 +14,7 @@ from folders import ROOT
 from typer.main import get_command
 
 from localiser.commands.main import app
+from localiser.config import LiveParameters, read_config
 from localiser.ros import outputs_named
 
 FOLDER = ROOT / "examples" / "ros2"
@@ -62,27 +62,25 @@ def test_there_are_calls() -> None:
     assert len(commands()) >= 7
 
 
-def test_what_the_launch_file_sets_in_the_environment_is_read() -> None:
-    """Empty where an argument is left out, as ROS writes true and false where it is not."""
+def settings() -> tuple[list[str], dict[str, str]]:
+    """Return what the launch file sets, with x where an argument stands, and the defaults of its arguments."""
     launch = yaml.safe_load((FOLDER / "localiser.launch.yaml").read_text(encoding="utf-8"))["launch"]
-    (executable,) = (part["executable"] for part in launch if "executable" in part)
+    words = launched()
     defaults = {part["arg"]["name"]: part["arg"].get("default", "") for part in launch if "arg" in part}
-    given = {one["name"]: defaults[re.findall(r"var (\w+)", one["value"])[0]] for one in executable["env"]}
-    assert given.pop("ROS_DOMAIN_ID") == "$(env ROS_DOMAIN_ID 0)"
-    live = get_command(app).commands["live"]
+    return [words[k + 1] for k, word in enumerate(words) if word == "--set"], defaults
 
-    def read(**environment: str) -> dict[str, object]:
-        with mock.patch.dict("os.environ", given | environment), live.make_context("live", []) as context:
-            return {name: context.params[name] for name in ("dds", "use_sim_time")}
 
-    assert read() == {"dds": None, "use_sim_time": False}
-    assert read(LOCALISER_DDS="7", LOCALISER_USE_SIM_TIME="true") == {"dds": 7, "use_sim_time": True}
+def test_what_the_launch_file_sets_is_read() -> None:
+    given, defaults = settings()
+    as_it_is = [re.sub(r"(\w+)=x$", lambda found: f"{found[1]}={defaults[found[1]]}", text) for text in given]
+    assert read_config(None, as_it_is).live == LiveParameters(namespace="/", publish={"pose": "amcl_pose"})
+    asked = {"live.dds=x": "live.dds=7", "live.use_sim_time=x": "live.use_sim_time=true"}
+    found = read_config(None, [asked.get(text, text) for text in given]).live
+    assert (found.dds, found.use_sim_time, found.namespace) == (7, True, "x")
 
 
 def test_two_robots_publish_on_topics_of_their_own() -> None:
-    words = launched()
-    assert words[words.index("--namespace") + 1] == "x"
-    names = dict(words[k + 1].split("=") for k, word in enumerate(words) if word == "--publish")
+    names = read_config(None, [text for text in settings()[0] if "publish" in text]).live.publish
     first, second = ({one.topic for one in outputs_named(names, robot).values()} for robot in ("/robot1", "/robot2"))
     assert not first & second
 

@@ -19,18 +19,18 @@ LISTED = {
         replay logs/corridor --view web
         view results/corridor/latest
         live demo --view web
-        live demo --dds 42
+        live demo --set live.dds=42
         live --map maps/house.yaml --connect tcp/192.168.1.5:7447
         live --map logs/corridor/map.yaml
         live --map maps/house.yaml --record drive.db3
-        live --map house.yaml --publish pose=amcl_pose
+        live --map house.yaml --set live.publish.pose=amcl_pose
         live --map house.yaml --dds 0
-        live --map house.yaml --dds 0 --interface eth0
+        live --map house.yaml --dds 0 --set live.interface=eth0
         simulate logs/corridor --serve
     """,
     "asks the network or a camera of this computer; tests/commands and tests/live run it": """
         doctor
-        doctor --connect tcp/192.168.1.5:7447 --map maps/house.yaml --at 1.5,-2
+        doctor --set live.connect=tcp/192.168.1.5:7447 --map maps/house.yaml --at 1.5,-2
         doctor --image 0 --picture camera.png
     """,
     "takes more than 2 s; tests/batch runs it on a few images": """

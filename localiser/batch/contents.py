@@ -70,7 +70,7 @@ def run_id(contents: Contents, config: Config, start: str | None, map_id: str) -
 
     map_id: of the map in place of the log's own, "" where there is none.
     """
-    settings = config.model_dump(exclude={"versions"})
+    settings = config.of_results()
     made_of = (__version__, contents.name, contents.log_id, contents.rest_id, start or "", map_id, settings)
     return fingerprint(made_of)
 

@@ -13,25 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import (
-    ConfigFile,
-    Connect,
-    Dds,
-    Distro,
-    Domain,
-    Interface,
-    Listen,
-    Names,
-    Namespace,
-    Overrides,
-    Seed,
-    ZenohConfig,
-    frames_of,
-    names_by_kind,
-    network_of,
-    topics_by_role,
-    with_options,
-)
+from localiser.commands.options import ConfigFile, Overrides, with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -83,54 +65,16 @@ LiveView = Annotated[
 def live(
     context: typer.Context,
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map.")] = None,
-    connect: Connect = None,
-    listen: Listen = None,
-    topics: Annotated[
+    connect: Annotated[
         list[str] | None,
-        typer.Option(
-            "--topic",
-            metavar="KIND=NAME",
-            help="Another topic for image, camera_info, odometry, transforms, moving_transforms, initialpose, "
-            "groundtruth, clock.",
-        ),
+        typer.Option(metavar="ENDPOINT", help="A zenoh router; by default tcp/127.0.0.1:7447. Repeatable."),
     ] = None,
-    publish: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--publish",
-            metavar="KIND=NAME",
-            help="Another topic for pose, tf, particles, map, landmarks, matches, path, image, annotations or "
-            "diagnostics, such as pose=amcl_pose; `KIND=` for none. Repeatable.",
-        ),
+    dds: Annotated[
+        int | None, typer.Option(metavar="DOMAIN", help="Take part in a domain of DDS, in place of zenoh.")
     ] = None,
-    services: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--service",
-            metavar="KIND=NAME",
-            help="Another name for look_everywhere, load_map or save_state; `KIND=` for none. Repeatable.",
-        ),
+    domain: Annotated[
+        int | None, typer.Option(metavar="N", help="Domain of ROS 2 over zenoh; by default ROS_DOMAIN_ID, or 0.")
     ] = None,
-    frames: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--frame",
-            metavar="KIND=NAME",
-            help="Another name for the frame map or odom. Repeatable.",
-        ),
-    ] = None,
-    use_sim_time: Annotated[
-        bool,
-        typer.Option(
-            "--use-sim-time",
-            envvar="LOCALISER_USE_SIM_TIME",
-            help="Take the time from /clock: of a simulator or a bag.",
-        ),
-    ] = False,
-    transform_tolerance: Annotated[
-        float,
-        typer.Option(min=0.0, max=10.0, metavar="S", help="How far transforms on /tf are post-dated, as by AMCL."),
-    ] = 0.2,
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Camera file, in place of what the robot says of its camera.")
     ] = None,
@@ -148,19 +92,14 @@ def live(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the state in --checkpoint, if there is one.")
     ] = False,
-    domain: Domain = None,
-    namespace: Namespace = "",
-    names: Names = "rmw_zenoh",
-    distro: Distro = None,
-    dds: Dds = None,
-    interface: Interface = "lo",
-    zenoh_config: ZenohConfig = None,
     seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    seed: Seed = None,
 ) -> None:
-    """Localise a running robot; see docs/live.md."""
+    """Localise a running robot; see docs/live.md.
+
+    Names of topics, frames and services, and more of the network, are the settings `live.*` of `config show`.
+    """
     if context.invoked_subcommand is not None:
         return
     from localiser.config import read_config
@@ -174,11 +113,7 @@ def live(
         raise InputError("expected --checkpoint FILE to go on from", field="--resume")
     options = LiveOptions(
         map_file,
-        read_config(config, with_options(overrides, seed=seed)),
-        topics_by_role(topics),
-        names_by_kind(publish, "--publish"),
-        names_by_kind(services, "--service"),
-        network_of(connect, listen, zenoh_config, domain, namespace, names, distro, dds, interface),
+        read_config(config, with_options(overrides, live__connect=connect, live__dds=dds, live__domain=domain)),
         camera,
         image,
         stated_start(start) if start else None,
@@ -187,9 +122,6 @@ def live(
         view,
         checkpoint,
         resume,
-        frames_of(frames),
-        transform_tolerance,
-        use_sim_time,
     )
     _run(options, seconds)
 
@@ -206,11 +138,9 @@ def demo(
     record: Record = None,
     json: Json = False,
     view: LiveView = "none",
-    dds: Dds = None,
     seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    seed: Seed = None,
 ) -> None:
     """Show the live mode with no robot: a stand-in sends a log over zenoh or DDS, as if it were driving now."""
     from tempfile import TemporaryDirectory
@@ -226,15 +156,18 @@ def demo(
     driven = driven_log(log, 0)
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")
-    endpoint = _free_endpoint()
-    reached = ["--dds", str(dds)] if dds is not None else ["--listen", endpoint]
+    settings = read_config(config, overrides or [], driven.settings)
+    reached = [f"live.dds={settings.live.dds}", f"live.interface={settings.live.interface}"]
+    if settings.live.dds < 0:
+        endpoint = _free_endpoint()
+        reached = [f"live.listen={endpoint}"]
+        settings = read_config(config, [*(overrides or []), f"live.connect={endpoint}"], driven.settings)
     with TemporaryDirectory() as folder:
         map_file = Path(folder) / "map.yaml"
         write_map(driven.landmark_map, map_file)
         options = LiveOptions(
             map_file,
-            read_config(config, with_options(overrides, seed=seed), driven.settings),
-            network=network_of([endpoint], dds=dds),
+            settings,
             start=_start_of(driven),
             record=record,
             json=sys.stdout.fileno() if json else None,
@@ -259,8 +192,8 @@ def _start_of(log: Log) -> Start:
 @contextmanager
 def _stand_in(log: Path, reached: list[str]) -> Iterator[None]:
     """Run the robot's stand-in as a process of its own."""
-    command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", *reached, "--quiet"]
-    command += ["--odometry-hz", "100", "--wait"]
+    command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", "--quiet"]
+    command += ["--odometry-hz", "100", "--wait", *(word for setting in reached for word in ("--set", setting))]
     robot = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     try:
         yield
@@ -281,15 +214,15 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
     """Run until the time is over, Ctrl-C or SIGTERM, with a line that says how it goes; then say what it came to."""
     from rich.console import Console
 
-    from localiser.live import end_table, opened, status_line
+    from localiser.live import end_table, open_run, status_line
     from localiser.replay import asked_to_stop
 
     console = Console(stderr=True)
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
-    with asked_to_stop() as stop, opened(options, partial(say, console)) as run:
+    with asked_to_stop() as stop, open_run(options, partial(say, console)) as run:
         end = float("inf") if seconds is None else time.monotonic() + seconds
         with shown_status(
-            console, lambda: status_line(run.monitor), shown=console.is_terminal and not shared
+            console, lambda: status_line(run.outputs.monitor), shown=console.is_terminal and not shared
         ) as refresh:
 
             def ended() -> bool:

@@ -13,16 +13,15 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, evaluate, example, paper, replay, simulate, view
+from localiser.commands import batch, convert, doctor, evaluate, example, paper, replay, simulate, view
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
-from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry.arguments import odometry_app
 from localiser.commands.pose import pose_app
-from localiser.errors import LocaliserError
+from localiser.errors import InputError, LocaliserError
 
 app = typer.Typer(
     name="localiser",
@@ -79,6 +78,37 @@ app.command(epilog=edges.EPILOG)(edges.edges)
 app.command(epilog=paper.EPILOG)(paper.paper)
 
 
+_NETWORK = ("live", "live demo", "doctor", "simulate", "pose")
+_SETTINGS = {
+    "--connect": ("live.connect=ENDPOINT", ("live demo", "doctor", "simulate", "pose")),
+    "--dds": ("live.dds=DOMAIN", ("live demo", "doctor", "simulate", "pose")),
+    "--domain": ("live.domain=N", ("live demo", "doctor", "simulate", "pose")),
+    "--listen": ("live.listen=ENDPOINT", _NETWORK),
+    "--namespace": ("live.namespace=NAME", _NETWORK),
+    "--interface": ("live.interface=NAME", _NETWORK),
+    "--zenoh-config": ("live.zenoh_config=FILE", _NETWORK),
+    "--topic": ("live.topics.KIND=NAME", ("live", "doctor", "pose")),
+    "--publish": ("live.publish.KIND=NAME", _NETWORK),
+    "--service": ("live.services.KIND=NAME", _NETWORK),
+    "--frame": ("live.map_frame=NAME or live.odom_frame=NAME", _NETWORK),
+    "--use-sim-time": ("live.use_sim_time=true", _NETWORK),
+    "--transform-tolerance": ("live.transform_tolerance_s=S", _NETWORK),
+    "--seed": ("seed=N", ("live", "live demo")),
+}
+"""Options that are settings now, and of which commands they were."""
+
+
+def _check_options(arguments: list[str]) -> None:
+    """Raise InputError for an option that has become a setting, with its name."""
+    command = "live demo" if arguments[:2] == ["live", "demo"] else arguments[0] if arguments else ""
+    for option in (argument.partition("=")[0] for argument in arguments):
+        setting, commands = _SETTINGS.get(option, ("", ()))
+        if command in commands:
+            raise InputError(f"is a setting now: --set {setting}", field=option)
+        if option == "--ros-distro" and command in _NETWORK:
+            raise InputError("is the environment's ROS_DISTRO now", field=option)
+
+
 def main() -> None:
     """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]  # which may stand anywhere
@@ -91,12 +121,13 @@ def main() -> None:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()
         with suppress(OSError):
-            typer.secho(f"Error: {_told(error)}", fg="red", err=True)
+            typer.secho(f"Error: {_text_of(error)}", fg="red", err=True)
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
 
 
 def _run(arguments: list[str]) -> None:
     """Run a command; what it printed has reached its reader at the end, or raises OSError."""
+    _check_options(arguments)
     try:
         app(arguments, prog_name="localiser")
     except SystemExit:
@@ -114,7 +145,7 @@ def _flush() -> None:
             raise
 
 
-def _told(error: LocaliserError | OSError) -> str:
+def _text_of(error: LocaliserError | OSError) -> str:
     """Return what is wrong; of the system's errors, with the path that it is about."""
     if isinstance(error, LocaliserError):
         return str(error)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,8 +16,6 @@ from localiser.errors import InputError
 
 if TYPE_CHECKING:  # both take long to import, and --help needs neither
     from localiser.config import Config
-    from localiser.live import NetworkOptions
-    from localiser.ros import Frames
     from localiser.storage import Log
 
 ConfigFile = Annotated[
@@ -42,47 +41,6 @@ BagCamera = Annotated[
     Path | None,
     typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),
 ]
-ZenohConfig = Annotated[
-    Path | None,
-    typer.Option("--zenoh-config", metavar="FILE", help="Configuration of zenoh (JSON5, YAML): TLS, passwords."),
-]
-Connect = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--connect", metavar="ENDPOINT", help="A zenoh router; tcp/127.0.0.1:7447. Of several the first that answers."
-    ),
-]
-Listen = Annotated[
-    list[str] | None,
-    typer.Option("--listen", metavar="ENDPOINT", help="Be a router, to which others may connect. Repeatable."),
-]
-Domain = Annotated[
-    int | None,
-    typer.Option("--domain", metavar="N", help="Domain of ROS 2; by default ROS_DOMAIN_ID, or 0."),
-]
-Namespace = Annotated[
-    str, typer.Option("--namespace", metavar="NAME", help="Of topics named without a leading slash, such as robot1.")
-]
-Names = Annotated[
-    Literal["rmw_zenoh", "bridge"],
-    typer.Option("--names", help="How topics are named on the network: as rmw_zenoh does, or zenoh-bridge-ros2dds."),
-]
-Distro = Annotated[
-    str | None,
-    typer.Option("--ros-distro", metavar="NAME", help="Of ROS 2; by default ROS_DISTRO. Only humble differs."),
-]
-Dds = Annotated[
-    int | None,
-    typer.Option(
-        "--dds",
-        metavar="DOMAIN",
-        envvar="LOCALISER_DDS",
-        help="Take part in a domain of DDS, in place of zenoh; needs cyclonedds.",
-    ),
-]
-Interface = Annotated[
-    str, typer.Option("--interface", metavar="NAME", help="Network interface for DDS; by default this machine alone.")
-]
 LONGEST_WAIT_S = 60.0
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
@@ -99,28 +57,11 @@ def opened(log: Path, config: Path | None, settings: list[str], **how: Any) -> t
     return recorded, read_config(config, settings, recorded.settings)
 
 
-def network_of(
-    connect: list[str] | None,
-    listen: list[str] | None = None,
-    zenoh_config: Path | None = None,
-    domain: int | None = None,
-    namespace: str = "",
-    names: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh",
-    distro: str | None = None,
-    dds: int | None = None,
-    interface: str = "lo",
-) -> NetworkOptions:
-    """Return how to take part in the network; where nothing says where it is, a router on this machine is meant."""
-    from localiser.live import ENDPOINT, NetworkOptions
-
-    at = connect or ([] if listen or zenoh_config else [ENDPOINT])
-    return NetworkOptions(at, listen or [], zenoh_config, domain, namespace, names, distro, dds, interface)
-
-
 def with_options(overrides: list[str] | None, **options: object) -> list[str]:
     """Return the settings of `--set`, then those of options by the settings' names, `__` for a dot, where given."""
-    given = {name.replace("__", "."): value for name, value in options.items() if value is not None}
-    return [*(overrides or []), *(f"{name}={value}" for name, value in given.items())]
+    given = {name.replace("__", "."): value for name, value in options.items() if value not in (None, [])}
+    texts = {name: json.dumps(value) if isinstance(value, list) else value for name, value in given.items()}
+    return [*(overrides or []), *(f"{name}={value}" for name, value in texts.items())]
 
 
 def show(renderable: object) -> None:
@@ -128,11 +69,11 @@ def show(renderable: object) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from localiser.commands.fitted import fitted
+    from localiser.commands.tables import split_to_width
 
     # A pipe has no width: then a table is as wide as it wants.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    for part in fitted(renderable, console) if isinstance(renderable, Table) else (renderable,):
+    for part in split_to_width(renderable, console) if isinstance(renderable, Table) else (renderable,):
         console.print(part)
 
 
@@ -182,33 +123,10 @@ def working(what: str, quiet: bool) -> Iterator[None]:
 
 def topics_by_role(options: list[str] | None) -> dict[str, str]:
     """Return the topics that `--topic` named, by what they are for. Raises InputError."""
-    named = names_by_kind(options, "--topic")
-    for option, name in named.items():
-        if not name:
-            raise InputError(f"expected KIND=NAME, such as odometry=/odom, found '{option}='", field="--topic")
-    return named
-
-
-def names_by_kind(options: list[str] | None, field: str) -> dict[str, str]:
-    """Return the names that an option gave, by kind; they may be empty. Raises InputError."""
     named: dict[str, str] = {}
     for option in options or []:
-        kind, separator, name = option.partition("=")
-        if not separator or not kind:
-            raise InputError(f"expected KIND=NAME, such as odometry=/odom, found {option!r}", field=field)
+        kind, _, name = option.partition("=")
+        if not kind or not name:
+            raise InputError(f"expected KIND=NAME, such as odometry=/odom, found {option!r}", field="--topic")
         named[kind] = name
     return named
-
-
-def frames_of(options: list[str] | None) -> Frames:
-    """Return the names of frames that `--frame` gave. Raises InputError."""
-    from localiser.documents import nearest
-    from localiser.ros import Frames
-
-    named = names_by_kind(options, "--frame")
-    for kind, name in named.items():
-        if kind not in ("map", "odom"):
-            raise InputError(f"unknown frame; {nearest(kind, ['map', 'odom'])}", field="--frame")
-        if not name:
-            raise InputError(f"expected a name, found '{kind}='", field="--frame")
-    return Frames(**{"odom": "", **named})

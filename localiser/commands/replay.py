@@ -111,9 +111,9 @@ def replay(
     if not quiet:
         _show_run(figures, run.folder.path, rrd)
         if bag is not None:
-            from localiser.ros.layouts import FOLDER
+            from localiser.ros import LAYOUTS
 
-            typer.echo(f"Bag in {bag}; layouts for RViz and Foxglove in {FOLDER}.")
+            typer.echo(f"Bag in {bag}; layouts for RViz and Foxglove in {LAYOUTS}.")
         for warning in figures["warnings"]:
             typer.secho(warning, fg="yellow", err=True)
     if run.viewer is not None:

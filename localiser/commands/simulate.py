@@ -8,22 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.convert import to_folder
-from localiser.commands.options import (
-    Connect,
-    Dds,
-    Distro,
-    Domain,
-    Interface,
-    Names,
-    Namespace,
-    Quiet,
-    network_of,
-    progress,
-)
+from localiser.commands.options import ConfigFile, Overrides, Quiet, progress
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
-    from localiser.live import NetworkOptions
+    from localiser.config import LiveParameters
     from localiser.storage import Log
 
 EPILOG = """Examples:
@@ -44,31 +33,23 @@ def simulate(
         bool,
         typer.Option("--serve", help="Send the drive over zenoh in real time, to and fro, in place of a robot."),
     ] = False,
-    listen: Annotated[
-        str | None,
-        typer.Option(metavar="ENDPOINT", help="Where to be reached; by default tcp/127.0.0.1:7447."),
-    ] = None,
-    connect: Connect = None,
-    domain: Domain = None,
-    namespace: Namespace = "",
-    names: Names = "rmw_zenoh",
-    distro: Distro = None,
-    dds: Dds = None,
-    interface: Interface = "lo",
     odometry_hz: Annotated[
         float | None,
         typer.Option(min=1, max=1000, help="Rate of the odometry that is sent; by default as the log has it."),
     ] = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
     wait: Annotated[bool, typer.Option("--wait", help="Do not drive off before someone listens.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Render a log from a WORLD: images, odometry with its errors, truth and map. Or be a robot, with --serve."""
-    if serve:
-        from localiser.live import ENDPOINT
+    """Render a log from a WORLD: images, odometry with its errors, truth and map. Or be a robot, with --serve.
 
-        at = [listen] if listen else [] if connect else [ENDPOINT]
-        network = network_of(connect, at, None, domain, namespace, names, distro, dds, interface)
-        _serve(world, seed, network, odometry_hz, wait=wait, quiet=quiet)
+    The settings `live.*` say where it is reached; by default tcp/127.0.0.1:7447.
+    """
+    if serve:
+        from localiser.config import read_config
+
+        _serve(world, seed, read_config(config, overrides or []).live, odometry_hz, wait=wait, quiet=quiet)
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
@@ -96,24 +77,25 @@ def driven(world_or_log: Path, seed: int) -> Log:
     return log
 
 
-def _serve(
-    world: Path, seed: int, network: NetworkOptions, odometry_hz: float | None, *, wait: bool, quiet: bool
-) -> None:
+def _serve(world: Path, seed: int, live: LiveParameters, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:
     from contextlib import closing
+    from dataclasses import replace
 
-    from localiser.live import Passage, StandIn, open_transport
+    from localiser.live import ENDPOINT, Passage, StandIn, open_transport, prefix_of
     from localiser.replay import asked_to_stop
+
+    if not (live.connect or live.listen):
+        live = replace(live, listen=(ENDPOINT,))
 
     with asked_to_stop() as stop:
         log = driven(world, seed)
-        with closing(open_transport(network, "robot")) as transport:
+        with closing(open_transport(live, "robot")) as transport:
             if not quiet:
-                where = ", ".join([*network.connect, *network.listen])
-                where = where if network.dds is None else f"domain {network.dds} of DDS"
+                where = ", ".join([*live.connect, *live.listen]) if live.dds < 0 else f"domain {live.dds} of DDS"
                 typer.echo(
                     f"{log.name}: {log.duration_s:.0f} s there and as long back, at {where}, until Ctrl-C", err=True
                 )
-            robot = StandIn(transport, Passage.of(log, odometry_hz), network.prefix)
+            robot = StandIn(transport, Passage.of(log, odometry_hz), prefix_of(live))
             if wait:
                 robot.wait_for_listener(stop)
             robot.run(stop)

@@ -1,9 +1,8 @@
 """A running robot: messages in, poses out; the same filter as in a replay."""
 
-from localiser.live.inbound import TOPICS, message_of, topic_for, type_of
-from localiser.live.prepare import LiveOptions, opened
-from localiser.live.send_pose import send_pose
+from localiser.live.camera_source import CameraSource
+from localiser.live.inbox import TOPICS, Arrival, check_outputs, input_topics, message_of, topic_for, type_of
+from localiser.live.monitor import end_table, status_line
+from localiser.live.prepare import LiveOptions, open_run
 from localiser.live.stand_in import Passage, StandIn
-from localiser.live.status import end_table, status_line
-from localiser.live.topic_names import check_outputs, input_topics
-from localiser.live.transports import ENDPOINT, NetworkOptions, open_transport
+from localiser.live.transport import ENDPOINT, Topic, Transport, endpoints_of, open_transport, prefix_of

@@ -1,7 +1,9 @@
-"""Check whether a time stamp can be true, and continue the time when the clock of the robot jumps."""
+"""Check whether a time stamp can be true, and make the time go on steadily: of the robot's clock, and of /clock."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 LATE_NS = 1_000_000_000
@@ -90,3 +92,76 @@ class RobotClock:
         self.offset_ns = t_ns - stamp_ns
         self._newest_ns, self._lead_ns, self._at_ns = t_ns, float(t_ns - at_ns), at_ns
         return t_ns
+
+
+SLACK_NS = 100_000_000
+"""How far /clock may go back without having begun anew: messages of two networks may overtake each other."""
+
+JUST_NS = 1_000_000_000
+"""How long messages that were sent before /clock began anew may still come."""
+
+
+@dataclass(slots=True, eq=False)
+class SimulatedTime:
+    """A clock in place of this machine's. It may stand still, run at any rate, and begin anew."""
+
+    _clock_ns: int | None = None
+    _offset_ns: int = 0
+    _begun_ns: int | None = None
+
+    @property
+    def has_just_begun(self) -> bool:
+        """Whether /clock has begun anew within the last second."""
+        return self._begun_ns is not None and self.clock_ns - self._begun_ns < JUST_NS
+
+    @property
+    def is_known(self) -> bool:
+        """Whether anything was heard of /clock yet."""
+        return self._clock_ns is not None
+
+    @property
+    def clock_ns(self) -> int:
+        """The newest time of /clock, 0 before the first."""
+        return self._clock_ns or 0
+
+    @property
+    def now_ns(self) -> int:
+        """The time that goes on steadily: after a jump back it does not go back."""
+        return self.clock_ns + self._offset_ns
+
+    def take(self, clock_ns: int, least_ns: int = 0) -> int:
+        """Take a message of /clock. If it jumped back, return what makes up for that; else 0.
+
+        least_ns: what is made up for at least, because some stamps were ahead of the clock.
+        """
+        back_ns = self.clock_ns - clock_ns if self.is_known else 0
+        if back_ns > SLACK_NS:
+            made_up_ns = max(back_ns + 1, least_ns)
+            self._offset_ns += made_up_ns
+            self._clock_ns = self._begun_ns = clock_ns
+            return made_up_ns
+        self._clock_ns = max(clock_ns, self.clock_ns)
+        return 0
+
+
+@dataclass(slots=True, eq=False)
+class Clocks:
+    """The clocks of a run. simulated: in place of this machine's; None where that counts. machine_ns: its own."""
+
+    robot: RobotClock = field(default_factory=RobotClock)
+    simulated: SimulatedTime | None = None
+    machine_ns: Callable[[], int] = time.monotonic_ns
+
+    @property
+    def now_ns(self) -> int:
+        """The time of arrivals, which goes on steadily."""
+        return self.machine_ns() if self.simulated is None else self.simulated.now_ns
+
+    def stamp_of(self, t_ns: int) -> int:
+        """Return a time as the robot stamps it now."""
+        return t_ns - self.robot.offset_ns
+
+    def latency_ms(self, stamp_ns: int) -> float:
+        """Return how long ago a stamp was: by the simulated time, else by this machine's calendar."""
+        now_ns = time.time_ns() if self.simulated is None else self.simulated.clock_ns
+        return (now_ns - stamp_ns) / 1e6

@@ -1,4 +1,4 @@
-"""Messages for the user of a live run, limited in number, and the figures at its end."""
+"""What a user is told of a live run: messages, a line while it runs, a table at its end."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from localiser.edges import light_of
 from localiser.filter import SURE, LocatedFrame
 from localiser.geometry import Array, between
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from localiser.live.run import LiveRun
 
 AGAIN_S = 10.0
 """How long a message of one kind is not repeated."""
@@ -133,23 +139,65 @@ class Monitor:
         span = self._times[-1] - self._times[0] if self._times else 0.0
         return (len(self._times) - 1) / span if span > 0 else 0.0
 
-    def figures(self) -> dict[str, float]:
-        """Return what a run comes to."""
-        figures: dict[str, float] = {"located": float(self.counts["located"])}
+    def rows(self) -> dict[str, str]:
+        """Return what a run comes to, as texts by their labels."""
+        counts, rows = self.counts, {"images located": str(self.counts["located"])}
         if len(self.latency_ms) > 1 and self._last > self._first:
-            figures["rate_hz"] = (self.counts["located"] - 1) / (self._last - self._first)
-        for name, values in (("latency", self.latency_ms), ("edges_and_filter", self.work_ms)):
+            rows["rate"] = f"{(counts['located'] - 1) / (self._last - self._first):.1f} Hz"
+        for name, values in (("latency", self.latency_ms), ("edges and filter", self.work_ms)):
             if values:
-                figures[f"{name}_median_ms"], figures[f"{name}_99_ms"] = np.percentile(values, [50, 99]).tolist()
-        if self.counts["located"]:
-            figures["sure"] = self.counts["sure"] / self.counts["located"]
-        if self.counts["edges"]:
-            figures["edges_matched"] = self.counts["matched"] / self.counts["edges"]
+                for label, value in zip(("median", "99 %"), np.percentile(values, [50, 99]), strict=True):
+                    rows[f"{name}, {label}"] = f"{value:.0f} ms"
+        if counts["located"]:
+            rows["images sure"] = f"{100 * counts['sure'] / counts['located']:.0f} %"
+        if counts["edges"]:
+            rows["edges matched"] = f"{100 * counts['matched'] / counts['edges']:.0f} %"
         if self.error_m:
-            figures["error_rmse_m"] = float(np.sqrt(np.mean(np.square(self.error_m))))
-            figures["error_worst_m"] = max(self.error_m)
-        return figures
+            rows["error, RMSE"] = f"{np.sqrt(np.mean(np.square(self.error_m))):.3f} m"
+            rows["error, worst"] = f"{max(self.error_m):.3f} m"
+        return rows
 
 
 def _way(motion: Array) -> str:
     return f"{np.hypot(motion[0], motion[1]):.2f} m and {np.degrees(motion[2]):.1f}°"
+
+
+def status_line(monitor: Monitor) -> str:
+    """Return where the robot is, how sure that is, and how the run goes, the most important first."""
+    frame = monitor.newest
+    if frame is None:
+        return "waiting for the first image"
+    located, landmark = frame.located, frame.matches.landmark
+    x, z, heading = located.estimate.pose
+    cov = located.estimate.pose_cov
+    matched = int((landmark >= 0).sum())
+    parts = [
+        f"{x:.2f}, {z:.2f} ± {np.sqrt(np.trace(cov[:2, :2])):.2f} m",
+        f"{np.degrees(heading):.1f} ± {np.degrees(np.sqrt(cov[2, 2])):.1f}°",
+        f"sure {located.p_correct:.2f}" + (f" ({located.reason})" if located.reason else ""),
+        f"{monitor.warnings} warning{'s' * (monitor.warnings > 1)}" if monitor.warnings else "",
+        f"{monitor.rate_now_hz:.1f} Hz",
+        f"{monitor.work_ms[-1]:.0f} ms",
+        f"edges {matched}/{len(landmark)}",
+    ]
+    return "  ".join(part for part in parts if part)
+
+
+def end_table(run: LiveRun) -> Table:
+    """Return what a run came to: its figures, what was wrong how often, and what was left out."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    monitor, timeline = run.outputs.monitor, run.tracker.timeline
+    left_out = {**timeline.skipped, **{f"{role} dropped": count for role, count in run.inbox.dropped.items()}}
+    if timeline.late_odometry:
+        left_out["odometry"] = timeline.late_odometry
+    rows = monitor.rows()
+    for title, counts in (("warning", monitor.wrong), ("left out", left_out)):
+        rows |= {f"{title}: {kind}": str(count) for kind, count in counts.items()}
+    table = Table(title="Live run", title_justify="left", box=SIMPLE_HEAD, show_header=False, pad_edge=False)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for label, text in rows.items():
+        table.add_row(label, text)
+    return table

@@ -1,21 +1,31 @@
-"""Results of a live run as lines of JSON, which do not wait for their reader."""
+"""What goes out of a live run: lines of JSON, and what is published on the network or recorded."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, Queue
 from threading import Thread
 
 import numpy as np
 
-from localiser import geometry
+from localiser.camera import Camera
 from localiser.documents import write_all
-from localiser.filter import Located
+from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
+from localiser.live.inbox import Arrival, type_of
+from localiser.live.monitor import Monitor
+from localiser.live.recording import Recording
+from localiser.live.transport import Topic, Transport
+from localiser.replay import Sink
+from localiser.ros import Frames, Message, Outgoing, Output
+from localiser.storage.bags import DECISIONS_TOPIC
 
 MOST_LINES = 1000
 
@@ -24,15 +34,14 @@ MOST_LINES = 1000
 class Published:
     """One image's result as it goes out. stamp_ns, now_ns: of the image and of the wheels' last pose, by the robot.
 
-    now: (3,) pose in the map then. by_wheels: whether wheels were ever heard. latency_ms: from the image's stamp, by
-    this machine's calendar. error_m: where the robot tells the truth beside.
+    now: (3,) pose in the map then. latency_ms: from the image's stamp, by this machine's calendar. error_m: where the
+    robot tells the truth beside.
     """
 
     located: Located
     stamp_ns: int
     now_ns: int
     now: Array
-    by_wheels: bool
     latency_ms: float
     error_m: float | None = None
 
@@ -54,11 +63,6 @@ class Published:
             "latency_ms": round(self.latency_ms, 3),
         }
         return json.dumps(data | ({} if self.error_m is None else {"error_m": round(self.error_m, 6)}))
-
-
-def pose_now(located: Located, odometry_now: Array) -> Array:
-    """Return the pose (3,) in the map at the wheels' last pose: the estimate, moved on by what the wheels did since."""
-    return geometry.compose(located.estimate.pose, geometry.between(located.odometry, odometry_now))
 
 
 class JsonLines:
@@ -87,3 +91,146 @@ class JsonLines:
         with suppress(OSError):  # nobody reads any more
             while (line := self._queue.get()) is not None:
                 write_all(partial(os.write, self._descriptor), f"{line}\n".encode())
+
+
+RECORDED = frozenset(("tf", "diagnostics"))
+"""What is made for a recording also when nobody listens, as is what is latched; a replay makes the rest again."""
+
+Record = Callable[[str, str, bytes], None]
+"""Takes topic, type and content of a message that went out."""
+
+
+@dataclass(slots=True, eq=False)
+class Publisher:
+    """Publishes on a transport. outputs: what may go out, under which names. record: None without a recording.
+
+    frames: names; an empty one of the odometry's frame stands for the one that the odometry has. tolerance_ns: by how
+    much transforms are post-dated.
+    """
+
+    transport: Transport
+    outputs: Mapping[str, Output]
+    frames: Frames = field(default_factory=lambda: Frames(odom=""))
+    tolerance_ns: int = 200_000_000
+    record: Record | None = None
+    _outgoing: Outgoing | None = None
+    _topics: dict[str, Topic] = field(init=False)
+    _newest_ns: int = -1
+    _followed_ns: int = -1
+    _odometry_frame: str = ""
+
+    def __post_init__(self) -> None:
+        self._topics = {
+            kind: Topic(output.topic, output.msgtype, latched=output.latched, depth=output.depth)
+            for kind, output in self.outputs.items()
+        }
+        for topic in self._topics.values():
+            self.transport.advertise(topic)
+
+    def begin(self, landmark_map: LandmarkMap, camera: Camera, stamp_ns: int) -> None:
+        """Begin, or begin anew with another map: what was located before says nothing any more."""
+        self._outgoing = Outgoing(landmark_map, camera, self.frames, self.tolerance_ns, tuple(self.outputs))
+        self._name_odometry()
+        self._send([*self._outgoing.map(stamp_ns), *self._outgoing.landmarks(stamp_ns)])
+
+    def forget(self) -> None:
+        """Forget what was located, because the robot is somewhere else."""
+        if self._outgoing is not None:
+            self._outgoing.forget()
+
+    def image(self, found: LocatedFrame, stamp_ns: int, facts: Mapping[str, str], frame: str) -> None:
+        """Publish what was located in an image. facts: more for the diagnostics. stamp_ns, frame: of the image."""
+        if self._outgoing is None:
+            return
+        self._outgoing.camera_frame(frame)
+        self._send(self._outgoing.image(found, stamp_ns, self._is_wanted, facts))
+        if self._newest_ns > self._followed_ns:  # the first image, or the first that is trusted again
+            self._follow()
+
+    def wheels(self, stamp_ns: int, frame: str) -> None:
+        """Publish the transform for a pose of the wheels, unless one as new is out. frame: the odometry's."""
+        if stamp_ns <= self._newest_ns:
+            return
+        if frame != self._odometry_frame:
+            self._odometry_frame = frame
+            self._name_odometry()
+        self._newest_ns = stamp_ns
+        self._follow()
+
+    def clock_jumped(self) -> None:
+        """Take stamps that begin anew."""
+        self._newest_ns = self._followed_ns = -1
+
+    def _follow(self) -> None:
+        """Publish the transform for the newest pose of the wheels, if the robot is found."""
+        messages = [] if self._outgoing is None else self._outgoing.transform(self._newest_ns)
+        if messages:
+            self._followed_ns = self._newest_ns
+            self._send(messages)
+
+    def _name_odometry(self) -> None:
+        if self._outgoing is not None and not self.frames.odom and self._odometry_frame:
+            self._outgoing.odometry_frame(self._odometry_frame)
+
+    def _is_wanted(self, kind: str) -> bool:
+        return (self.record is not None and kind in RECORDED) or self.transport.is_heard(self._topics[kind])
+
+    def _send(self, messages: list[Message]) -> None:
+        for message in messages:
+            topic = self._topics[message.kind]
+            self.transport.publish(topic, message.content)
+            if self.record is not None:
+                self.record(topic.name, topic.msgtype, message.content)
+
+
+@dataclass(slots=True, eq=False)
+class Outputs:
+    """All that a live run tells: its user, the network, the recording, lines of JSON, views.
+
+    recording: None where nothing is recorded. publish: take every result. sinks: get every located image.
+    """
+
+    monitor: Monitor
+    publisher: Publisher
+    recording: Recording | None = None
+    publish: Sequence[Callable[[Published], None]] = ()
+    sinks: Sequence[Sink] = ()
+    _counts: Counter[str] = field(default_factory=Counter)
+
+    def record(self, arrival: Arrival) -> int:
+        """Record a message that can be read; return how many of its role were recorded before."""
+        number = self._counts[arrival.role]
+        self._counts[arrival.role] += 1
+        if self.recording is not None:
+            msgtype = type_of(arrival.role, arrival.topic)
+            self.recording.write(arrival.topic, msgtype, arrival.wall_ns, arrival.content)
+        return number
+
+    def decide(self, decision: str) -> None:
+        """Record a decision, which a replay takes too."""
+        self.tell(DECISIONS_TOPIC, decision)
+
+    def tell(self, topic: str, text: str) -> None:
+        """Record what no message says."""
+        if self.recording is not None:
+            self.recording.tell(topic, text)
+
+    def end_recording(self, why: str) -> None:
+        """End the recording, if there is one, and say why."""
+        if self.recording is not None:
+            self.recording.close()
+            self.recording = None
+            self.monitor.warn("recording ended", f"the recording ended, {why}")
+        self.publisher.record = None
+
+    def located(self, found: LocatedFrame, published: Published, camera_frame: str) -> None:
+        """Tell what was located in an image. camera_frame: as the image names it."""
+        facts = {"latency_ms": f"{published.latency_ms:.1f}", "rate_hz": f"{self.monitor.rate_now_hz:.2f}"}
+        facts |= {f"warnings, {kind}": str(count) for kind, count in self.monitor.wrong.items()}
+        self.publisher.image(found, published.stamp_ns, facts, camera_frame)
+        for publish in self.publish:
+            publish(published)
+        work_ms = found.stage_ms["edges"] + found.stage_ms["filter"]
+        self.monitor.located(found, published.latency_ms, work_ms, published.error_m)
+        for sink in self.sinks:
+            sink.frame(found)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,25 +13,24 @@ import numpy as np
 
 from localiser import view
 from localiser.camera import Camera, Mount
-from localiser.config import Config
-from localiser.documents import read_text
+from localiser.config import Config, LiveParameters
+from localiser.documents import nearest, read_text
+from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
-from localiser.live.inbound import topic_for
+from localiser.live.camera_source import CameraSource
+from localiser.live.clock import Clocks, SimulatedTime
+from localiser.live.inbox import Arrival, Inbox, check_outputs, input_topics, topic_for
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import JsonLines, Published
-from localiser.live.publishing import Publisher
+from localiser.live.outputs import JsonLines, Outputs, Published, Publisher
 from localiser.live.recording import Recording
-from localiser.live.requests import Requests, serve
 from localiser.live.run import LiveRun
-from localiser.live.simulated_time import SimulatedTime
-from localiser.live.sources import Arrival, CameraSource, Inbox
 from localiser.live.state import Checkpoints, Resumed
-from localiser.live.topic_names import check_outputs, input_topics
-from localiser.live.transports import NetworkOptions, ReportsProblems, Take, Transport, open_transport
+from localiser.live.tracker import Tracker
+from localiser.live.transport import Reply, Take, Transport, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
-from localiser.ros import Frames, Output, outputs_named
+from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
 from localiser.storage import encode_image, read_camera, read_map
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
@@ -44,20 +43,14 @@ JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is reco
 class LiveOptions:
     """What a live run is asked to do.
 
-    topics: names by what they are for, in place of `TOPICS`. publish, services: names by kind, in place of those in
-    `ros.OUTPUTS` and `ros.SERVICES`; an empty one for what there shall not be. network: how to take part in the
-    robot's. image: a camera or stream that OpenCV reads, in place of a topic. start: where the robot is at the first
-    image, None where that is not known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint:
-    where the state is saved. resume: whether to go on from there, if it is there. frames, transform_tolerance_s: see
-    `Publisher`. use_sim_time: whether the clock topic tells the time, as a simulator or a player of bags has it.
+    config: its section `live` says how to take part in the robot's network, and under which names. image: a camera or
+    stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
+    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
+    resume: whether to go on from there, if it is there.
     """
 
     map_file: Path
     config: Config
-    topics: Mapping[str, str] = field(default_factory=dict)
-    publish: Mapping[str, str] = field(default_factory=dict)
-    services: Mapping[str, str] = field(default_factory=dict)
-    network: NetworkOptions = field(default_factory=NetworkOptions)
     camera: Path | None = None
     image: str | None = None
     start: Start | None = None
@@ -66,13 +59,10 @@ class LiveOptions:
     view: str = "none"
     checkpoint: Path | None = None
     resume: bool = False
-    frames: Frames = field(default_factory=lambda: Frames(odom=""))
-    transform_tolerance_s: float = 0.2
-    use_sim_time: bool = False
 
 
 @contextmanager
-def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
+def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
     begun_map = options.map_file
@@ -80,7 +70,8 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
     landmark_map = read_map(options.map_file)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
-    topics, outputs = _names(options)
+    live = options.config.live
+    topics, outputs = _names(live)
     viewers: list[view.LiveView] = []
 
     def tell(text: str, level: str) -> None:
@@ -100,12 +91,11 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
 
     with ExitStack() as stack:
         inbox, monitor = Inbox(), Monitor(tell)
-        recording = begun_recording(options, lambda why: tell(why, "WARNING"))
+        recording = start_recording(options, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
-        transport = stack.enter_context(closing(open_transport(options.network)))
-        if isinstance(transport, ReportsProblems):
-            transport.report_to(lambda text: monitor.warn("network", text))
+        transport = stack.enter_context(closing(open_transport(live)))
+        transport.report_to(lambda text: monitor.warn("network", text))
         publish: list[Callable[[Published], None]] = []
         if options.json is not None:
             lines = JsonLines(options.json)
@@ -116,19 +106,34 @@ def opened(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[Li
         warm_up(landmark_map, options.config)
         say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
-        run = LiveRun(inbox, finder, localiser_of, monitor, publish, recording, options.start, sinks=viewers)
-        run.publisher = _publisher(options, transport, outputs, recording)
-        run.simulated = SimulatedTime() if options.use_sim_time else None
-        run.map_frame = options.frames.map
-        run.requests = Requests(begun_map.parent)
-        serve(transport, inbox, options.network.prefix, options.services)
-        run.checkpoints, run.resumed = _checkpoints(options, begun_map, monitor), resumed
+        clocks = Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
+        told = Outputs(monitor, _publisher(live, transport, outputs, recording), recording, publish, viewers)
+        checkpoints = _checkpoints(options, begun_map, monitor)
+        tracker = Tracker(finder, localiser_of, clocks, told, options.start, resumed, checkpoints)
+        serve(transport, inbox, prefix_of(live), live.services)
         for role, topic in topics.items():
             if _is_listened_to(role, options):
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
-        yield run
+        yield LiveRun(inbox, tracker, clocks, told, begun_map.parent, live.map_frame)
+
+
+def serve(transport: Transport, inbox: Inbox, namespace: str, names: Mapping[str, str | None]) -> None:
+    """Let the requests of all services come into the inbox. names: in place of those in SERVICES, None for none.
+
+    namespace: of all names but those that are given with a leading slash. Raises InputError for an unknown kind.
+    """
+    for kind in names:
+        if kind not in SERVICES:
+            raise InputError(f"unknown kind of service; {nearest(kind, list(SERVICES))}", field="live.services")
+    for kind, service in SERVICES.items():
+        if name := topic_in(namespace, names.get(kind, service.name.removeprefix("/"))):
+
+            def take(content: bytes, reply: Reply, kind: str = kind, name: str = name) -> None:
+                inbox.put(Arrival(kind, name, content, reply=reply))
+
+            transport.serve(replace(service, name=name), take)
 
 
 def state_to_resume(options: LiveOptions, say: Callable[[str, str], None]) -> tuple[LiveOptions, Resumed | None]:
@@ -159,22 +164,24 @@ def _checkpoints(options: LiveOptions, begun_map: Path, monitor: Monitor) -> Che
 def _is_listened_to(role: str, options: LiveOptions) -> bool:
     if role == "image":
         return options.image is None
-    return role != "clock" or options.use_sim_time
+    return role != "clock" or options.config.live.use_sim_time
 
 
-def _names(options: LiveOptions) -> tuple[dict[str, str], dict[str, Output]]:
+def _names(live: LiveParameters) -> tuple[dict[str, str], dict[str, Output]]:
     """Return the topics that come in, by role, and what goes out, by kind. Raises InputError where two are the same."""
-    topics = input_topics(options.topics, options.network.prefix)
-    outputs = outputs_named(options.publish, options.network.prefix)
+    prefix = prefix_of(live)
+    topics, outputs = input_topics(live.topics, prefix), outputs_named(live.publish, prefix)
     check_outputs(topics, outputs)
     return topics, outputs
 
 
 def _publisher(
-    options: LiveOptions, transport: Transport, outputs: Mapping[str, Output], recording: Recording | None
+    live: LiveParameters, transport: Transport, outputs: Mapping[str, Output], recording: Recording | None
 ) -> Publisher:
     """Return what publishes results."""
-    publisher = Publisher(transport, outputs, options.frames, round(options.transform_tolerance_s * 1e9))
+    publisher = Publisher(
+        transport, outputs, Frames(live.map_frame, live.odom_frame), round(live.transform_tolerance_s * 1e9)
+    )
     if recording is not None:
         publisher.record = lambda topic, msgtype, content: recording.write(topic, msgtype, time.time_ns(), content)
     return publisher
@@ -185,11 +192,11 @@ def into(inbox: Inbox, role: str, topic: str) -> Take:
     return lambda content, source: inbox.put(Arrival(role, topic, content, source=source))
 
 
-def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
+def start_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
     if options.record is None:
         return None
-    topics, outputs = _names(options)
+    topics, outputs = _names(options.config.live)
     latched = {output.topic for output in outputs.values() if output.latched}
     recording = Recording(options.record, failed, latched | {topics["transforms"], LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC})
     texts = {
@@ -206,7 +213,7 @@ def begun_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
 def _changed_settings(config: Config) -> dict[str, Any]:
     """Return every setting that is not the default, by its name with dots."""
     found: dict[str, Any] = {}
-    for name, value in config.model_dump(exclude_defaults=True, exclude={"versions"}).items():
+    for name, value in config.model_dump(exclude_defaults=True, exclude={"versions", "live"}).items():
         section = isinstance(value, dict)
         found |= {f"{name}.{key}": part for key, part in value.items()} if section else {name: value}
     return found

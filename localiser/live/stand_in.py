@@ -13,7 +13,7 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory, without_pauses
-from localiser.live.transports import Topic, Transport
+from localiser.live.transport import Topic, Transport
 from localiser.storage import ImageEvent, Log, require_odometry
 from localiser.storage.bags import CAMERA_INFO, COMPRESSED, MAP, ODOM, ODOMETRY, TRANSFORMS, Messages
 

@@ -42,13 +42,6 @@ class Checkpoints:
             self._thread = Thread(target=self._write, args=(self._state_of(localiser, offset_ns),), name="checkpoint")
             self._thread.start()
 
-    def save(self, localiser: Localiser, offset_ns: int) -> Path:
-        """Save the state now, after what is being written; return where. Raises OutputError."""
-        if self._thread is not None:
-            self._thread.join()
-        write_bytes(self.path, self._state_of(localiser, offset_ns), durably=True)
-        return self.path
-
     def close(self, localiser: Localiser | None, offset_ns: int) -> None:
         """Save how the run ended."""
         if self._thread is not None:

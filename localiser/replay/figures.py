@@ -1,30 +1,36 @@
-"""The figures of a run: its metrics, and the bound on its accuracy where that is known."""
+"""What a run comes to: its metrics, the bound on its accuracy where that is known, and what it was made from."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser import evaluate, motion
 from localiser.calibration import check_mount, clock_offset
-from localiser.edges import DARK_GREY, WASHED_OUT, Edges
+from localiser.documents import dump
+from localiser.edges import DARK_GREY, WASHED_OUT, Edges, Light
 from localiser.evaluate import Track
-from localiser.filter import LocatedFrame
+from localiser.filter import LocatedFrame, Sighting, Start
 from localiser.geometry import Array, Trajectory
-from localiser.particles import Estimate
-from localiser.replay.about import about
-
-if TYPE_CHECKING:
-    from localiser.replay.run import Replay
+from localiser.localiser import Localiser
+from localiser.replay.frames import KeptFrames
+from localiser.storage import Log, fingerprint
 
 CLOCK_PAIRS = 60  # of images, for the offset of the clocks: about a second of computing
 BADLY_LIT = 0.1  # fraction of the images from which on their light is told
 SILENT_NS = 1_000_000_000  # without odometry, though images come
+STAGES = ("load", "edges", "filter", "sinks")
+_SHORT = 6
+"""As many digits of a fingerprint tell two maps, or two sets of settings, apart."""
+
+_WITH_A_WORD = ("observation.kind", "observation.association", "increments.source", "mcl.particles", "seed", "map")
 WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on that is told
 
 
@@ -71,6 +77,50 @@ class Summary:
         return self.edges_known if self.edges_known.any() else None
 
 
+@dataclass(frozen=True, eq=False)
+class Results:
+    """A log that is replayed, and what was located until now.
+
+    localiser: as it was made for this run; it has the map, which was read from `map_file` where that is not None, and
+    the settings. start: None where nothing is said of it. frames: without images and particles, in a temporary file
+    where there are many. light: how every fifth image is exposed. timing: what each of them took (ms), by stage.
+    """
+
+    log: Log
+    localiser: Localiser
+    start: Start | None
+    map_file: Path | None = None
+    frames: KeptFrames = field(default_factory=KeptFrames)
+    light: list[Light] = field(default_factory=list)
+    _summaries: dict[int, Summary] = field(default_factory=dict)
+    timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
+
+    @cached_property
+    def identity(self) -> dict[str, str]:
+        """Every setting by its name, and fingerprints of map, camera and log; images are not read for it."""
+        log = self.log
+        frames = [frame if isinstance(frame, Sighting) else frame.t_ns for frame in log.frames]
+        return self.localiser.identity | {"log": fingerprint((log.name, log.odometry, log.groundtruth, frames))}
+
+    @property
+    def track(self) -> Track:
+        """The run so far."""
+        return self.summary.track
+
+    @property
+    def summary(self) -> Summary:
+        """What is wanted of all images so far at once."""
+        if len(self.frames) not in self._summaries:
+            self._summaries.clear()
+            self._summaries[len(self.frames)] = Summary.of(self.frames, len(self.localiser.landmark_map))
+        return self._summaries[len(self.frames)]
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The figures of the run so far, as `metrics.json` has them."""
+        return run_metrics(self, bound_of(self))
+
+
 class _EdgesOf(Sequence[Edges]):
     """The edges of images, each read when it is asked for."""
 
@@ -86,9 +136,9 @@ class _EdgesOf(Sequence[Edges]):
         return self._frames[index].located.edges
 
 
-def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
+def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
     """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
-    edges, summary = _EdgesOf(run.frames), run.summary
+    edges, summary, last = _EdgesOf(run.frames), run.summary, run.frames[-1].located.estimate
     figures = evaluate.metrics(
         summary.track,
         truth_of(run),
@@ -97,26 +147,28 @@ def run_metrics(run: Replay, bound: Array | None) -> dict[str, Any]:
         bound=bound,
         sighted=summary.sighted,
         reasons=summary.reasons,
-        distance_scale=_learnt(run.frames[-1].located.estimate, "distance_scale"),
+        distance_scale=float(last.mean[last.names.index("distance_scale")]) if "distance_scale" in last.names else 0.0,
     )
-    figures |= {"biases": _constants(run)} | _mount(run, edges) | _height(run) | _map_scale(run)
+    mount, warnings = _mount(run, edges)
+    height, height_warnings = _height(run)
     clock, clock_warnings = _clock(run, edges)
-    figures |= clock
-    figures |= _light(run)
-    figures["warnings"] += clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run)
-    figures["warnings"] += _silence_warnings(run) + _height_warnings(run)
+    light, light_warnings = _light(run)
+    warnings += clock_warnings + light_warnings + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
+    scale = {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
+    figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height | scale
+    figures |= clock | light
     in_view, matched = (summary.landmark_use > 0).T
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
 
 
-def truth_of(run: Replay) -> Trajectory | None:
+def truth_of(run: Results) -> Trajectory | None:
     """Return the truth, None where there is none or the run ended before it begins."""
     truth = run.log.groundtruth
     return truth if truth is not None and any(map(truth.covers, run.track.t_ns.tolist())) else None
 
 
-def bound_of(run: Replay) -> Array | None:
+def bound_of(run: Results) -> Array | None:
     """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
     log, config, landmark_map = run.log, run.localiser.config, run.localiser.landmark_map
     if log.groundtruth is None or run.start is None or run.summary.sighted is None:
@@ -138,12 +190,7 @@ def bound_of(run: Replay) -> Array | None:
     )
 
 
-def _learnt(estimate: Estimate, name: str) -> float:
-    """Return the estimated constant, 0 where it is none of the motion model's."""
-    return float(estimate.mean[estimate.names.index(name)]) if name in estimate.names else 0.0
-
-
-def _constants(run: Replay) -> dict[str, Any]:
+def _constants(run: Results) -> dict[str, Any]:
     """Return what the run has learnt of its wheels, beside what the truth says of them."""
     truth, fit = run.log.groundtruth, {}
     first, last = run.frames[0].located, run.frames[-1].located
@@ -152,7 +199,7 @@ def _constants(run: Replay) -> dict[str, Any]:
     return evaluate.bias_figures(last.estimate, fit)
 
 
-def _map_warnings(run: Replay) -> list[str]:
+def _map_warnings(run: Results) -> list[str]:
     """Return what the filter said of the map, as texts for people."""
     warnings = run.summary.warnings
     told = [index for index, warning in enumerate(warnings) if warning]
@@ -165,7 +212,7 @@ def _map_warnings(run: Replay) -> list[str]:
     ]
 
 
-def _wheel_warnings(run: Replay) -> list[str]:
+def _wheel_warnings(run: Results) -> list[str]:
     """Return when the filter went on without the wheels, as a text for people."""
     wrong = run.summary.wheels_are_wrong
     if wrong.sum() < WRONG_IMAGES:
@@ -177,7 +224,7 @@ def _wheel_warnings(run: Replay) -> list[str]:
     ]
 
 
-def _silence_warnings(run: Replay) -> list[str]:
+def _silence_warnings(run: Results) -> list[str]:
     """Return when the odometry fell silent while images came, as a text for people."""
     if run.localiser.config.increments.source == "vision":
         return []
@@ -196,25 +243,18 @@ def _silence_warnings(run: Replay) -> list[str]:
     ]
 
 
-def _light(run: Replay) -> dict[str, Any]:
-    """Return how the images were exposed, medians and fractions; nothing where there are none."""
+def _light(run: Results) -> tuple[dict[str, Any], list[str]]:
+    """Return how the images were exposed, and that many are too dark or washed out; nothing where there are none."""
     light = run.light
     if not light:
-        return {}
-    return {
-        "light": {
-            "bright_grey_median": round(float(np.median([one.bright_grey for one in light])), 1),
-            "saturated_median": round(float(np.median([one.saturated for one in light])), 4),
-            "dark": round(sum(one.is_dark for one in light) / len(light), 6),
-            "washed_out": round(sum(one.is_washed_out for one in light) / len(light), 6),
-        }
+        return {}, []
+    dark, washed_out = [one for one in light if one.is_dark], [one for one in light if one.is_washed_out]
+    figures = {
+        "bright_grey_median": round(float(np.median([one.bright_grey for one in light])), 1),
+        "saturated_median": round(float(np.median([one.saturated for one in light])), 4),
+        "dark": round(len(dark) / len(light), 6),
+        "washed_out": round(len(washed_out) / len(light), 6),
     }
-
-
-def _light_warnings(run: Replay) -> list[str]:
-    """Return that many images are too dark or washed out, as texts for people."""
-    light = run.light
-    dark, washed_out = ([one for one in light if getattr(one, name)] for name in ("is_dark", "is_washed_out"))
     texts, fewest = [], max(BADLY_LIT * len(light), WRONG_IMAGES)
     if len(dark) >= fewest:
         grey = np.median([one.bright_grey for one in dark])
@@ -229,34 +269,24 @@ def _light_warnings(run: Replay) -> list[str]:
             f"{len(washed_out)} of {len(light)} images looked at are washed out: {share:.0%} of their pixels are white "
             f"(median; expected below {WASHED_OUT:.0%}). Give the camera less light or a shorter exposure."
         )
-    return texts
+    return {"light": figures}, texts
 
 
-def _height(run: Replay) -> dict[str, float]:
-    """Return the height of the camera by where the edges of landmarks end; nothing where a log has no ends."""
+def _height(run: Results) -> tuple[dict[str, float], list[str]]:
+    """Return the height of the camera by where the edges of landmarks end, and that what is stated cannot be right."""
     last = run.frames[-1].located
-    if not any(len(frame.located.edges) and np.isfinite(frame.located.edges.ends_px).all() for frame in run.frames):
-        return {}
     stated_m = run.log.camera.at(last.edges.mount).mount.height_m
+    warning = last.height.warning(stated_m)
+    warnings = [f"{warning[0].upper()}{warning[1:]}."] if warning else []
+    if not any(len(frame.located.edges) and np.isfinite(frame.located.edges.ends_px).all() for frame in run.frames):
+        return {}, warnings  # a log without ends
     return {
         "height_found_m": round(stated_m + last.height.mean_m, 6),
         "height_found_sigma_m": round(last.height.sigma_m, 6),
-    }
+    }, warnings
 
 
-def _map_scale(run: Replay) -> dict[str, float]:
-    """Return by how much landmarks are farther from where the map has them than it says."""
-    return {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
-
-
-def _height_warnings(run: Replay) -> list[str]:
-    """Return that the stated height of the camera cannot be right, as a text for people."""
-    last = run.frames[-1].located
-    text = last.height.warning(run.log.camera.at(last.edges.mount).mount.height_m)
-    return [f"{text[0].upper()}{text[1:]}."] if text else []
-
-
-def _clock(run: Replay, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
+def _clock(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
     """Return by how much images are stamped later than wheels, and a warning where that matters; see `ClockOffset`."""
     log, config = run.log, run.localiser.config
     if not log.has_images or config.increments.source == "vision":
@@ -267,17 +297,65 @@ def _clock(run: Replay, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[st
     return figures, [] if warning is None else [warning]
 
 
-def _mount(run: Replay, edges: Sequence[Edges]) -> dict[str, Any]:
-    """Return what the edges of all images together say about tilt and roll.
+def _mount(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
+    """Return what the edges of all images together say about tilt and roll, and when that contradicts what is stated.
 
-    `warnings` has a text when they contradict what is stated; see `check_mount`.
+    See `check_mount`.
     """
     log, parameters = run.log, run.localiser.config.edges
     if not log.has_images:
-        return {"warnings": []}
+        return {}, []
     check = check_mount(edges, run.track.odometry, log.camera, parameters.mount_sigma_rad)
     warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.found, check.sigma])
-    figures: dict[str, Any] = {"warnings": [] if warning is None else [warning]}
+    figures: dict[str, Any] = {}
     for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):
         figures |= {f"{name}_found_deg": round(float(value), 6), f"{name}_found_sigma_deg": round(float(one), 6)}
-    return figures
+    return figures, [] if warning is None else [warning]
+
+
+# -- what a run was made from ------------------------------------------------------------------------------------------
+
+
+def about(run: Results) -> dict[str, Any]:
+    """Return what makes runs comparable, in few words: see `localiser.evaluate.metrics.ABOUT`.
+
+    The map's name is followed by the beginning of its fingerprint; `inputs` is that of all that has no word of its
+    own: the log's times and poses, the camera, every other setting.
+    """
+    config = run.localiser.config
+    others = sorted(item for item in run.identity.items() if item[0] not in _WITH_A_WORD)
+    return {
+        "observation": config.observation.kind,
+        "association": config.observation.association,
+        "odometry": config.increments.source,
+        "start": "anywhere" if run.start is None else "stated",
+        "map": f"{run.localiser.landmark_map.name} {run.identity['map'][:_SHORT]}".strip(),
+        "inputs": fingerprint(others)[:_SHORT],
+        "particles": config.mcl.particles,
+        "seed": config.seed,
+    }
+
+
+def described(run: Results) -> str:
+    """Return as YAML what a run was made from; see `config.yaml` for its settings."""
+    log, landmark_map, identity = run.log, run.localiser.landmark_map, run.identity
+    data: dict[str, Any] = {
+        "log": {"name": log.name, "path": str(log.path), "fingerprint": identity["log"]},
+        "map": {
+            "name": landmark_map.name,
+            "path": str(run.map_file or log.path),
+            "landmarks": len(landmark_map),
+            "fingerprint": identity["map"],
+        },
+        "camera": {"name": log.camera.name, "fingerprint": identity["camera"]},
+        "odometry": run.localiser.config.increments.source,
+        "start": "anywhere" if run.start is None else _described_start(run.start),
+    }
+    return dump(data)
+
+
+def _described_start(start: Start) -> dict[str, Any]:
+    to_degrees = np.array([1.0, 1.0, np.rad2deg(1.0)])
+    values = np.concatenate([start.mean * to_degrees, np.sqrt(np.diag(start.cov)) * to_degrees])
+    names = ("x", "z", "heading_deg", "sigma_x_m", "sigma_z_m", "sigma_heading_deg")
+    return {"t_ns": int(start.t_ns), **dict(zip(names, values.tolist(), strict=True))}

@@ -2,96 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from localiser import evaluate
-from localiser.config import Config, in_force, read_config, to_yaml, with_seed
-from localiser.edges import Detector, Light, light_of
-from localiser.errors import InputError, LocaliserError, OutputError, RunEndedEarlyError
-from localiser.evaluate import Track, write_report
+from localiser.config import Config, read_config, with_seed
+from localiser.edges import Detector, light_of
+from localiser.errors import InputError
 from localiser.filter import Anywhere, LocatedFrame, Odometry, Sighting, Start
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser, MeasuredImage, check_settings
 from localiser.motion import MotionModel
 from localiser.observation import Observation
-from localiser.replay.about import described, identity_of
-from localiser.replay.ahead import in_order
-from localiser.replay.bag import ReplayBag
-from localiser.replay.figures import Summary, bound_of, run_metrics, truth_of
-from localiser.replay.kept import KeptFrames
-from localiser.replay.sinks import Outputs, Sink, all_of, close_all, sinks_of, without_bulk
+from localiser.replay.figures import STAGES, Results
+from localiser.replay.frames import in_order
 from localiser.replay.start import has_start, start_of
-from localiser.replay.stop import Stop, asked_to_stop
 from localiser.storage import (
     ImageEvent,
     Log,
-    RunFolder,
-    TrackWriter,
     camera_error,
     checkpoint_of,
     open_log,
     read_map,
     require_odometry,
 )
-from localiser.view import Context, LiveView
 
 LIT_EVERY = 5  # images, of which one is looked at for its light
-STAGES = ("load", "edges", "filter", "sinks")
+
+
+class Sink(Protocol):
+    """Takes what was located, image by image: files, recordings, live views."""
+
+    def frame(self, frame: LocatedFrame) -> None:
+        """Take one frame."""
+
+    def close(self, complete: bool) -> None:
+        """End. complete: whether the whole log was replayed."""
+
+
+def close_all(sinks: Sequence[Sink], complete: bool) -> None:
+    """Close every sink, the later ones also when an earlier one fails; then raise the first failure."""
+    all_of([partial(sink.close, complete) for sink in sinks])
+
+
+def all_of(steps: Iterable[Callable[[], object]]) -> None:
+    """Take every step, the later ones also when an earlier one fails; then raise the first failure."""
+    failures = []
+    for step in steps:
+        try:
+            step()
+        except Exception as failure:
+            failures.append(failure)
+    if failures:
+        raise failures[0]
 
 
 def _is_image(event: object) -> bool:
     return isinstance(event, ImageEvent)
 
 
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """A log that is replayed, and what was located until now.
-
-    localiser: as it was made for this run; it has the map, which was read from `map_file` where that is not None, and
-    the settings. start: None where nothing is said of it. frames: without images and particles, in a temporary file
-    where there are many. light: how every fifth image is exposed. timing: what each of them took (ms), by stage.
-    """
-
-    log: Log
-    localiser: Localiser
-    start: Start | None
-    map_file: Path | None = None
-    frames: KeptFrames = field(default_factory=KeptFrames)
-    light: list[Light] = field(default_factory=list)
-    _summaries: dict[int, Summary] = field(default_factory=dict)
-    timing: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
-
-    @cached_property
-    def identity(self) -> dict[str, str]:
-        """What the run was made from: every setting by its name, and fingerprints of map, camera and log."""
-        return identity_of(self)
-
-    @property
-    def track(self) -> Track:
-        """The run so far."""
-        return self.summary.track
-
-    @property
-    def summary(self) -> Summary:
-        """What is wanted of all images so far at once."""
-        if len(self.frames) not in self._summaries:
-            self._summaries.clear()
-            self._summaries[len(self.frames)] = Summary.of(self.frames, len(self.localiser.landmark_map))
-        return self._summaries[len(self.frames)]
-
-    @property
-    def metrics(self) -> dict[str, Any]:
-        """The figures of the run so far, as `metrics.json` has them."""
-        return run_metrics(self, bound_of(self))
+class Replay(Results):
+    """A log that is replayed; `Results` has what was located until now."""
 
     def run(self, sinks: Sequence[Sink] = (), after_each: Callable[[], None] = lambda: None) -> None:
         """Replay the log: hand every located image to the sinks, then call `after_each`.
@@ -153,7 +131,7 @@ class Replay:
 
     def _hand_over(self, frame: LocatedFrame, sinks: Sequence[Sink]) -> None:
         begin = perf_counter()
-        self.frames.append(without_bulk(frame))
+        self.frames.append(frame)
         if frame.image is not None and len(self.frames) % LIT_EVERY == 1:
             self.light.append(light_of(frame.image))
         for sink in sinks:
@@ -256,129 +234,3 @@ def replay_log(
     finally:
         close_all(sinks, complete)
     return run
-
-
-# -- into a folder ----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FolderRun:
-    """A replay whose results go into a folder of its own. report: whether its report is drawn.
-
-    is_new: whether the folder was made for it; then a run that comes to nothing leaves none.
-    """
-
-    replay: Replay
-    folder: RunFolder
-    sinks: Sequence[Sink]
-    report: bool = True
-    is_new: bool = False
-
-    @classmethod
-    def open(cls, replay: Replay, outputs: Outputs, folder: RunFolder | None = None) -> FolderRun:
-        """Make the folder, unless there is one, and open the sinks. Raises OutputError."""
-        log, landmark_map = replay.log, replay.localiser.landmark_map
-        by_wheels = replay.localiser.config.increments.source == "wheel"
-        bags = [ReplayBag(path, log, landmark_map, by_wheels=by_wheels) for path in (outputs.bag,) if path is not None]
-        is_new = folder is None
-        folder = folder or RunFolder.create(outputs.results, log.name)
-        context = Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-        return cls(replay, folder, [*sinks_of(outputs, folder.path, context), *bags], outputs.report, is_new)
-
-    @property
-    def viewer(self) -> LiveView | None:
-        """Where the run is watched, None where it is not."""
-        return next((sink for sink in self.sinks if isinstance(sink, LiveView)), None)
-
-    def run(self, progress: Callable[[], None]) -> dict[str, Any]:
-        """Replay the log, call `progress` after every frame, and return the metrics and what a frame took.
-
-        Raises RunEndedEarlyError when a frame is bad or the user stops it; everything located until then is on disk.
-        """
-        asked = Stop()
-        try:
-            self.folder.write_text("config.yaml", to_yaml(in_force(self.replay.localiser.config)))
-            self.folder.write_text("run.yaml", described(self.replay))
-            with asked_to_stop() as asked:
-
-                def after_each() -> None:
-                    progress()
-                    if asked.is_set():
-                        raise KeyboardInterrupt
-
-                self.replay.run(self.sinks, after_each)
-        except KeyboardInterrupt as stop:
-            raise self._end_early("stopped", asked.exit_code) from stop
-        except LocaliserError as error:
-            raise self._end_early(str(error), error.exit_code) from error
-        except BaseException:
-            close_all(self.sinks, complete=False)
-            raise
-        with asked_to_stop():  # the run is done: Ctrl-C does not take its figures away
-            try:
-                return self._write_results(complete=True)
-            except OutputError as error:
-                raise OutputError(f"{error}. All else that the run came to is in {self.folder.path}") from error
-
-    def _end_early(self, reason: str, exit_code: int) -> RunEndedEarlyError:
-        """Save what was done and return the error that says how much that is and where."""
-        done, frames = len(self.replay.frames), len(self.replay.log.frames)
-        left = f"what was done is in {self.folder.path}" if done or not self.is_new else "nothing is left of it"
-        text = f"{reason}. The run ended after {done} of {frames} frames; {left}"
-        try:
-            if done:
-                self._write_results(complete=False)
-            else:
-                close_all(self.sinks, complete=False)
-        except OutputError as error:
-            if str(error) != reason:
-                text += f", except {error}"
-        if not done and self.is_new:
-            self.folder.discard()
-        return RunEndedEarlyError(text, exit_code)
-
-    def _write_results(self, complete: bool) -> dict[str, Any]:
-        """Write what was located in the order of its worth, and return the figures of metrics and timing.
-
-        That is: the trajectory, `metrics.json` and `timing.json`, the recording and, if wanted, `report.png` and
-        `report.html`. What cannot be written, as to a full disk, does not keep what comes later from being written.
-        Raises the first OutputError then. What a frame took differs from run to run; the file of the metrics does not.
-        """
-        run, folder = self.replay, self.folder
-        tracks = [sink for sink in self.sinks if isinstance(sink, TrackWriter)]
-        others = [sink for sink in self.sinks if sink not in tracks]
-        bound, timing = bound_of(run), evaluate.timing_metrics(run.timing)
-        figures = run_metrics(run, bound) | {"complete": complete}
-        report = folder.path / "report.png"
-        known = {
-            "truth": truth_of(run),
-            "landmark_map": run.localiser.landmark_map,
-            "bound": bound,
-            "landmark_use": run.summary.landmark_use,
-        }
-        reports = [
-            lambda: write_report(report, run.track, figures | timing, **known),
-            lambda: folder.write_text("report.html", self._page(figures | timing, report)),
-        ]
-        all_of(
-            [
-                lambda: close_all(tracks, complete),
-                lambda: folder.write_json("metrics.json", figures),
-                lambda: folder.write_json("timing.json", timing),
-                lambda: close_all(others, complete),
-                *(reports if self.report else []),
-            ]
-        )
-        return figures | timing
-
-    def _page(self, figures: dict[str, Any], report: Path) -> str:
-        """Return the report as a page, with the worst moments of the run."""
-        run = self.replay
-        return evaluate.report_page(
-            run.track,
-            figures,
-            next((sink.moments for sink in self.sinks if isinstance(sink, evaluate.WorstMoments)), []),
-            camera=run.log.camera,
-            landmark_map=run.localiser.landmark_map,
-            picture=report.read_bytes() if report.is_file() else b"",
-        )

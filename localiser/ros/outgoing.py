@@ -9,19 +9,89 @@ from typing import Any
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.filter import Located, LocatedFrame
-from localiser.geometry import Array
+from localiser.filter import SURE, Located, LocatedFrame
+from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap, landmark_ends
-from localiser.ros.annotations import drawn_lines
-from localiser.ros.diagnostics import LEAST_SURE, diagnostics
-from localiser.ros.markers import landmark_markers, match_markers
-from localiser.ros.outputs import OUTPUTS
-from localiser.ros.path import DrivenPath
-from localiser.ros.picture import annotated
+from localiser.ros.drawing import annotated, landmark_markers, match_markers
+from localiser.ros.interfaces import OUTPUTS
 from localiser.storage import map_text
-from localiser.storage.bags import MAP, ODOM, OPTICAL, POSES, Messages, header
+from localiser.storage.bags import DIAGNOSTICS, MAP, ODOM, OPTICAL, PATH, POSES, Messages, header
 
 MOST_PARTICLES = 300
+MOST_POSES = 1000  # of the path
+STEP_M, STEP_RAD = 0.1, np.deg2rad(10.0)
+"""How far a robot moves or turns between two poses of the path."""
+_NS = 10**9
+NAME = "localiser: pose"
+OK, WARN, ERROR = 0, 1, 2
+LEAST_SURE = 0.5
+"""Below this a pose is more likely wrong than right, and the transform, by which robots drive, is held back."""
+
+
+def diagnostics(make: Messages, frame: LocatedFrame, stamp_ns: int, facts: Mapping[str, str]) -> Any:
+    """Return the probability that the pose is correct, why it may not be, and the figures of the image.
+
+    facts: more of them. Level: ERROR where the pose is more likely wrong than right, WARN where it is not sure.
+    """
+    located, landmark = frame.located, frame.matches.landmark
+    sigma_m = float(np.sqrt(np.trace(located.estimate.pose_cov[:2, :2])))
+    sigma_deg = float(np.degrees(np.sqrt(located.estimate.pose_cov[2, 2])))
+    values = {
+        "p_correct": f"{located.p_correct:.4f}",
+        "reason": located.reason,
+        "warning": located.warning,
+        "sigma_m": f"{sigma_m:.4f}",
+        "sigma_deg": f"{sigma_deg:.3f}",
+        "edges": str(len(landmark)),
+        "edges_matched": str(int((landmark >= 0).sum())),
+        "wheels_are_wrong": str(located.wheels_are_wrong).lower(),
+        "height_off_m": f"{located.height.mean_m:.3f}",
+        "height_off_sigma_m": f"{located.height.sigma_m:.3f}",
+        **facts,
+    }
+    level = OK if located.p_correct > SURE else WARN if located.p_correct >= LEAST_SURE else ERROR
+    text = located.warning or located.reason or "sure of the pose"
+    status = make.make(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=level,
+        name=NAME,
+        message=text,
+        values=[make.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()],
+    )
+    return make.make(DIAGNOSTICS, header=header(stamp_ns, ""), status=[status])
+
+
+@dataclass(slots=True, eq=False)
+class DrivenPath:
+    """Poses of one run. When there are too many, every other one is left out, so the whole path stays visible."""
+
+    _stamps_ns: list[int] = field(default_factory=list)
+    _poses: list[Array] = field(default_factory=list)
+
+    def grows(self, stamp_ns: int, pose: Array) -> bool:
+        """Take a pose (3,), and return whether it is far enough from the last one to be part of the path."""
+        if self._poses:
+            moved = pose - self._poses[-1]
+            if np.hypot(*moved[:2]) < STEP_M and abs(wrap_angle(moved[2])) < STEP_RAD:
+                return False
+        if len(self._poses) >= MOST_POSES:
+            del self._poses[1::2], self._stamps_ns[1::2]
+        self._poses.append(np.asarray(pose))
+        self._stamps_ns.append(stamp_ns)
+        return True
+
+    def message(self, make: Messages, stamp_ns: int, frame: str) -> Any:
+        """Return a nav_msgs/Path."""
+        types = make.store.types
+        time, head, stamped = (
+            types[name]
+            for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "geometry_msgs/msg/PoseStamped")
+        )
+        poses = [
+            stamped(header=head(stamp=time(*divmod(at_ns, _NS)), frame_id=frame), pose=pose)
+            for at_ns, pose in zip(self._stamps_ns, make.poses(np.array(self._poses)), strict=True)
+        ]
+        return make.make(PATH, header=header(stamp_ns, frame), poses=poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +165,6 @@ class Outgoing:
             "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.map),
             "path": lambda: self._path.message(self._make, stamp_ns, self.frames.map),
             "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.camera),
-            "annotations": lambda: drawn_lines(self._make, frame, self._ends, self.camera, stamp_ns),
             "diagnostics": lambda: diagnostics(self._make, frame, stamp_ns, facts or {}),
         }
         if not self._path.grows(stamp_ns, frame.located.estimate.pose):

@@ -13,16 +13,14 @@ from localiser.landmarks import LandmarkMap, landmark_ends
 class Context:
     """What does not change while a run is shown.
 
-    name: of the log. truth: path of the robot in the map, where known. odometry: path by odometry alone, moved so that
-    it starts at the start pose; without it, `Located.odometry` is moved onto the first estimate. images: False leaves
-    the image out of the layout, for logs that have none. application: which recordings share a layout in the viewer.
+    name: of the log. truth: path of the robot in the map, where known. images: False leaves the image out of the
+    layout, for logs that have none. application: which recordings share a layout in the viewer.
     """
 
     name: str
     camera: Camera
     landmark_map: LandmarkMap
     truth: Trajectory | None = None
-    odometry: Trajectory | None = None
     images: bool = True
     application: str = "localiser"
 

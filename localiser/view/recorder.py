@@ -1,22 +1,25 @@
-"""Log frames to a Rerun stream. Its maker decides where the stream goes."""
+"""Log frames of a run, or of a map that grows, to a Rerun stream. Its maker decides where the stream goes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import timedelta
 from itertools import cycle, islice
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.edges import Edges
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
-from localiser.landmarks import predicted_lines
-from localiser.view import image as image_view
-from localiser.view import palette, paths, world
+from localiser.landmarks import LandmarkMap, predicted_lines
+from localiser.view import draw, palette, paths
 from localiser.view.context import Context
+from localiser.view.mapping import LANDMARKS, SIGMA, TRACKS, Finished, Growing
 
 CHUNK_BYTES = 1 << 20
 """What is gathered before it is passed on, about ten frames: what a crash would lose of a file."""
@@ -98,10 +101,10 @@ class Recorder:
         matched = np.unique(landmark[landmark >= 0])
         expected = frame.matches.visible.copy()
         expected[matched] = False
-        self._stream.log(paths.VISIBLE, world.landmarks(self._ends[expected], palette.VISIBLE, 2.0))
-        self._stream.log(paths.MATCHED, world.landmarks(self._ends[matched], palette.MATCHED, 3.0))
+        self._stream.log(paths.VISIBLE, draw.landmarks(self._ends[expected], palette.VISIBLE, 2.0))
+        self._stream.log(paths.MATCHED, draw.landmarks(self._ends[matched], palette.MATCHED, 3.0))
         points = self._context.landmark_map.points[matched]
-        self._stream.log(paths.SIGHTS, world.sights(self._context.camera.at(frame.located.edges.mount), pose, points))
+        self._stream.log(paths.SIGHTS, draw.sights(self._context.camera.at(frame.located.edges.mount), pose, points))
 
     def _log_near(self, position: Array) -> None:
         """Draw the landmarks around the robot anew when it has gone some way on a large map."""
@@ -111,20 +114,20 @@ class Recorder:
             return
         self._near = position.copy()
         near = self._ends[np.hypot(*(points - position).T) <= NEAR_M]
-        self._stream.log(paths.LANDMARKS, world.landmarks(near, palette.UNSEEN, 1.2))
+        self._stream.log(paths.LANDMARKS, draw.landmarks(near, palette.UNSEEN, 1.2))
 
     def _log_poses(self, located: Located, truth: Array | None) -> None:
         estimate = located.estimate
         if len(located.particles):  # not of a frame that was located before the run was resumed
-            self._stream.log(paths.PARTICLES, world.particles(located.particles))
-        self._stream.log(paths.ELLIPSE, world.ellipse(estimate))
-        self._stream.log(paths.ESTIMATE, world.arrow(estimate.pose, palette.ESTIMATE, 4.0))
+            self._stream.log(paths.PARTICLES, draw.particles(located.particles))
+        self._stream.log(paths.ELLIPSE, draw.ellipse(estimate))
+        self._stream.log(paths.ESTIMATE, draw.arrow(estimate.pose, palette.ESTIMATE, 4.0))
         self._stream.log(
-            paths.CAMERA, world.camera_transform(self._context.camera.at(located.edges.mount), estimate.pose)
+            paths.CAMERA, draw.camera_transform(self._context.camera.at(located.edges.mount), estimate.pose)
         )
         self._log_trail(paths.ESTIMATE_TRAIL, estimate.pose, palette.ESTIMATE)
         if truth is not None:
-            self._stream.log(paths.TRUTH, world.arrow(truth, palette.TRUTH, 2.5))
+            self._stream.log(paths.TRUTH, draw.arrow(truth, palette.TRUTH, 2.5))
             self._log_trail(paths.TRUTH_TRAIL, truth, palette.TRUTH)
         odometry = self._odometry_in_map(located)
         if np.isfinite(odometry).all():
@@ -144,19 +147,17 @@ class Recorder:
                 self._stream.log(path, rr.Clear(recursive=False))
             return
         shown = places.heaviest(SHOWN)
-        self._stream.log(paths.PLACES, world.place_ellipses(shown))
-        self._stream.log(paths.PLACE_ARROWS, world.place_arrows(shown))
+        self._stream.log(paths.PLACES, draw.place_ellipses(shown))
+        self._stream.log(paths.PLACE_ARROWS, draw.place_arrows(shown))
 
     def _log_trail(self, path: str, pose: Array, colour: palette.Colour) -> None:
         # Only the newest piece: the layout shows all pieces up to the cursor, so a frame costs the same at the end of a
         # long run as at its start, and a frame that was dropped leaves no gap.
         start = self._trails.get(path, pose)
         self._trails[path] = pose
-        self._stream.log(path, world.trail(np.stack([start[:2], pose[:2]]), colour))
+        self._stream.log(path, draw.trail(np.stack([start[:2], pose[:2]]), colour))
 
     def _odometry_in_map(self, located: Located) -> Array:
-        if self._context.odometry is not None:
-            return self._context.odometry.at(located.t_ns)
         if self._map_from_odometry is None and np.isfinite(located.odometry).all():
             origin = geometry.between(located.odometry, np.zeros(3))
             self._map_from_odometry = geometry.compose(located.estimate.pose, origin)
@@ -167,13 +168,13 @@ class Recorder:
     def _log_image(self, frame: LocatedFrame) -> None:
         log, edges, matches = self._stream.log, frame.located.edges, frame.matches
         # Without an image the last one would stay on the screen under the new edges.
-        log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else image_view.picture(frame.image))
+        log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else draw.picture(frame.image))
         pose = frame.located.estimate.pose
         shown, lines = predicted_lines(self._context.camera.at(edges.mount), pose, self._ends, matches.visible)
-        log(paths.REJECTED, image_view.rejected(edges))
-        log(paths.PREDICTED, image_view.predicted(lines))
-        log(paths.EDGES, image_view.vertical_edges(edges, matches.landmark >= 0))
-        log(paths.JOINS, image_view.joins(edges, matches.landmark, shown, lines))
+        log(paths.REJECTED, draw.rejected(edges))
+        log(paths.PREDICTED, draw.predicted(lines))
+        log(paths.EDGES, draw.vertical_edges(edges, matches.landmark >= 0))
+        log(paths.JOINS, draw.joins(edges, matches.landmark, shown, lines))
 
     def _log_plots(self, frame: LocatedFrame) -> None:
         located, truth, stage_ms = frame.located, frame.truth, frame.stage_ms
@@ -201,12 +202,12 @@ class Recorder:
         log, context = self._stream.log, self._context
         log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         if len(self._ends) <= MOST_LANDMARKS:
-            log(paths.LANDMARKS, world.landmarks(self._ends, palette.UNSEEN, 1.2), static=True)
+            log(paths.LANDMARKS, draw.landmarks(self._ends, palette.UNSEEN, 1.2), static=True)
         else:
-            log(paths.FAR, world.coarse(context.landmark_map.points, palette.UNSEEN), static=True)
-        log(paths.CAMERA, world.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
+            log(paths.FAR, draw.coarse(context.landmark_map.points, palette.UNSEEN), static=True)
+        log(paths.CAMERA, draw.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         if context.truth is not None:
-            log(paths.TRUTH_PATH, world.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
+            log(paths.TRUTH_PATH, draw.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
         errors = (("error", "3σ"), (palette.ESTIMATE, palette.UNSEEN))
         lines: dict[str, tuple[Sequence[str], Sequence[palette.Colour]]] = {
             paths.ERROR: errors,
@@ -232,3 +233,108 @@ def set_time(stream: rr.RecordingStream, number: int, t_ns: int) -> None:
 def series(names: Sequence[str], colours: Sequence[palette.Colour]) -> rr.SeriesLines:
     """Return how the lines of a plot are called and coloured; colours repeat."""
     return rr.SeriesLines(names=names, colors=list(islice(cycle(colours), len(names))), widths=[1.5] * len(names))
+
+
+# -- a map that grows -----------------------------------------------------------------------------------------------
+
+PLACES, ELLIPSES = f"{paths.WORLD}/building/landmarks", f"{paths.WORLD}/building/ellipses"
+BEFORE, AFTER = f"{paths.WORLD}/trails/before_loops", f"{paths.WORLD}/trails/after_loops"
+TAILS = f"{paths.OVERLAY}/tracks"
+_LARGEST_M = 1.0  # an ellipse beyond this would cover everything and say nothing
+_TAIL = 15  # images that a track is drawn through
+_CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 33)), np.sin(np.linspace(0, 2 * np.pi, 33))], axis=-1)
+
+
+@dataclass(slots=True, eq=False)
+class _Tails:
+    """Where the edges of each track were in the last images: feature to lines of two ends (u, v)."""
+
+    lines: dict[int, list[Array]] = field(default_factory=dict)
+
+    def add(self, edges: Edges, feature: NDArray[np.int64]) -> list[Array]:
+        """Take in one image; return how far the tracks that it shows came, each (2 to `_TAIL`, 2) in one pixel row."""
+        seen = {int(f): ends for f, ends in zip(feature, edges.ends_px, strict=True) if np.isfinite(ends).all()}
+        self.lines = {f: [*self.lines.get(f, []), ends][-_TAIL:] for f, ends in seen.items()}
+        return [_in_one_row(np.array(lines)) for lines in self.lines.values() if len(lines) > 1]
+
+
+def _in_one_row(lines: Array) -> Array:
+    """Return where lines (K, 2, 2) cross the pixel row (K, 2) of the last one's middle: where edges end is chance."""
+    bottom, top = lines[:, 0], lines[:, 1]
+    v = lines[-1, :, 1].mean()
+    along = (v - bottom[:, 1]) / np.minimum(top[:, 1] - bottom[:, 1], -1.0)
+    return np.stack([bottom[:, 0] + along * (top - bottom)[:, 0], np.full(len(lines), v)], axis=-1)
+
+
+class MapRecorder:
+    """Knows what the building of a map looks like in Rerun."""
+
+    def __init__(self, stream: rr.RecordingStream, context: Context) -> None:
+        self._stream, self._context, self._tails = stream, context, _Tails()
+        self._number, self._t_ns, self._newest = -1, 0, -1
+        self._last: Array | None = None
+        log = stream.log
+        log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+        log(paths.CAMERA, draw.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
+        log(LANDMARKS, series(("landmarks",), (palette.VISIBLE,)), static=True)
+        log(SIGMA, series(("median", "90 % below"), (palette.MATCHED, palette.UNSEEN)), static=True)
+        log(TRACKS, series(("followed", "begun"), (palette.VISIBLE, palette.JOIN)), static=True)
+        log(paths.COUNTS, series(("all", "of landmarks"), (palette.UNMATCHED, palette.MATCHED)), static=True)
+
+    def frame(self, frame: Growing) -> None:
+        """Log one image and what is known after it."""
+        self._next(frame.t_ns)
+        log, pose = self._stream.log, frame.pose
+        last = pose if self._last is None else self._last
+        self._last = pose
+        log(paths.CAMERA, draw.camera_transform(self._context.camera, pose))
+        log(paths.ESTIMATE, draw.arrow(pose, palette.ESTIMATE, 4.0))
+        log(paths.ESTIMATE_TRAIL, draw.trail(np.stack([last[:2], pose[:2]]), palette.ESTIMATE))
+        if self._context.images:
+            log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else draw.picture(frame.image))
+        log(paths.EDGES, draw.vertical_edges(frame.edges, frame.is_landmark))
+        tails = self._tails.add(frame.edges, frame.feature)
+        log(TAILS, rr.LineStrips2D(tails, colors=palette.JOIN, radii=rr.Radius.ui_points(0.7)))
+        self._log_landmarks(LandmarkMap.from_points(frame.points), frame.cov)
+        log(paths.SIGHTS, draw.sights(self._context.camera, pose, frame.points[frame.shown]))
+        log(paths.COUNTS, rr.Scalars([len(frame.edges), int(frame.is_landmark.sum())]))
+        begun = int((frame.feature > self._newest).sum())
+        log(TRACKS, rr.Scalars([len(frame.edges) - begun, begun]))
+        self._newest = int(frame.feature.max(initial=self._newest))
+
+    def finish(self, finished: Finished) -> None:
+        """Log the map in the end, and the path with loops closed over the one without."""
+        self._next(self._t_ns)
+        log, made = self._stream.log, finished.landmark_map
+        self._log_landmarks(made, made.cov)
+        log(paths.SIGHTS, rr.Clear(recursive=False))
+        if finished.before is not None:
+            log(BEFORE, draw.trail(finished.before.poses[:, :2], palette.ODOMETRY, 1.2))
+            log(AFTER, draw.trail(finished.path.poses[:, :2], palette.TRUTH, 2.0))
+        log(paths.TEXT, rr.TextLog(finished.text, level=rr.TextLogLevel.INFO))
+
+    def _next(self, t_ns: int) -> None:
+        self._number, self._t_ns = self._number + 1, t_ns
+        set_time(self._stream, self._number, t_ns)
+
+    def _log_landmarks(self, known: LandmarkMap, cov: Array) -> None:
+        log = self._stream.log
+        ends = Context("", self._context.camera, known).landmark_ends
+        log(PLACES, draw.landmarks(ends, palette.MATCHED, 1.5))
+        log(ELLIPSES, _ellipses(known.points, cov))
+        log(LANDMARKS, rr.Scalars([len(cov)]))
+        if len(cov):
+            sigma_cm = 100 * np.sqrt(np.trace(cov, axis1=1, axis2=2) / 2)
+            log(SIGMA, rr.Scalars(np.quantile(sigma_cm, (0.5, 0.9)).tolist()))
+
+
+def _ellipses(points: Array, cov: Array) -> rr.LineStrips3D:
+    """Return the 95 % ellipses of landmarks, those that are worse than a metre left out."""
+    variance, axes = np.linalg.eigh(cov)
+    half = np.sqrt(draw.CHI2_95_2D * np.maximum(variance, 0.0))
+    shown = half[:, 1] < _LARGEST_M
+    scaled = axes[shown] * half[shown, None, :]
+    lines = points[shown, None] + np.einsum("kij,cj->kci", scaled, _CIRCLE)
+    return rr.LineStrips3D(
+        draw.at_height(lines, 0.02).astype(np.float32), colors=palette.VISIBLE, radii=rr.Radius.ui_points(0.8)
+    )

@@ -62,7 +62,7 @@ def scene(rng, images=40, edges=8, clutter=3, sigma_rad=3e-3, sides_rad=0.45) ->
 
 
 @given(tilt=angles, roll=angles)
-@settings(derandomize=True, max_examples=30)
+@settings(max_examples=30)
 def test_down_is_the_level_frame_s_own_and_inverts(tilt, roll):
     camera = camera_of(tilt_deg=tilt, roll_deg=roll)
     down = down_in_camera(np.deg2rad([tilt, roll]))

@@ -81,7 +81,7 @@ def test_a_package_without_the_example_says_so(
 
 
 def test_the_demo_replays_the_example_and_says_what_next(localiser: Localiser, empty: Path, installed: Path) -> None:
-    with patch("localiser.replay.run.write_report"):
+    with patch("localiser.replay.folder.write_report"):
         result = localiser("demo", "--seed", "1")
     assert result.exit_code == 0
     run = empty / "results" / "corridor" / "1"

@@ -463,8 +463,22 @@ def test_a_video_whose_name_is_no_text_is_told(localiser: Localiser, tmp_path: P
 def test_doctor_takes_the_configuration_of_zenoh(localiser: Localiser, tmp_path: Path) -> None:
     pytest.importorskip("zenoh")
     (tmp_path / "zenoh.json5").write_text("{ nonsense")
-    result = localiser("doctor", "--zenoh-config", tmp_path / "zenoh.json5", "--seconds", 0.5)
+    result = localiser("doctor", "--set", f"live.zenoh_config={tmp_path}/zenoh.json5", "--seconds", 0.5)
     assert result.exit_code == 2 and "expected a configuration of zenoh" in result.err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("doctor", "--connect", "tcp/127.0.0.1:9"), "--connect: is a setting now: --set live.connect=ENDPOINT"),
+        (("live", "--map", "map.yaml", "--namespace=robot1"), "--namespace: is a setting now: --set live.namespace="),
+        (("live", "demo", "--dds", "7"), "--dds: is a setting now: --set live.dds=DOMAIN"),
+        (("pose", "set", "1,2,3", "--ros-distro", "humble"), "--ros-distro: is the environment's ROS_DISTRO now"),
+    ],
+)
+def test_an_option_that_has_become_a_setting_is_told(localiser: Localiser, words: tuple[str, ...], told: str) -> None:
+    result = localiser(*words)
+    assert result.exit_code == 2 and told in result.err
 
 
 def commands_of(command: Any, name: str = "localiser") -> Iterator[tuple[str, Any]]:

@@ -88,7 +88,7 @@ def test_truth_is_interpolated_along_the_arc() -> None:
     assert errors.position_m[0] < 1e-12
 
 
-@settings(derandomize=True, max_examples=60)
+@settings(max_examples=60)
 @given(st.floats(-np.pi, np.pi), st.floats(-3, 3))
 def test_heading_error_ignores_full_turns(heading: float, error: float) -> None:
     truth = Trajectory(np.array([0]), np.array([[0.0, 0.0, heading]]))
@@ -96,7 +96,7 @@ def test_heading_error_ignores_full_turns(heading: float, error: float) -> None:
     assert errors_against(Track.from_poses([0], estimate), truth).heading_rad[0] == pytest.approx(error, abs=1e-9)
 
 
-@settings(derandomize=True, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(0, 1000), st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3)))
 def test_odometry_counts_by_its_increments_alone(seed: int, frame: tuple[float, float, float]) -> None:
     """The odometry's own frame may lie anywhere: what counts is the motion, set on at the first true pose."""

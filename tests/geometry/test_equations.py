@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser import geometry as g
-
-settings.register_profile("localiser", derandomize=True, deadline=None, max_examples=100)
-settings.load_profile("localiser")
 
 angles = st.floats(-np.pi, np.pi)
 poses = st.tuples(st.floats(-50, 50), st.floats(-50, 50), angles).map(np.array)

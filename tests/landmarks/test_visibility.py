@@ -179,7 +179,7 @@ def bearing(pose: np.ndarray, point: np.ndarray, robot_from_camera: np.ndarray) 
     return np.arctan(in_x / -in_z)
 
 
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 @given(
     st.tuples(COORDINATE, COORDINATE, st.floats(-4, 4)),
     st.tuples(COORDINATE, COORDINATE),

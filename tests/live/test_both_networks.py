@@ -15,7 +15,7 @@ from live_processes import LEAST_HZ, PATIENCE_S, SETTINGS, START, free_domain, p
 from short_log import CORRIDOR, Localiser
 
 from localiser.live import open_transport
-from localiser.live.transports import Topic
+from localiser.live.transport import Topic
 from localiser.ros import OUTPUTS
 from localiser.storage import open_log, read_map, read_track
 from localiser.storage.bags import ODOM, ODOMETRY, Messages, typestore
@@ -47,7 +47,7 @@ def test_a_demo_is_identical_to_the_replay_of_its_recording(localiser: Localiser
     pytest.importorskip("cyclonedds" if kind == "dds" else "zenoh")
     bag = tmp_path / "drive.db3"
     settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
-    network = ("--dds", free_domain()) if kind == "dds" else ()
+    network = ("--set", f"live.dds={free_domain()}") if kind == "dds" else ()
     with program("live", "demo", CORRIDOR, *network, "--json", "--record", bag, *settings) as live:
         lines = live.poses(15)
         assert live.end() == 0, live.all_said()

@@ -16,12 +16,13 @@ from live_feed import LOG, Feed, camera, drive
 from live_processes import free_domain, program
 from short_log import CORRIDOR, Localiser
 
+from localiser.config import LiveParameters
 from localiser.errors import InputError
-from localiser.live import NetworkOptions, open_transport
-from localiser.live.publishing import Publisher
-from localiser.live.transports import Reply, Topic, Transport
-from localiser.live.transports.dds_types import dds_name, dds_type
-from localiser.ros import SERVICES, outputs_named, request_bytes, response_bytes
+from localiser.live import open_transport
+from localiser.live.dds_transport import dds_name, dds_type
+from localiser.live.outputs import Publisher
+from localiser.live.transport import Reply, Topic, Transport
+from localiser.ros import SERVICES, outputs_named, service_bytes
 from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
@@ -44,7 +45,7 @@ def test_a_name_that_ros_does_not_allow_is_refused(name: str) -> None:
 @contextmanager
 def joined(domain: int, **options: str) -> Iterator[Transport]:
     pytest.importorskip("cyclonedds")
-    with closing(open_transport(NetworkOptions(dds=domain, **options))) as transport:
+    with closing(open_transport(LiveParameters(dds=domain, **options))) as transport:
         yield transport
 
 
@@ -69,9 +70,7 @@ def wait_for(happened: Callable[[], object]) -> None:
 def test_an_interface_that_is_not_there_is_told() -> None:
     pytest.importorskip("cyclonedds")
     with pytest.raises(InputError, match="network interface"):
-        open_transport(NetworkOptions(dds=NAMES, interface="nothing0"))
-    with pytest.raises(InputError, match=r"--dds: expected a domain from 0 to 232"):
-        open_transport(NetworkOptions(dds=233))
+        open_transport(LiveParameters(dds=NAMES, interface="nothing0"))
 
 
 def test_a_pose_is_heard_by_types_that_are_not_ours() -> None:
@@ -91,7 +90,7 @@ def test_the_last_pose_reaches_a_transient_local_subscriber_that_comes_late() ->
     """As Nav2's programs subscribe to the pose of AMCL."""
     with joined(RECALLS) as transport:
         feed = Feed()
-        feed.run.publisher = Publisher(transport, outputs_named())
+        feed.run.outputs.publisher = Publisher(transport, outputs_named())
         feed([*camera(), *drive(2)])
         with counterpart(RECALLS, "recall") as other:
             assert other.stdout is not None
@@ -143,17 +142,17 @@ def test_who_is_slow_gets_the_newest_messages_of_a_flood() -> None:
 
 def test_a_service_answers_who_asks() -> None:
     """As Cyclone's middleware of ROS 2 asks: who it is and which request stand before the message."""
-    service = SERVICES["save_state"]
+    service = SERVICES["look_everywhere"]
     requests: list[bytes] = []
 
     def answer(content: bytes, reply: Reply) -> None:
         requests.append(content)
-        reply(response_bytes("save_state", success=True, message="saved"))
+        reply(service_bytes("look_everywhere", "Response"))
 
     with joined(ASKED) as transport, counterpart(ASKED, "ask") as other:
         transport.serve(service, answer)
-        assert other.stdout is not None and other.stdout.read() == "5 True saved\n"
-    assert requests[0].startswith(request_bytes("save_state")), "and what fills it up to four bytes"
+        assert other.stdout is not None and other.stdout.read() == "5 answered\n"
+    assert requests[0].startswith(service_bytes("look_everywhere", "Request")), "and what fills it up to four bytes"
 
 
 def test_a_node_has_a_name_and_its_topics() -> None:
@@ -167,8 +166,8 @@ def test_a_node_has_a_name_and_its_topics() -> None:
 @pytest.mark.slow
 def test_the_doctor_hears_a_robot(localiser: Localiser) -> None:
     pytest.importorskip("cyclonedds")
-    with program("simulate", CORRIDOR, "--serve", "--dds", EXAMINED) as robot:
+    with program("simulate", CORRIDOR, "--serve", "--set", f"live.dds={EXAMINED}") as robot:
         robot.wait_to_say("until Ctrl-C")
-        said = localiser("doctor", "--dds", EXAMINED, "--seconds", 4).out
+        said = localiser("doctor", "--set", f"live.dds={EXAMINED}", "--seconds", 4).out
     for found in ("sensor_msgs/msg/CompressedImage", "nav_msgs/msg/Odometry", "transforms, ", "640×480 pixels"):
         assert found in said, said

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from live_processes import free_domain
 
-from localiser.live import NetworkOptions, open_transport
-from localiser.live.transports import Topic
+from localiser.config import LiveParameters
+from localiser.live import open_transport
+from localiser.live.transport import Topic
 from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, stated_size, typestore
 
 IMAGES, RATE_HZ = 60, 20.0
@@ -44,7 +45,7 @@ def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
     make, topic, domain = Messages(), Topic("/localiser/pose", POSE), free_domain()
     content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.05, 0.06])))
     with (
-        closing(open_transport(NetworkOptions(dds=domain))) as transport,
+        closing(open_transport(LiveParameters(dds=domain))) as transport,
         subprocess.Popen([peer, str(domain), "hear"], stdout=subprocess.PIPE, text=True) as process,
     ):
         wait_for(lambda: transport.is_heard(topic))
@@ -63,7 +64,7 @@ def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -
     images: list[bytes] = []
     wheels: list[bytes] = []
     command = [peer, str(domain), "send", "reliable" if reliable else "best", str(IMAGES), str(RATE_HZ)]
-    with closing(open_transport(NetworkOptions(dds=domain))) as transport:
+    with closing(open_transport(LiveParameters(dds=domain))) as transport:
         image = Topic("/camera/image_raw", IMAGE, reliable=reliable, depth=5)
         transport.subscribe(image, lambda content, source: images.append(content))
         transport.subscribe(Topic("/odom", ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content))

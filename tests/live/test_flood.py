@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 from live_feed import LOG, Feed, arrival, camera, drive, image, odometry
 
-from localiser.live.sources import Arrival, Inbox
-from localiser.live.sources.inbox import MOST_BYTES, MOST_IMAGES, MOST_OTHERS
+from localiser.live.inbox import MOST_BYTES, MOST_IMAGES, MOST_OTHERS, Arrival, Inbox
 
 FLOOD = 40_000
 BEFORE, AFTER = 4, 6

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from live_feed import BEGIN_NS, MAKE, Feed, arrival, camera, drive, image, odometry
 
 from localiser.live.clock import RobotClock
-from localiser.live.inbound import TOPICS, message_of
-from localiser.live.sources import Arrival
+from localiser.live.inbox import TOPICS, Arrival, message_of
 from localiser.storage.bags.decisions import Decisions
 
 DAMAGED = 10_000
@@ -53,13 +52,13 @@ def test_ten_thousand_damaged_messages_and_the_run_goes_on() -> None:
     feed(camera())
     feed(drive(6, first=3))
     assert len(feed.published) >= 4
-    assert sum(count for what, count in feed.run.monitor.counts.items() if what.startswith("bad")) > DAMAGED / 2
+    assert sum(count for what, count in feed.run.outputs.monitor.counts.items() if what.startswith("bad")) > DAMAGED / 2
     said = [text for text in feed.said if not text.startswith("started at")]
     assert len(said) < 100, "not a word for every message"
     assert np.isfinite(feed.poses).all()
 
 
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(role=st.sampled_from(sorted(TOPICS)), content=st.binary(max_size=300))
 def test_any_bytes_are_a_message_or_an_error(role: str, content: bytes) -> None:
     try:
@@ -68,7 +67,7 @@ def test_any_bytes_are_a_message_or_an_error(role: str, content: bytes) -> None:
         assert "expected" in str(error)
 
 
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(300))
 @given(
     text=st.text(max_size=60)
     | st.sampled_from(['{"image": 1, "used": 3}', '{"start": 1}', "[" * 5000, '{"clock": 1e9}'])
@@ -78,7 +77,7 @@ def test_any_text_is_a_decision_or_an_error(text: str) -> None:
         Decisions().take(text)
 
 
-@settings(max_examples=examples(200), deadline=None)
+@settings(max_examples=examples(200))
 @given(steps=st.lists(st.tuples(st.integers(-(10**10), 10**10), st.integers(0, 10**9)), min_size=1, max_size=60))
 def test_times_of_any_stamps_go_on_with_the_clock(steps: list[tuple[int, int]]) -> None:
     """No time is far ahead of what has passed, whatever the stamps say, once a clock is known."""

@@ -10,7 +10,7 @@ import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive
 
 from localiser.camera import Mount
-from localiser.live.sources import Arrival
+from localiser.live.inbox import Arrival
 from localiser.live.timeline import PATIENCE_NS
 from localiser.replay import replay_log
 from localiser.storage import open_log
@@ -77,7 +77,7 @@ def test_an_image_without_transforms_is_left_out_after_some_time(nodding: Feed) 
     assert len(feed.times) == 2
     feed.now_ns += PATIENCE_NS
     feed.run.turn([])
-    assert feed.run.timeline.skipped["no transforms"] >= 1
+    assert feed.tracker.timeline.skipped["no transforms"] >= 1
     np.testing.assert_array_equal(feed.poses, nodding.poses[:2])
 
 

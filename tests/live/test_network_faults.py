@@ -14,9 +14,10 @@ from live_networks import KINDS, Network, domains
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR
 
-from localiser.live import NetworkOptions, open_transport
+from localiser.config import LiveParameters
+from localiser.live import open_transport
 from localiser.live.stand_in import WHEELS
-from localiser.live.transports import Topic
+from localiser.live.transport import Topic
 from localiser.storage.bags import ODOM, POSE, Messages
 
 pytestmark = pytest.mark.slow  # in part, without processes: test_transports.py, test_flood.py, test_senders.py
@@ -53,8 +54,8 @@ def test_a_router_that_is_killed_and_comes_back() -> None:
         with program(endpoint, script=ROUTER) as killed:
             killed.poses(1)
             with (
-                program(*ROBOT, "--connect", endpoint),
-                closing(open_transport(NetworkOptions([endpoint], domain=0))) as other,
+                program(*ROBOT, "--set", f"live.connect={endpoint}"),
+                closing(open_transport(LiveParameters([endpoint], domain=0))) as other,
             ):
                 other.subscribe(Topic("/localiser/pose", POSE), lambda content, source: heard.append(content))
                 run.poses(COUNT)

@@ -35,7 +35,7 @@ def endpoint() -> str:
 
 @pytest.fixture(scope="module")
 def robot(endpoint: str) -> Iterator[Program]:
-    with program("simulate", CORRIDOR, "--serve", "--listen", endpoint, "--odometry-hz", 50) as running:
+    with program("simulate", CORRIDOR, "--serve", "--set", f"live.listen={endpoint}", "--odometry-hz", 50) as running:
         running.wait_to_say("until Ctrl-C")
         yield running
 
@@ -130,7 +130,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint
 def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser: Localiser) -> None:
     with program(*LIVE, "--connect", free_endpoint(), "--connect", endpoint) as live:  # one is not there
         live.poses(1)
-        result = localiser("pose", "set", "2,-3,45", "--connect", endpoint)
+        result = localiser("pose", "set", "2,-3,45", "--set", f"live.connect={endpoint}")
         assert result.exit_code == 0, result.err
         live.wait_to_say("started at x = 2.00 m, z = -3.00 m, heading = 45.0°")
         assert live.end(signal.SIGINT) == 0
@@ -139,7 +139,7 @@ def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser:
 @pytest.mark.slow  # quick: tests/live/test_sources.py and tests/commands/test_main.py run it in part
 def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path) -> None:
     options = ("--seconds", 2, "--map", CORRIDOR / "map.yaml", "--at", "0,0", "--picture", tmp_path / "seen.png")
-    result = localiser("doctor", "--connect", endpoint, *options)
+    result = localiser("doctor", "--set", f"live.connect={endpoint}", *options)
     assert result.exit_code == 0, result.out
     picture = cv2.imread(str(tmp_path / "seen.png"))
     assert picture is not None and picture.shape[1] > open_log(CORRIDOR).camera.width
@@ -148,5 +148,5 @@ def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Locali
 
 @pytest.mark.slow
 def test_who_does_not_listen_is_told(localiser: Localiser) -> None:
-    result = localiser("pose", "set", "1,2,3", "--connect", free_endpoint())
+    result = localiser("pose", "set", "1,2,3", "--set", f"live.connect={free_endpoint()}")
     assert result.exit_code == 2 and "can be reached" in result.err

@@ -14,14 +14,14 @@ from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReli
 from rosbags.rosbag2 import Reader
 
 from localiser.geometry import compose, pose_from_ros
-from localiser.live.publishing import Publisher
+from localiser.live.outputs import Publisher
 from localiser.ros import Frames, outputs_named
 from localiser.storage.bags import typestore
 
 
 def fed(publisher: Publisher, **settings: Any) -> Feed:
     feed = Feed(**settings)
-    feed.run.publisher = publisher
+    feed.run.outputs.publisher = publisher
     return feed
 
 
@@ -34,7 +34,7 @@ def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
     fed(Publisher(transport, outputs_named()))([*camera(), *drive(4)])
     assert transport.kinds() == {f"/{name}" for name in (
         "localiser/pose", "tf", "localiser/particles", "localiser/map", "localiser/landmarks", "localiser/matches",
-        "localiser/path", "localiser/image/compressed", "localiser/annotations", "diagnostics",
+        "localiser/path", "localiser/image/compressed", "diagnostics",
     )}  # fmt: skip
     few = KeepingTransport(heard={"/tf"})
     fed(Publisher(few, outputs_named()))([*camera(), *drive(4)])
@@ -46,7 +46,7 @@ def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
 
 def test_names_of_topics_and_frames_can_be_changed() -> None:
     transport = KeepingTransport()
-    outputs = outputs_named({"pose": "/amcl_pose", "image": ""}, "/robot1")
+    outputs = outputs_named({"pose": "/amcl_pose", "image": None}, "/robot1")
     fed(Publisher(transport, outputs, Frames("world", "wheels")))([*camera(), *drive(3)])
     assert "/amcl_pose" in transport.kinds() and "/robot1/tf" in transport.kinds()
     assert not any("image" in topic for topic in transport.kinds())
@@ -165,7 +165,7 @@ def test_a_player_of_a_recording_keeps_what_was_latched(tmp_path: Path) -> None:
     """As rosbags reads the quality of service that players offer."""
     feed = Feed(record=tmp_path / "drive.db3")
     assert feed.recording is not None
-    feed.run.publisher = Publisher(
+    feed.run.outputs.publisher = Publisher(
         KeepingTransport(),
         outputs_named(),
         record=lambda topic, kind, content: feed.recording.write(topic, kind, 0, content),

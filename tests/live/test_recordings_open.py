@@ -16,8 +16,8 @@ from short_log import Localiser
 
 from localiser.camera import Camera
 from localiser.live.clock import AGREEING
-from localiser.live.publishing import Publisher
-from localiser.live.sources import Arrival
+from localiser.live.inbox import Arrival
+from localiser.live.outputs import Publisher
 from localiser.ros import outputs_named
 from localiser.storage import open_log, read_track
 from localiser.storage.images import encode_image
@@ -69,7 +69,7 @@ def test_a_recording_of_all_that_went_out_replays(localiser: Localiser, tmp_path
     feed = Feed(record=tmp_path / "drive.db3")
     recording = feed.recording
     assert recording is not None
-    feed.run.publisher = Publisher(
+    feed.run.outputs.publisher = Publisher(
         KeepingTransport(),
         outputs_named(),
         record=lambda topic, msgtype, content: recording.write(topic, msgtype, 0, content),

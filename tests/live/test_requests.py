@@ -12,16 +12,23 @@ from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image
 from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 
+from localiser.config import LiveParameters
 from localiser.errors import InputError
-from localiser.live.prepare import LiveOptions, opened, state_to_resume
-from localiser.live.publishing import Publisher
-from localiser.live.requests import Requests, serve
-from localiser.live.sources import Arrival, Inbox
+from localiser.live.inbox import Arrival, Inbox
+from localiser.live.outputs import Publisher
+from localiser.live.prepare import LiveOptions, open_run, serve, state_to_resume
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
-from localiser.live.transports import NetworkOptions
 from localiser.localiser import Localiser as RobotLocaliser
-from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, SERVICES, outputs_named, request_bytes, response_of
+from localiser.ros import (
+    MAP_INVALID,
+    MAP_LOADED,
+    MAP_NOT_THERE,
+    SERVICES,
+    outputs_named,
+    service_bytes,
+    service_message,
+)
 from localiser.storage import read_track, write_map
 
 N = 8
@@ -30,16 +37,18 @@ N = 8
 def asked(feed: Feed, kind: str, **fields: Any) -> Any:
     """Ask a service in the middle of a run; return its answer."""
     replies: list[bytes] = []
-    arrival = Arrival(kind, SERVICES[kind].name, request_bytes(kind, **fields), feed.now_ns, reply=replies.append)
+    arrival = Arrival(
+        kind, SERVICES[kind].name, service_bytes(kind, "Request", **fields), feed.now_ns, reply=replies.append
+    )
     feed([arrival])
-    return response_of(kind, replies[0]) if replies else None
+    return service_message(kind, "Response", replies[0]) if replies else None
 
 
 def fed(folder: Path, **settings: Any) -> tuple[Feed, KeepingTransport]:
     transport = KeepingTransport(heard={"/tf"})
     feed = Feed(**settings)
-    feed.run.publisher = Publisher(transport, outputs_named())
-    feed.run.requests = Requests(folder)
+    feed.run.outputs.publisher = Publisher(transport, outputs_named())
+    feed.run.maps = folder
     return feed, transport
 
 
@@ -50,7 +59,7 @@ def test_a_robot_that_is_looked_for_again_is_found_and_the_recording_replays(
     feed([*camera(), *drive(N)])
     before = len(transport.sent["/tf"])
     assert asked(feed, "look_everywhere") is not None
-    assert feed.run.localiser is not None and not feed.run.localiser.state.is_begun
+    assert feed.tracker.localiser is not None and not feed.tracker.localiser.state.is_begun
     rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     feed(rest).close()
     assert len(feed.times) == N + 6 and feed.published[-1].located.p_correct > 0.5
@@ -68,7 +77,7 @@ def test_another_map_is_loaded_while_running(tmp_path: Path) -> None:
     feed, transport = fed(tmp_path, record=tmp_path / "drive.db3")
     feed([*camera(), *drive(N)])
     assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
-    assert feed.run.recording is None and len(transport.sent["/localiser/landmarks"]) == 2
+    assert feed.run.outputs.recording is None and len(transport.sent["/localiser/landmarks"]) == 2
     rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     feed(rest)
     assert len(feed.times) == N + 6
@@ -82,11 +91,11 @@ def test_an_image_from_before_another_map_was_loaded_is_not_weighed_on_it(tmp_pa
     write_map(replace(LOG.landmark_map, name="upstairs"), tmp_path / "upstairs.yaml")
     feed, _ = fed(tmp_path)
     feed([*camera(), *drive(3), image(LOG.frames[3].t_ns, 3)])
-    assert feed.run.timeline.waiting is not None, "for the wheels"
+    assert feed.tracker.timeline.waiting is not None, "for the wheels"
     assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
     feed([message for message in drive(3, first=3) if message.at_ns > LOG.frames[3].t_ns])
     assert feed.times == [frame.t_ns for frame in (*LOG.frames[:3], *LOG.frames[4:6])]
-    assert feed.run.timeline.skipped == {"before the start": 1}
+    assert feed.tracker.timeline.skipped == {"before the start": 1}
 
 
 @pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", ""])
@@ -96,18 +105,18 @@ def test_a_map_that_is_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str
     (tmp_path / "maps").mkdir()
     feed, _ = fed(tmp_path / "maps")
     feed([*camera(), *drive(2)])
-    kept = feed.run.localiser
+    kept = feed.tracker.localiser
     assert asked(feed, "load_map", map_url=name).result == MAP_NOT_THERE
-    assert feed.run.localiser is kept
+    assert feed.tracker.localiser is kept
 
 
 def test_a_map_that_is_none_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text("format: something else\n")
     feed, _ = fed(tmp_path)
     feed([*camera(), *drive(2)])
-    kept = feed.run.localiser
+    kept = feed.tracker.localiser
     assert asked(feed, "load_map", map_url="file://map.yaml").result == MAP_INVALID
-    assert feed.run.localiser is kept and any("the map stays" in text for text in feed.said)
+    assert feed.tracker.localiser is kept and any("the map stays" in text for text in feed.said)
 
 
 def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Path) -> None:
@@ -115,21 +124,8 @@ def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Pa
     feed, _ = fed(tmp_path)
     assert asked(feed, "load_map", map_url="map.yaml").result == MAP_LOADED
     feed([*camera(), *drive(2)])
-    assert feed.run.localiser is not None and feed.run.localiser.landmark_map.name == "upstairs"
+    assert feed.tracker.localiser is not None and feed.tracker.localiser.landmark_map.name == "upstairs"
     assert not any(text.startswith("started") for text in feed.said), "the start was on the map before"
-
-
-def test_the_state_is_saved_when_asked_for(tmp_path: Path) -> None:
-    feed, _ = fed(tmp_path)
-    feed([*camera(), *drive(3)])
-    answer = asked(feed, "save_state")
-    assert not answer.success and "--checkpoint" in answer.message
-    feed.run.checkpoints = Checkpoints(tmp_path / "state", feed.said.append)
-    answer = asked(feed, "save_state")
-    assert answer.success and answer.message == str(tmp_path / "state")
-    again = RobotLocaliser(LOG.landmark_map, LOG.camera, feed.config)
-    again.restore((tmp_path / "state").read_bytes())
-    assert again.state.is_begun
 
 
 def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Path) -> None:
@@ -139,11 +135,11 @@ def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Pa
     write_map(LOG.landmark_map, begun)
     write_map(shifted, loaded)
     feed, _ = fed(tmp_path)
-    feed.run.checkpoints = Checkpoints(tmp_path / "state", pytest.fail, begun)
+    feed.tracker.checkpoints = Checkpoints(tmp_path / "state", pytest.fail, begun)
     feed([*camera(), *drive(3)])
     assert asked(feed, "load_map", map_url="upstairs.yaml").result == MAP_LOADED
     feed(drive(3, first=4))
-    assert asked(feed, "save_state").success
+    feed.tracker.checkpoints.close(feed.tracker.localiser, 0)
     assert Resumed(tmp_path / "state").map_file(begun) == loaded
 
     options = LiveOptions(begun, feed.config, checkpoint=tmp_path / "state", resume=True)
@@ -157,10 +153,13 @@ def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Pa
         replace(options, map_file=CORRIDOR / "map.yaml"), lambda text, level: said.append(text)
     )
     assert resumed is None and other.map_file == CORRIDOR / "map.yaml" and "state belongs to another map" in said[-1]
-    network = NetworkOptions(connect=("tcp/127.0.0.1:9",))  # where nobody is
-    with opened(replace(options, network=network), lambda text, level: said.append(text)) as run:
-        assert run.localiser_of(LOG.camera).landmark_map.name == "upstairs" and run.resumed is not None
-        assert run.checkpoints is not None and run.checkpoints.loaded_map == loaded, "also after the next restart"
+    live = LiveParameters(connect=("tcp/127.0.0.1:9",))  # where nobody is
+    config = options.config.model_copy(update={"live": live})
+    with open_run(replace(options, config=config), lambda text, level: said.append(text)) as run:
+        assert run.tracker.localiser_of(LOG.camera).landmark_map.name == "upstairs" and run.tracker.resumed is not None
+        assert run.tracker.checkpoints is not None and run.tracker.checkpoints.loaded_map == loaded, (
+            "also after the next restart"
+        )
     write_map(replace(shifted, points=shifted.points + 1.0), loaded)
     assert state_to_resume(options, lambda text, level: said.append(text))[1] is None
 
@@ -190,4 +189,4 @@ def test_hashes_are_those_of_another_implementation() -> None:
 
 def test_unknown_services_are_refused() -> None:
     with pytest.raises(InputError, match="unknown kind of service"):
-        serve(KeepingTransport(), Inbox(), names={"fly": "/fly"})
+        serve(KeepingTransport(), Inbox(), "", {"fly": "/fly"})

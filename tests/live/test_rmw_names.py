@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localiser.live.transports import BridgeNames, RmwNames, Service, Topic
-from localiser.live.transports.rmw_names import attachment, gid_of, mangled, parts_of, quality
+from localiser.live.transport import Service, Topic
+from localiser.live.zenoh_transport import RmwNames, attachment, gid_of, mangled, parts_of, quality
 
 ZID = "ac50be7e5e2b5b0a28fd5e8f2e1ad1d5"
 IMAGE = Topic("/camera/image_raw", "sensor_msgs/msg/Image", reliable=False, depth=5)
@@ -22,7 +22,6 @@ def test_keys_have_domain_topic_type_and_hash() -> None:
     assert RmwNames(domain=7).pattern(IMAGE) == "7/camera/image_raw/sensor_msgs::msg::dds_::Image_/*"
     assert RmwNames(hashes=False).key(CHATTER) == "0/chatter/std_msgs::msg::dds_::String_/TypeHashNotSupported"
     assert RmwNames().service_key(EMPTY) == "0/global_localization/std_srvs::srv::dds_::Empty_/RIHS01_0"
-    assert BridgeNames().key(IMAGE) == "camera/image_raw"
 
 
 def test_tokens_tell_node_publisher_subscriber_and_service() -> None:
@@ -70,4 +69,3 @@ NAMES = st.lists(st.text("abcxyz_0", min_size=1, max_size=6).filter(lambda name:
 def test_a_key_gives_its_topic_back(parts: list[str]) -> None:
     topic = Topic("/" + "/".join(parts), "sensor_msgs/msg/Image")
     assert RmwNames(5).topic_of(RmwNames(5).key(topic)) == (topic.name, topic.msgtype)
-    assert BridgeNames().topic_of(BridgeNames().key(topic)) == (topic.name, None)

@@ -153,7 +153,7 @@ def test_a_live_run_and_the_counterpart_hear_each_other(endpoint: str) -> None:
     latched = robot.latch_transforms(at["domain_id"])
     live = ("live", "--map", CORRIDOR / "map.yaml", "--connect", endpoint, "--domain", 3, "--start", START, *SETTINGS)
     # The counterpart asks only for the history of topics whose names have one part.
-    with program(*live, "--json", "--publish", "landmarks=/landmarks") as run:
+    with program(*live, "--json", "--set", "live.publish.landmarks=/landmarks") as run:
         run.wait_to_say("ready")
         with robot:
             run.wait_to_say("started at")  # the start that is stated is where the robot is now

@@ -16,9 +16,8 @@ from short_log import Localiser
 from localiser.config import read_config
 from localiser.filter import mcl
 from localiser.geometry import compose
-from localiser.live.inbound import TOPICS, message_of
+from localiser.live.inbox import TOPICS, Arrival, Inbox, message_of
 from localiser.live.prepare import open_camera
-from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser as RobotLocaliser
@@ -71,7 +70,7 @@ def test_an_image_that_comes_late_is_left_out(undisturbed: Feed) -> None:
     late = messages.pop(next(k for k, message in enumerate(messages) if message.role == "image" and k > 10))
     feed = Feed()([*messages, late])
     assert len(feed.times) == N - 1
-    assert feed.run.timeline.skipped == {"late": 1}
+    assert feed.tracker.timeline.skipped == {"late": 1}
 
 
 def test_messages_from_the_future_are_left_out(undisturbed: Feed) -> None:
@@ -122,7 +121,7 @@ def test_a_damaged_image_costs_no_more_than_itself(undisturbed: Feed) -> None:
     messages[place] = image(messages[place].at_ns, 3, data[: len(data) // 2])
     feed = Feed()(messages)
     assert len(feed.times) == N - 1
-    assert feed.run.timeline.skipped == {"damaged": 1}
+    assert feed.tracker.timeline.skipped == {"damaged": 1}
     np.testing.assert_array_equal(feed.poses[:3], undisturbed.poses[:3])
 
 
@@ -186,7 +185,7 @@ def test_newest_image_wins_when_there_is_no_time() -> None:
     feed.run.turn(messages)  # all at once
     feed.run.turn([])
     assert feed.times == [LOG.frames[N - 1].t_ns]
-    assert feed.run.timeline.skipped == {"newer image": N - 1}
+    assert feed.tracker.timeline.skipped == {"newer image": N - 1}
 
 
 def test_images_wait_for_the_camera() -> None:
@@ -216,7 +215,7 @@ def test_a_pose_that_is_stated_again_later_counts_again() -> None:
     seconds = range(0, 4_000_000_000, 1_000_000_000)
     feed([arrival("initialpose", feed.now_ns + after_ns, stated) for after_ns in seconds])
     assert sum(text.startswith("started") for text in feed.said) == 2, "sent every second, it is stated once"
-    feed.run.look_everywhere()
+    feed.tracker.look_everywhere()
     feed([arrival("initialpose", feed.now_ns + 2_000_000_000, stated)])
     assert sum(text.startswith("started") for text in feed.said) == 3
 
@@ -315,7 +314,7 @@ def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
     whole = Feed()([*camera(), *drive(N + 4)])
     first = Feed()([*camera(), *drive(N)])
     checkpoints = Checkpoints(tmp_path / "state", first.said.append)
-    checkpoints.close(first.run.localiser, 0)
+    checkpoints.close(first.tracker.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
     rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     again([*camera(), *rest])
@@ -327,13 +326,13 @@ def test_a_run_that_is_resumed_knows_where_it_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize("asked", ["a pose", "everywhere"])
 def test_what_is_said_before_the_camera_is_known_comes_before_a_saved_state(tmp_path: Path, asked: str) -> None:
     first = Feed()([*camera(), *drive(N)])
-    Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
+    Checkpoints(tmp_path / "state", first.said.append).close(first.tracker.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
     if asked == "a pose":
         stated = MAKE.pose_in_map(BEGIN_NS, np.array([1.0, 2.0, 0.0]), np.diag([0.01, 0.01, 0.003]))
         again([arrival("initialpose", 0, MAKE.encode(stated))])
     else:
-        again.run.look_everywhere()
+        again.tracker.look_everywhere()
     again([*camera(), *drive(2, first=N)])
     told = "started at x = 1.00 m, z = 2.00 m" if asked == "a pose" else "looked for on the whole map"
     assert any(told in text for text in again.said) and not any("resumed" in text for text in again.said)
@@ -341,7 +340,7 @@ def test_what_is_said_before_the_camera_is_known_comes_before_a_saved_state(tmp_
 
 def test_wheels_that_begin_anew_do_not_move_a_robot_that_is_resumed(tmp_path: Path) -> None:
     first = Feed()([*camera(), *drive(N)])
-    Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
+    Checkpoints(tmp_path / "state", first.said.append).close(first.tracker.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
     rest = [message for message in drive(N + 4) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     anew = [
@@ -359,7 +358,7 @@ def test_a_recording_of_a_run_that_was_resumed_replays_to_the_same_poses(
 ) -> None:
     """From the very particles; with other settings from about there."""
     first = Feed()([*camera(), *drive(N)])
-    Checkpoints(tmp_path / "state", first.said.append).close(first.run.localiser, 0)
+    Checkpoints(tmp_path / "state", first.said.append).close(first.tracker.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"), record=tmp_path / "drive.db3")
     rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
     elsewhere = np.array([50.0, 0.0, 1.0]) if anew else np.zeros(3)

@@ -12,8 +12,8 @@ from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, 
 from short_log import Localiser
 
 from localiser.filter import Start
-from localiser.live.simulated_time import SLACK_NS, SimulatedTime
-from localiser.live.sources import Arrival
+from localiser.live.clock import SLACK_NS, SimulatedTime
+from localiser.live.inbox import Arrival
 from localiser.storage import read_track
 from localiser.storage.bags import CLOCK
 
@@ -35,7 +35,7 @@ def played(messages: list[Arrival], rate: float, begin_ns: int = 0) -> Iterable[
 
 def simulated(**settings: object) -> Feed:
     feed = Feed(**settings)
-    feed.run.simulated = SimulatedTime()
+    feed.run.clocks.simulated = SimulatedTime()
     return feed
 
 
@@ -43,7 +43,7 @@ def simulated(**settings: object) -> Feed:
 def test_a_bag_is_localised_at_any_rate(rate: float) -> None:
     feed = simulated()([*camera(), *played(drive(N), rate)])
     assert feed.times == [frame.t_ns for frame in LOG.frames[:N]]
-    assert feed.worst_error_m() < 0.3 and not feed.run.monitor.wrong
+    assert feed.worst_error_m() < 0.3 and not feed.run.outputs.monitor.wrong
     assert all(abs(published.latency_ms) < 1000 for published in feed.published)
 
 
@@ -101,8 +101,8 @@ def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(
     first = stamps[: next(k for k in range(1, len(stamps)) if stamps[k] < stamps[k - 1])]
     for stamp_ns in first:
         assert stamps.count(stamp_ns) == 4, (stamp_ns, stamps)
-    assert not feed.run.monitor.wrong, feed.run.monitor.wrong
-    assert sum("begins anew" in text for text in feed.said) == 3 and not feed.run.clock.jumps
+    assert not feed.run.outputs.monitor.wrong, feed.run.outputs.monitor.wrong
+    assert sum("begins anew" in text for text in feed.said) == 3 and not feed.run.clocks.robot.jumps
     feed.close()
     run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
     np.testing.assert_allclose(read_track(run / "trajectory.csv").poses, feed.poses, rtol=0, atol=1e-9)

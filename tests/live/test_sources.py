@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from short_log import Localiser
 
 from localiser.errors import InputError
-from localiser.live.sources import Arrival, CameraSource, Inbox
+from localiser.live.camera_source import CameraSource
+from localiser.live.inbox import Arrival, Inbox
 
 PATIENCE_S = 30.0
 

@@ -72,9 +72,9 @@ def test_a_message_takes_the_place_of_the_line_which_goes_on_below() -> None:
 
 def test_the_line_says_where_the_robot_is_and_the_table_what_the_run_came_to() -> None:
     feed = Feed()
-    assert status_line(feed.run.monitor) == "waiting for the first image"
+    assert status_line(feed.run.outputs.monitor) == "waiting for the first image"
     feed([*camera(), *drive(8)])
-    monitor, last = feed.run.monitor, feed.published[-1].located
+    monitor, last = feed.run.outputs.monitor, feed.published[-1].located
     line = status_line(monitor)
     x, z, _ = last.estimate.pose
     assert line.startswith(f"{x:.2f}, {z:.2f} ± ")
@@ -99,12 +99,12 @@ def test_an_image_in_bad_light_is_told(grey: int, kind: str) -> None:
     plain = cv2.imencode(".png", np.full(size, grey, dtype=np.uint8))[1].tobytes()
     feed = Feed()
     feed([*camera(), *drive(1)])
-    assert not {"dark images", "washed-out images"} & set(feed.run.monitor.wrong)
+    assert not {"dark images", "washed-out images"} & set(feed.run.outputs.monitor.wrong)
     feed.close()
     feed = Feed()
     messages = drive(1)
     feed([*camera(), *(image(one.at_ns, 0, plain) if one.role == "image" else one for one in messages)])
-    assert feed.run.monitor.wrong[kind] == 1
+    assert feed.run.outputs.monitor.wrong[kind] == 1
     assert any(("is dark" if grey < 64 else "is washed out") in text for text in feed.said)
     feed.close()
 
@@ -112,7 +112,7 @@ def test_an_image_in_bad_light_is_told(grey: int, kind: str) -> None:
 def test_wheels_that_contradict_the_edges_are_told_with_both_motions() -> None:
     feed = Feed()
     feed([*camera(), *drive(2)])
-    monitor, said = feed.run.monitor, len(feed.said)
+    monitor, said = feed.run.outputs.monitor, len(feed.said)
     assert "wheels" not in monitor.wrong and monitor.newest is not None
     located = monitor.newest.located
     ahead = replace(

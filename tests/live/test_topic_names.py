@@ -26,7 +26,7 @@ def test_a_namespace_holds_what_is_named_without_a_leading_slash() -> None:
 
 @pytest.mark.parametrize("name", ["/odom", "odom", "/odom/"])
 def test_one_topic_for_two_kinds_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=r"--topic: expected a topic of its own .* for odometry and for groundtruth"):
+    with pytest.raises(InputError, match=r"live\.topics: expected .* for odometry and for groundtruth"):
         input_topics({"groundtruth": name})
     with pytest.raises(InputError, match="unknown kind of topic"):
         input_topics({"truth": name})
@@ -40,14 +40,14 @@ def test_one_topic_for_two_kinds_is_refused(name: str) -> None:
     ],
 )
 def test_one_topic_in_and_out_is_refused(publish: dict[str, str], told: str) -> None:
-    with pytest.raises(InputError, match=f"--publish: expected .* found {told}"):
+    with pytest.raises(InputError, match=f"live.publish: expected .* found {told}"):
         check_outputs(input_topics({}), outputs_named(publish))
-    check_outputs(input_topics({}), outputs_named({"pose": "/amcl_pose", "path": ""}))
+    check_outputs(input_topics({}), outputs_named({"pose": "/amcl_pose", "path": None}))
 
 
 @pytest.mark.parametrize(
-    "arguments", [("live", "--map", CORRIDOR / "map.yaml"), ("doctor", "--connect", "tcp/127.0.0.1:9")]
+    "arguments", [("live", "--map", CORRIDOR / "map.yaml"), ("doctor", "--set", "live.connect=tcp/127.0.0.1:9")]
 )
 def test_commands_refuse_it_before_they_join_a_network(localiser: Localiser, arguments: tuple[object, ...]) -> None:
-    result = localiser(*arguments, "--topic", "groundtruth=/odom")
+    result = localiser(*arguments, "--set", "live.topics.groundtruth=/odom")
     assert result.exit_code == 2 and "for odometry and for groundtruth" in result.err

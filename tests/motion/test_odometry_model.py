@@ -143,7 +143,7 @@ def test_a_robot_that_went_to_and_fro_has_noise() -> None:
     assert_same_covariance(moments(after, np.zeros(3))[1], cov, slack=0.01)
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-4, 4))
 def test_without_noise_every_particle_is_moved_exactly(right: float, back: float, turn: float, heading: float) -> None:
     columns = np.array([[1.0, -3.0], [2.0, 0.5], [heading, 0.0]])
@@ -158,7 +158,7 @@ def test_without_noise_every_particle_is_moved_exactly(right: float, back: float
     np.testing.assert_array_equal(after.log_weight, particles.log_weight)
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2))
 def test_noise_of_driving_back_is_that_of_driving_forward(right: float, back: float, turn: float) -> None:
     there = Increment.from_mean([right, back, turn])
@@ -202,7 +202,7 @@ def test_an_increment_that_knows_its_covariance_adds_it_in_the_robot_frame() -> 
     assert_same_covariance(moments(both, compose(START, increment.mean))[1], sum_of_both, slack=0.01)
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.floats(-3, 3), st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2))
 def test_transition_is_the_derivative_of_the_motion(heading: float, right: float, back: float, turn: float) -> None:
     pose, increment, step = np.array([0.3, -0.2, heading]), Increment.from_mean([right, back, turn]), 1e-6

@@ -192,7 +192,7 @@ def test_scales_are_the_spread_of_predictions_and_the_sigma_of_measuring(kind: s
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000))
 def test_the_true_pose_is_the_best_for_edges_without_noise(kind: str, seed: int) -> None:
     """A landmark's range enters the width of its density, so that the peak is off by far less than that width."""

@@ -66,7 +66,7 @@ def difference(observation: EdgeObservation, particles: Particles, edges: Edges,
     return np.abs(found - observation.by_rate_plain(particles, Sighting(0, edges), landmark_map, 0.004))
 
 
-@settings(derandomize=True, max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10_000),
     tilt_deg=st.sampled_from([-15.0, 0.0, 5.0, 20.0, 45.0]),
@@ -133,7 +133,7 @@ def test_hundreds_of_edges_neither_overflow_nor_vanish() -> None:
     assert np.abs(found).max() > 700, "so large that one product would overflow"
 
 
-@settings(derandomize=True, max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(angles=st.lists(st.floats(-1.5, 1.5), min_size=1, max_size=40), wanted=st.floats(-2, 2))
 def test_a_bin_begins_at_or_before_the_first_edge_above(angles: list[float], wanted: float) -> None:
     angle = np.sort(np.array(angles))

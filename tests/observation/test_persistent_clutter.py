@@ -45,7 +45,7 @@ def test_of_two_that_may_continue_one_nothing_is_known() -> None:
     assert found.tolist() == [1.0, 1.0]
 
 
-@settings(derandomize=True, max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.lists(st.floats(-0.5, 0.5), max_size=8),
     st.lists(st.floats(-0.5, 0.5), max_size=8),

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser.geometry import wrap_angle
@@ -20,9 +20,6 @@ from localiser.particles import (
     normalised,
     take,
 )
-
-settings.register_profile("localiser", derandomize=True, deadline=None, max_examples=100)
-settings.load_profile("localiser")
 
 
 def particles_of(columns, log_weight=None, names=POSE, circular=("heading",)):

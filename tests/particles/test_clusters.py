@@ -80,7 +80,7 @@ def plain(poses, cell_m, around):
     return [part[cell] for cell in cells]
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 40), around=st.sampled_from([1, 2, 3, 12]))
 def test_agrees_with_a_flood_fill(seed, count, around):
     poses = np.random.default_rng(seed).uniform([-2, -2, -np.pi], [2, 2, np.pi], (count, 3))
@@ -90,7 +90,7 @@ def test_agrees_with_a_flood_fill(seed, count, around):
     np.testing.assert_array_equal(label[:, None] == label[None, :], same)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 200), mass=st.floats(0.1, 1))
 def test_sums_add_up_and_clusters_are_sorted(seed, count, mass):
     rng = np.random.default_rng(seed)

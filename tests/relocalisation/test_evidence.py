@@ -23,7 +23,7 @@ def evidence():
     return evidence_of(view_of(CAMERA, frames[0]), 0.01)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(low=st.floats(-1, 9), width=st.floats(0, 2), first=st.integers(0, 39), second=st.integers(0, 39))
 def test_pairs_are_found_by_class_and_distance(low, width, first, second):
     group = np.searchsorted(PLACES.class_m, PLACES.bottom_m - 0.0251)

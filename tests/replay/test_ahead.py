@@ -11,7 +11,8 @@ from short_log import CORRIDOR, cut_log
 
 from localiser import Localiser, read_config
 from localiser.errors import InputError
-from localiser.replay import ahead, replay_log
+from localiser.replay import replay_log
+from localiser.replay.frames import in_order
 
 
 def squared(event: int) -> int:
@@ -28,7 +29,7 @@ def taken(threads: int, events: Iterator[int]) -> list[object]:
     """What is yielded, until something is raised, and that."""
     result: list[object] = []
     try:
-        for event, found in ahead.in_order(events, squared, is_image, threads):
+        for event, found in in_order(events, squared, is_image, threads):
             result.append((event, None if found is None else found()))
     except (InputError, ValueError) as error:
         result.append(str(error))
@@ -49,7 +50,7 @@ def test_order_results_and_errors_are_those_of_one_thread(threads):
 
 def test_no_thread_is_left_when_a_run_is_given_up():
     before = threading.active_count()
-    steps = ahead.in_order(iter(range(100)), squared, is_image, 2)
+    steps = in_order(iter(range(100)), squared, is_image, 2)
     next(steps)
     steps.close()
     assert threading.active_count() == before

@@ -14,9 +14,8 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from localiser.geometry import compose
 from localiser.storage import open_log, read_track
 from localiser.storage.bags import FrameTree, floor_pose, stamp_of, typestore
-from localiser.storage.bags.bag import ANNOTATIONS
 
-OUTPUTS = ("pose", "particles", "matches", "image/compressed", "annotations")
+OUTPUTS = ("pose", "particles", "matches", "image/compressed")
 
 
 @pytest.fixture(scope="module")
@@ -89,15 +88,6 @@ def test_transforms_lead_from_the_map_to_the_robot_at_every_pose(written: tuple[
         yaw = np.arctan2(map_from_odom[1, 0], map_from_odom[0, 0])
         moved = np.array([map_from_odom[0, 3], -map_from_odom[1, 3], yaw])
         np.testing.assert_allclose(compose(moved, log.odometry.at(t_ns)), pose, atol=1e-6)
-
-
-def test_annotations_lie_on_the_image(written: tuple[Path, Path]) -> None:
-    folder, run = written
-    camera = open_log(folder).camera
-    found = [message for _, kind, _, message in messages_of(run.parents[2] / "out.mcap") if kind == ANNOTATIONS]
-    points = np.array([(p.x, p.y) for each in found for lines in each.points for p in lines.points])
-    assert len(points) > 10 * FRAMES and all(len(lines.points) % 2 == 0 for each in found for lines in each.points)
-    assert (points > -1).all() and (points < [camera.width + 1, camera.height + 1]).all()
 
 
 def test_the_bag_is_a_log_again(written: tuple[Path, Path]) -> None:

@@ -16,7 +16,7 @@ from localiser.errors import OutputError
 from localiser.filter import LocatedFrame
 from localiser.replay import replay_log
 from localiser.replay.figures import Summary
-from localiser.replay.kept import KeptFrames
+from localiser.replay.frames import KeptFrames
 from localiser.storage import open_log, packing
 
 
@@ -53,7 +53,7 @@ def test_memory_and_summary_hardly_grow_with_the_length_of_a_run(
     frame: LocatedFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_memory = 500_000
-    monkeypatch.setattr("localiser.replay.kept.IN_MEMORY", in_memory)
+    monkeypatch.setattr("localiser.replay.frames.IN_MEMORY", in_memory)
 
     def taken(work: Callable[[], object]) -> int:
         tracemalloc.start()
@@ -81,7 +81,7 @@ def test_a_full_disk_is_told(frame: LocatedFrame, monkeypatch: pytest.MonkeyPatc
         def write(self, content: object) -> int:
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("localiser.replay.kept.SpooledTemporaryFile", lambda max_size: Full())
+    monkeypatch.setattr("localiser.replay.frames.SpooledTemporaryFile", lambda max_size: Full())
     kept = KeptFrames()
     with pytest.raises(OutputError, match="No space left"):
         kept.append(frame)

@@ -23,7 +23,7 @@ from localiser import documents, storage
 from localiser.evaluate.metrics import ABOUT
 from localiser.landmarks import LandmarkMap
 from localiser.replay import evaluate_run
-from localiser.view import live, paths
+from localiser.view import paths, viewer
 
 COLUMNS = ["t_ns", "x", "z", "heading", "cov_xx", "cov_xz", "cov_xh", "cov_zz", "cov_zh", "cov_hh", "ess"]
 TIMES = {"frame_ms_median", "frame_ms_p95", "stage_ms"}
@@ -442,7 +442,7 @@ def test_a_disk_that_is_full_half_way_ends_the_run_with_whole_lines(tmp_path: Pa
 def test_run_without_a_display_says_so_and_goes_on(
     localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    monkeypatch.setattr(live, "viewer_command", lambda kind: ([sys.executable, "-c", "pass"], None))
+    monkeypatch.setattr(viewer, "viewer_command", lambda kind: ([sys.executable, "-c", "pass"], None))
     result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--quiet", "--view", kind)
     assert (result.exit_code, result.out) == (0, "")
     assert "could not start" in result.err
@@ -487,13 +487,13 @@ INTERRUPTED = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from localiser.__main__ import main
-from localiser.replay import run
-draw = run.write_report
+from localiser.replay import folder
+draw = folder.write_report
 def interrupted(*arguments, **further):
     print("interrupted")
     signal.raise_signal(signal.SIGINT)
     draw(*arguments, **further)
-run.write_report = interrupted
+folder.write_report = interrupted
 main()
 """
 

@@ -7,8 +7,7 @@ import re
 
 import yaml
 
-from localiser.ros import OUTPUTS, outputs_named
-from localiser.ros.layouts import FOLDER
+from localiser.ros import LAYOUTS, OUTPUTS, outputs_named
 
 TOPICS = {output.topic: output for output in (*OUTPUTS.values(), outputs_named({"pose": "amcl_pose"})["pose"])}
 OTHERS = {"/initialpose", "/camera/image_raw/compressed"}
@@ -16,7 +15,7 @@ OTHERS = {"/initialpose", "/camera/image_raw/compressed"}
 
 def test_every_topic_of_a_layout_exists() -> None:
     for file in ("localiser.rviz", "foxglove.json"):
-        named = set(re.findall(r"/[a-z_]+(?:/[a-z_]+)*(?=[\",:])", (FOLDER / file).read_text()))
+        named = set(re.findall(r"/[a-z_]+(?:/[a-z_]+)*(?=[\",:])", (LAYOUTS / file).read_text()))
         named = {
             name
             for name in named
@@ -37,7 +36,7 @@ SHOWS = {
 
 def test_a_display_asks_for_the_type_and_the_quality_of_service_that_are_offered() -> None:
     """What is offered is reliable, which serves those who ask for less too."""
-    layout = yaml.safe_load((FOLDER / "localiser.rviz").read_text())
+    layout = yaml.safe_load((LAYOUTS / "localiser.rviz").read_text())
     manager = layout["Visualization Manager"]
     shown = [display for display in manager["Displays"] if "Topic" in display]
     assert manager["Global Options"]["Fixed Frame"] == "map" and len(shown) == 7
@@ -49,11 +48,11 @@ def test_a_display_asks_for_the_type_and_the_quality_of_service_that_are_offered
 
 
 def test_the_pose_is_shown_under_both_names_that_the_guide_has() -> None:
-    layout = yaml.safe_load((FOLDER / "localiser.rviz").read_text())
+    layout = yaml.safe_load((LAYOUTS / "localiser.rviz").read_text())
     shown = {display["Topic"]["Value"] for display in layout["Visualization Manager"]["Displays"] if "Topic" in display}
     assert {"/localiser/pose", "/amcl_pose"} <= shown
 
 
 def test_every_panel_of_foxglove_has_its_place() -> None:
-    layout = json.loads((FOLDER / "foxglove.json").read_text())
+    layout = json.loads((LAYOUTS / "foxglove.json").read_text())
     assert set(layout["configById"]) == set(re.findall(r"\w+!localiser", json.dumps(layout["layout"])))

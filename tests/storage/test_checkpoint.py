@@ -139,7 +139,7 @@ def test_what_is_no_checkpoint(tmp_path: Path) -> None:
             load(tmp_path / "file")
 
 
-@settings(derandomize=True, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_damage_is_found(saved: Path, tmp_path: Path, data: st.DataObject) -> None:
     content = bytearray(saved.read_bytes())
@@ -169,7 +169,7 @@ ODD = st.one_of(
 )  # fmt: skip
 
 
-@settings(derandomize=True, max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_content_that_says_something_else_is_refused(saved: Path, tmp_path: Path, data: st.DataObject) -> None:
     """Also where the sum is right: any one value is replaced by another."""

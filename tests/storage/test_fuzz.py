@@ -20,9 +20,7 @@ from localiser.storage import ImageEvent, open_log, read_camera, read_json, read
 from localiser.storage.edge_tables import read_edges
 from localiser.storage.images import read_image
 
-FUZZ = settings(
-    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+FUZZ = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # What a file may come to hold by accident: numbers at the edges, names of numbers, the marks of the formats.
 PIECES = [b"nan", b"-inf", b"1e400", b"-1", b"0", b"", b"9" * 30, b"9" * 5000, b"1_0", b"\xff\xfe", b"\0", b"\r", b"\n"]

@@ -66,7 +66,7 @@ def test_everything_comes_back_as_it_was() -> None:
     assert decode(Outer, encode(Outer(file=b"\xff\xd8"))).file == b"\xff\xd8"
 
 
-@settings(derandomize=True, max_examples=200)
+@settings(max_examples=200)
 @given(st.floats(allow_nan=False))
 def test_numbers_come_back_to_the_last_bit(value: float) -> None:
     assert decode(float, encode(value)) == value

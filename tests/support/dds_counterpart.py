@@ -71,18 +71,17 @@ class Stamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovarianceStam
 
 
 @dataclass
-class TriggerRequest(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Request_"):
+class EmptyRequest(IdlStruct, typename="std_srvs.srv.dds_.Empty_Request_"):
     asker: uint64
     number: int64
     structure_needs_at_least_one_member: uint8 = 0
 
 
 @dataclass
-class TriggerResponse(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Response_"):
+class EmptyResponse(IdlStruct, typename="std_srvs.srv.dds_.Empty_Response_"):
     asker: uint64
     number: int64
-    success: bool
-    message: str
+    structure_needs_at_least_one_member: uint8 = 0
 
 
 @dataclass
@@ -131,13 +130,14 @@ def flood(participant: DomainParticipant, pose: Stamped) -> None:
 
 def ask(participant: DomainParticipant) -> None:
     """Ask a service until it answers, as one must who may be there before it; print the answer."""
-    requests = DataWriter(participant, Topic(participant, "rq/localiser/save_stateRequest", TriggerRequest), quality())
-    answers = DataReader(participant, Topic(participant, "rr/localiser/save_stateReply", TriggerResponse), quality())
+    name = "reinitialize_global_localization"
+    requests = DataWriter(participant, Topic(participant, f"rq/{name}Request", EmptyRequest), quality())
+    answers = DataReader(participant, Topic(participant, f"rr/{name}Reply", EmptyResponse), quality())
     for number in range(int(PATIENCE_S)):
-        requests.write(TriggerRequest(2**63 + 5, number))
+        requests.write(EmptyRequest(2**63 + 5, number))
         answer = answers.take_one(timeout=duration(seconds=1))
         if answer is not None:
-            sys.stdout.write(f"{answer.asker - 2**63} {answer.success} {answer.message}\n")
+            sys.stdout.write(f"{answer.asker - 2**63} answered\n")
             return
 
 

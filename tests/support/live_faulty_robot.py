@@ -15,9 +15,10 @@ from pathlib import Path
 from random import Random
 from threading import Event, Thread
 
-from localiser.live import NetworkOptions, Passage, StandIn, open_transport
+from localiser.config import LiveParameters
+from localiser.live import Passage, StandIn, open_transport
 from localiser.live.stand_in import IMAGE, TRUTH, WHEELS
-from localiser.live.transports import Topic, Transport
+from localiser.live.transport import Topic, Transport
 from localiser.storage import open_log
 from localiser.storage.bags import ODOMETRY, floor_pose, stamp_of, typestore
 
@@ -86,7 +87,7 @@ def _without_end(content: bytes) -> bytes:
 
 
 def main(log: Path, endpoint: str) -> None:
-    with closing(open_transport(NetworkOptions([], [endpoint]))) as transport:
+    with closing(open_transport(LiveParameters([], [endpoint]))) as transport:
         faulty, stop = FaultyTransport(transport), Event()
         robot = StandIn(faulty, Passage.of(open_log(log), ODOMETRY_HZ))
         robot.wait_for_listener(stop)

@@ -7,18 +7,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from live_transport import KeepingTransport
 from short_log import CORRIDOR
 
 from localiser.camera import Camera
 from localiser.config import Config, read_config
 from localiser.filter import mcl
 from localiser.live import TOPICS, LiveOptions
+from localiser.live.clock import Clocks
+from localiser.live.inbox import Arrival, Inbox
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import Published
-from localiser.live.prepare import begun_recording
+from localiser.live.outputs import Outputs, Published, Publisher
+from localiser.live.prepare import start_recording
 from localiser.live.run import LiveRun
-from localiser.live.sources import Arrival, Inbox
 from localiser.live.state import Resumed
+from localiser.live.tracker import Tracker
 from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags import ODOM, CameraFinder, Messages
@@ -79,18 +82,15 @@ class Feed:
             return Localiser(LOG.landmark_map, camera, self.config)
 
         options = LiveOptions(CORRIDOR / "map.yaml", self.config, record=self.record)
-        self.recording = begun_recording(options, self.said.append)
-        self.run = LiveRun(
-            Inbox(),
-            CameraFinder(None, TOPICS["image"], moving_kept=2000),
-            localiser_of,
-            Monitor(lambda text, level: self.said.append(text)),
-            [self.published.append],
-            self.recording,
-            self.start,
-            self.resumed,
-            now_ns=lambda: self.now_ns,
+        self.recording = start_recording(options, self.said.append)
+        clocks = Clocks(machine_ns=lambda: self.now_ns)
+        monitor = Monitor(lambda text, level: self.said.append(text))
+        outputs = Outputs(
+            monitor, Publisher(KeepingTransport(), {}), recording=self.recording, publish=[self.published.append]
         )
+        finder = CameraFinder(None, TOPICS["image"], moving_kept=2000)
+        self.tracker = Tracker(finder, localiser_of, clocks, outputs, self.start, self.resumed)
+        self.run = LiveRun(Inbox(), self.tracker, clocks, outputs, CORRIDOR)
 
     def __call__(self, arrivals: Iterable[Arrival], each: Callable[[], None] = lambda: None) -> Feed:
         """Feed messages one after another, as a robot would that is never too fast."""

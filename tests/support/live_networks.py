@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from live_processes import free_domain, free_endpoint
 
-from localiser.live import NetworkOptions
+from localiser.config import LiveParameters
 
 KINDS = ("zenoh", "dds")
 
@@ -21,7 +21,7 @@ class Network:
     """A network. arguments: by which a command joins it. options: the same within a test."""
 
     arguments: tuple[object, ...]
-    options: NetworkOptions
+    options: LiveParameters
 
 
 def router(endpoint: str) -> Any:
@@ -49,8 +49,9 @@ def domains(kind: str) -> Iterator[Callable[[], Network]]:
 
 def _dds() -> Network:
     domain = free_domain()
-    return Network(("--dds", domain), NetworkOptions(dds=domain))
+    return Network(("--set", f"live.dds={domain}"), LiveParameters(dds=domain))
 
 
 def _zenoh(endpoint: str, domain: int) -> Network:
-    return Network(("--connect", endpoint, "--domain", domain), NetworkOptions([endpoint], domain=domain))
+    arguments = ("--set", f"live.connect={endpoint}", "--set", f"live.domain={domain}")
+    return Network(arguments, LiveParameters((endpoint,), domain=domain))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from localiser.live.transports import Take, Topic
+from localiser.live.transport import Take, Topic
 from localiser.storage.bags import typestore
 
 

@@ -83,7 +83,7 @@ class Localiser:
         """
         settings = FEW_PARTICLES if few and "--config" not in arguments else ()
         recorded = "--rrd" if rrd else "--no-rrd"
-        with nullcontext() if report else patch("localiser.replay.run.write_report"):
+        with nullcontext() if report else patch("localiser.replay.folder.write_report"):
             result = self("replay", log, "--out", out, "--quiet", recorded, *settings, *arguments)
         assert result.exit_code == 0 and not result.err, result.err
         (name,) = {folder.name for folder in out.iterdir()}

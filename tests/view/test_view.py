@@ -26,10 +26,10 @@ from localiser.geometry import Array, Increment, Trajectory, compose, forward, r
 from localiser.landmarks import LandmarkMap, predicted_lines
 from localiser.observation import Matches
 from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
-from localiser.view import Context, LiveView, RrdFile, live, palette, paths
-from localiser.view.image import joins
+from localiser.view import Context, LiveView, RrdFile, palette, paths
+from localiser.view.draw import CHI2_95_2D, MOST_PARTICLES, MOST_POINTS, camera_pose, ellipse_points, joins
 from localiser.view.recorder import NEAR_M
-from localiser.view.world import CHI2_95_2D, MOST_PARTICLES, MOST_POINTS, camera_pose, ellipse_points
+from localiser.view.viewer import Kind, viewer_command
 
 FRAMES, STEP_NS = 5, 200_000_000
 STAGE_MS = {"load": 1.0, "edges": 20.0, "filter": 10.0}
@@ -68,7 +68,7 @@ def shown(located: Located, image: Image | None, truth: Array | None, stage_ms: 
 
 
 def context(**changes: Any) -> Context:
-    given = {"truth": truth(), "odometry": None} | changes
+    given = {"truth": truth()} | changes
     return Context("unit", CAMERA, given.pop("landmark_map", MAP), **given)
 
 
@@ -285,13 +285,6 @@ def test_trails_continue_where_the_last_frame_ended(tmp_path: Path) -> None:
     np.testing.assert_allclose(moved, robot_from_map(truth().poses[0], truth().poses[:, :2]), atol=1e-5)
 
 
-def test_given_odometry_is_drawn_as_it_is(tmp_path: Path) -> None:
-    drifted = Trajectory(truth().t_ns, truth().poses + np.array([0.3, 0.1, 0.0]))
-    record(tmp_path / "run.rrd", odometry=drifted)
-    trail = np.array(read(tmp_path / "run.rrd")[paths.ODOMETRY_TRAIL]["LineStrips3D:strips"])[:, 0]
-    np.testing.assert_allclose(trail[:, 1, [0, 2]], drifted.poses[:, :2], atol=1e-6)
-
-
 def test_without_truth_and_images_nothing_of_them_is_logged(tmp_path: Path) -> None:
     record(tmp_path / "run.rrd", truth=None, images=False)
     content = read(tmp_path / "run.rrd")
@@ -459,7 +452,7 @@ def test_frozen_viewer_holds_up_neither_the_run_nor_the_exit(tmp_path: Path) -> 
     script.write_text(
         "import sys; sys.path[:0] = sys.argv[1:3]\n"
         "import test_view as t\n"
-        "from localiser.view import live\n"
+        "from localiser.view import viewer as live\n"
         "live.CLOSE_WAIT_S = 0.2\n"
         "sink = t.LiveView('native', t.context(), command=t.viewer('time.sleep(40)'), queue_frames=4)\n"
         "t.show(sink, 60)\n"
@@ -484,8 +477,8 @@ def test_viewer_that_is_gone_ends_the_view_and_not_the_run(command: list[str]) -
 
 
 @pytest.mark.parametrize("kind", ["native", "web"])
-def test_viewers_listen_on_this_machine_alone(kind: live.Kind) -> None:
-    command, address = live.viewer_command(kind)
+def test_viewers_listen_on_this_machine_alone(kind: Kind) -> None:
+    command, address = viewer_command(kind)
     host = command[command.index("--bind") + 1]
     assert ip_address(host).is_loopback
     assert (address or f"http://{host}:").startswith(f"http://{host}:")
@@ -493,15 +486,15 @@ def test_viewers_listen_on_this_machine_alone(kind: live.Kind) -> None:
 
 
 def test_viewers_elsewhere_are_served_where_the_user_says() -> None:
-    command, address = live.viewer_command("0.0.0.0:9877")
+    command, address = viewer_command("0.0.0.0:9877")
     assert command[command.index("--bind") + 1 :][:1] == ["0.0.0.0"] and address == "rerun+http://0.0.0.0:9877/proxy"
     for wrong in ("somewhere", "0.0.0.0", "127.0.0.1:99999", "host name:1"):
         with pytest.raises(InputError, match="IP:PORT"):
-            live.viewer_command(wrong)
+            viewer_command(wrong)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.1 may be the only address of this machine alone")
 def test_the_address_of_the_page_cannot_be_guessed_by_pages_elsewhere() -> None:
     """A page that gives its own name one of our addresses must know which: names are not checked by Rerun."""
-    hosts = {(live.viewer_command("web")[1] or "").split("/")[2].split(":")[0] for _ in range(20)}
+    hosts = {(viewer_command("web")[1] or "").split("/")[2].split(":")[0] for _ in range(20)}
     assert len(hosts) == 20 and "127.0.0.1" not in hosts

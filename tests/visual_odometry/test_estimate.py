@@ -36,7 +36,7 @@ def followed(before: Edges, after: Edges) -> Followed:
 motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2, 0.2)).map(np.array)
 
 
-@settings(derandomize=True, max_examples=50, deadline=None)  # the first call compiles
+@settings(max_examples=50)  # the first call compiles
 @given(motions, st.floats(-0.5, 0.5), st.floats(0.0, 1.5))
 def test_what_the_moved_camera_sees(twist: Array, bearing: float, inverse: float) -> None:
     before, moved = CAMERA.robot_from_level, np.array([0.03, -0.1, 0.0])
@@ -72,7 +72,7 @@ def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
     assert geometry.depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
 
 
-@settings(derandomize=True, max_examples=50, deadline=None)  # the first call compiles
+@settings(max_examples=50)  # the first call compiles
 @given(motions)
 def test_twists_are_motions_along_arcs(twist: Array) -> None:
     np.testing.assert_allclose(twist_of(motion_of(twist)), twist, atol=1e-12)

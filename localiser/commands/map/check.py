@@ -34,9 +34,6 @@ def check(
     ] = None,
     plan: PlanFile = None,
     out: Picture = None,
-    rrd: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun: what looks like what, what helps.")
-    ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     force: Force = False,
@@ -55,7 +52,7 @@ def check(
     if recorded is not None:
         camera = recorded.camera
     if camera is not None:
-        require_writable(picture, rrd, overwrite=force)
+        require_writable(picture, overwrite=force)
     if recorded is not None and effective is not None:
         named, _ = poses_named(poses)
         known = named if isinstance(named, Trajectory) else known_poses(recorded, named)
@@ -70,10 +67,6 @@ def check(
         return
     found, look = coverage(landmark_map, camera), find_aliasing(landmark_map, camera, path)
     draw_check(landmark_map, found, look, picture, Surroundings(path, walls))
-    if rrd is not None:
-        from localiser.view import record_aliasing
-
-        record_aliasing(rrd, camera, landmark_map, look)
     typer.echo(found.text())
     typer.echo(look.text())
     typer.echo(f"Picture in {picture}")

@@ -23,7 +23,7 @@ class MapWatch:
     rrd: a recording to write. kind: of a viewer, see `view.LiveView`, or none. Raises OutputError, InputError.
     """
 
-    def __init__(self, log: Log, parameters: MappingParameters, rrd: Path | None, kind: view.live.Kind) -> None:
+    def __init__(self, log: Log, parameters: MappingParameters, rrd: Path | None, kind: view.Kind) -> None:
         view.check_kind(kind)
         self._log, self._rrd, self._kind = log, rrd, kind
         self._live = LiveMap(log.camera, parameters)

@@ -1,7 +1,6 @@
 """Read and write ROS bags with no ROS installed: ROS 1, ROS 2 with sqlite3, ROS 2 with MCAP."""
 
 from localiser.storage.bags.bag import (
-    ANNOTATIONS,
     CAMERA_INFO,
     CLOCK,
     COMPRESSED,

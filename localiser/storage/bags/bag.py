@@ -27,7 +27,6 @@ IMU = "sensor_msgs/msg/Imu"
 TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
-ANNOTATIONS = "foxglove_msgs/msg/ImageAnnotations"
 CLOCK = "rosgraph_msgs/msg/Clock"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -166,40 +165,8 @@ def bag_errors(path: Path, field: str | None = None) -> Iterator[None]:
 
 _MORE_TYPES = {
     TRANSFORMS: ["geometry_msgs/TransformStamped[] transforms"],
-    "foxglove_msgs/msg/Point2": ["float64 x", "float64 y"],
-    "foxglove_msgs/msg/Color": ["float64 r", "float64 g", "float64 b", "float64 a"],
-    "foxglove_msgs/msg/CircleAnnotation": [
-        "builtin_interfaces/Time timestamp",
-        "foxglove_msgs/Point2 position",
-        "float64 diameter",
-        "float64 thickness",
-        "foxglove_msgs/Color fill_color",
-        "foxglove_msgs/Color outline_color",
-    ],
-    "foxglove_msgs/msg/PointsAnnotation": [
-        "builtin_interfaces/Time timestamp",
-        "uint8 type",
-        "foxglove_msgs/Point2[] points",
-        "foxglove_msgs/Color outline_color",
-        "foxglove_msgs/Color[] outline_colors",
-        "foxglove_msgs/Color fill_color",
-        "float64 thickness",
-    ],
-    "foxglove_msgs/msg/TextAnnotation": [
-        "builtin_interfaces/Time timestamp",
-        "foxglove_msgs/Point2 position",
-        "string text",
-        "float64 font_size",
-        "foxglove_msgs/Color text_color",
-        "foxglove_msgs/Color background_color",
-    ],
-    ANNOTATIONS: [
-        "foxglove_msgs/CircleAnnotation[] circles",
-        "foxglove_msgs/PointsAnnotation[] points",
-        "foxglove_msgs/TextAnnotation[] texts",
-    ],
 }
-"""Messages by their fields, where the definitions that ROS ships lack them. Of Foxglove's, those without constants."""
+"""Messages by their fields, where the definitions that ROS ships lack them."""
 
 
 @cache
@@ -209,6 +176,6 @@ def typestore(*, ros1: bool) -> Typestore:
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     for msgtype, fields in _MORE_TYPES.items():
-        if msgtype not in store.fielddefs and not (ros1 and msgtype.startswith("foxglove_msgs")):
+        if msgtype not in store.fielddefs:
             store.register(get_types_from_msg("\n".join(fields), msgtype))
     return store

@@ -31,7 +31,7 @@ from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags import guarded, limits
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS, Bag, typestore
 
-FUZZ = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+FUZZ = settings(suppress_health_check=list(HealthCheck))
 FILES = {"mcap": "bag.mcap", "sqlite3": "bag.db3", "ros1": "bag.bag", "metadata": "bag/metadata.yaml"}
 
 

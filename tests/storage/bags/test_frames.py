@@ -51,7 +51,7 @@ class Stamped:
         self.transform = type("T", (), vectors)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(mounts, st.integers(0, 2**32 - 1), st.integers(0, 3), st.booleans())
 def test_mount_of_any_chain_projects_points_as_the_transforms_do(
     mount: Mount, seed: int, links: int, backwards: bool
@@ -93,7 +93,7 @@ def unit(values: np.ndarray) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(mounts)
 def test_a_mount_that_was_read_once_stays_the_same_bit_by_bit(mount: Mount) -> None:
     def through_transforms(mount: Mount) -> Mount:
@@ -107,7 +107,7 @@ def test_a_mount_that_was_read_once_stays_the_same_bit_by_bit(mount: Mount) -> N
     assert astuple(through_transforms(once)) == astuple(once)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda values: np.linalg.norm(values) > 0.1))
 def test_quaternions_and_rotations_are_inverse(values: tuple[float, ...]) -> None:
     quaternion = np.array(unit(np.array(values)))

@@ -7,31 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import (
-    ConfigFile,
-    Connect,
-    Dds,
-    Distro,
-    Domain,
-    Interface,
-    Listen,
-    Names,
-    Namespace,
-    Overrides,
-    ZenohConfig,
-    network_of,
-    show,
-    topics_by_role,
-)
+from localiser.commands.options import ConfigFile, Overrides, show
 
 if TYPE_CHECKING:
-    from localiser.commands.doctor.checks import Finding
+    from localiser.commands.doctor_checks import Finding
 
 EPILOG = """Examples:
 
 `localiser doctor`
 
-`localiser doctor --connect tcp/127.0.0.1:7447 --map maps/house.yaml --at 1.5,-2`
+`localiser doctor --set live.connect=tcp/127.0.0.1:7447 --map maps/house.yaml --at 1.5,-2`
 
 `localiser doctor --image 0 --picture camera.png`"""
 
@@ -40,8 +25,6 @@ _COLOURS = {"ok": "green", "warning": "yellow", "missing": "red"}
 
 
 def doctor(
-    connect: Connect = None,
-    listen: Listen = None,
     image: Annotated[
         str | None,
         typer.Option(metavar="SOURCE", help="A camera's number, a video file or a stream's address, read by OpenCV."),
@@ -49,32 +32,22 @@ def doctor(
     map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map.")] = None,
     at: Annotated[str | None, typer.Option(metavar="x,z", help="Where the robot is on the map.")] = None,
     camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Camera file.")] = None,
-    topics: Annotated[
-        list[str] | None, typer.Option("--topic", metavar="KIND=NAME", help="Another topic, as for `localiser live`.")
-    ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write what the camera sees, with the edges found in it.")
     ] = None,
     seconds: Annotated[float, typer.Option(min=0.5, max=LONGEST_S, metavar="S", help="How long to listen.")] = 5.0,
-    zenoh_config: ZenohConfig = None,
-    domain: Domain = None,
-    namespace: Namespace = "",
-    names: Names = "rmw_zenoh",
-    distro: Distro = None,
-    dds: Dds = None,
-    interface: Interface = "lo",
     config: ConfigFile = None,
     overrides: Overrides = None,
 ) -> None:
     """Tell what is installed, what a robot sends, and whether camera, clocks, mount and map fit together.
 
-    Listens to a robot when --connect, --listen, --zenoh-config or --dds is given. Exit code 1 when something is
-    missing.
+    Listens to a robot when a setting says where it is: `--set live.connect=tcp/127.0.0.1:7447`, or live.listen,
+    live.zenoh_config, live.dds. Exit code 1 when something is missing.
     """
-    from localiser.commands.doctor import checks as examination
+    from localiser.commands import doctor_checks as examination
     from localiser.commands.map.edit import parse_point
     from localiser.config import read_config
-    from localiser.live import input_topics, open_transport
+    from localiser.live import input_topics, open_transport, prefix_of
     from localiser.storage import read_camera, read_map, require_new_file
 
     if picture is not None:
@@ -85,12 +58,12 @@ def doctor(
     if image is not None:
         finding, seen = examination.camera_check(image, seconds)
         findings.append(finding)
-    if connect or listen or zenoh_config or dds is not None:
+    live = settings.live
+    if live.connect or live.listen or live.zenoh_config or live.dds >= 0:
         from contextlib import closing
 
-        network = network_of(connect, listen, zenoh_config, domain, namespace, names, distro, dds, interface)
-        heard = examination.Heard(input_topics(topics_by_role(topics), network.prefix))
-        with closing(open_transport(network, "localiser_doctor")) as transport:
+        heard = examination.Heard(input_topics(live.topics, prefix_of(live)))
+        with closing(open_transport(live, "localiser_doctor")) as transport:
             heard.listen(transport, seconds)
         findings += [*examination.topic_checks(heard), *examination.clock_checks(heard)]
         known, problem = examination.camera_of(heard, known)

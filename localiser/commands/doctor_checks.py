@@ -25,9 +25,7 @@ from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.live import message_of, topic_for, type_of
-from localiser.live.sources import Arrival, CameraSource
-from localiser.live.transports import HearsAll, Transport
+from localiser.live import Arrival, CameraSource, Transport, message_of, topic_for, type_of
 from localiser.storage import Image, check_whole, decoded, encode_image, write_bytes
 from localiser.storage.bags import CameraFinder, floor_pose, grey_image, image_file, stamp_of
 
@@ -118,8 +116,7 @@ class Heard:
                     arrivals = self.kept.setdefault(role, deque(maxlen=MOST_KEPT))
                     arrivals.append(Arrival(role, topic, content))
 
-        if isinstance(transport, HearsAll):
-            transport.listen_to_all(take)
+        transport.listen_to_all(take)
         fixed = topic_for("transforms", self.topics["transforms"])  # sent before now, and kept
         transport.subscribe(fixed, lambda content, source: take(fixed.name, fixed.msgtype, content))
         Event().wait(seconds)
@@ -141,7 +138,7 @@ def topic_checks(heard: Heard) -> Iterator[Finding]:
     for role, topic in heard.topics.items():
         if topic not in heard.counts and role not in ("moving_transforms", "initialpose", "groundtruth", "clock"):
             state: State = "missing" if role in ("image", "odometry") else "warning"
-            yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --topic {role}=NAME")
+            yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --set live.topics.{role}=NAME")
     roles = {topic: role for role, topic in heard.topics.items()}
     for topic, count in sorted(heard.counts.items()):
         known = roles.get(topic)

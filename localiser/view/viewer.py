@@ -1,4 +1,4 @@
-"""Show a run as it happens: in Rerun's native viewer, in the browser, or to viewers on other machines.
+"""Show a run in Rerun's viewer, as it happens or as it was recorded: a window, the browser, or other machines.
 
 The viewer is a process of its own that reads the recording from its standard input, fed by a worker thread from a
 bounded queue. Nothing else keeps a viewer that hangs from holding up the robot: a network sink of Rerun blocks in
@@ -18,6 +18,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -232,3 +233,24 @@ def stop_viewer(viewer: subprocess.Popen[bytes]) -> None:
     # The group: Rerun's command starts the viewer as a child of its own.
     if viewer.poll() is None:
         os.killpg(viewer.pid, signal.SIGTERM)
+
+
+class RecordingViewer:
+    """The viewer of a recording (.rrd), a process of its own.
+
+    kind: "native" or "web", see `Feed`. address: of the page, for the web. Raises OSError when it cannot start.
+    """
+
+    def __init__(self, recording: Path, kind: Kind) -> None:
+        command, self.address = viewer_command(kind, str(recording.resolve()))
+        environment = {"RUST_LOG": "error", **os.environ}  # else it reports every port that it opens
+        self._process = subprocess.Popen(command, start_new_session=True, env=environment)
+
+    def wait(self) -> bool:
+        """Wait until the viewer is closed, or the user interrupts, which closes it; return whether it could start."""
+        try:
+            return self._process.wait() == 0
+        except KeyboardInterrupt:
+            return True
+        finally:
+            stop_viewer(self._process)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-def fitted(table: Table, console: Console) -> list[Table]:
+def split_to_width(table: Table, console: Console) -> list[Table]:
     """Return the table in pieces that are as wide as the console at most, where its columns can be.
 
     Each piece begins with the columns that tell the rows apart. Title and caption stand once. A table without a
