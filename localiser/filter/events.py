@@ -64,6 +64,7 @@ class Located:
     sighting: what particles were weighed by, edges corrected by attitude and height. warning: what a user should look
     at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
+    odometry_jumped: whether odometry began anew since the last image, so that the motion was bridged.
     """
 
     t_ns: int
@@ -82,3 +83,4 @@ class Located:
     sighting: Sighting | None = None
     warning: MapWarning = ""
     wheels_are_wrong: bool = False
+    odometry_jumped: bool = False

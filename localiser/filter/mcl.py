@@ -214,18 +214,20 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Drive:
-    """The motion since the last image, in parts, all of it, and odometry's pose (3,) now."""
+    """The motion since the last image, in parts, all of it, odometry's pose (3,) now, and whether that jumped."""
 
     moves: list[Increment]
     increment: Increment
     odometry: Array
+    jumped: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
     """What is known with an image before particles are weighed by it.
 
-    moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now.
+    moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now; jumped:
+    whether it did since the last image.
     sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1, of the errors
     of its edges; least_novelty: the same if all errors repeated. jump: how new what it shows is.
     """
@@ -233,6 +235,7 @@ class _Image:
     moves: list[Increment]
     increment: Increment
     odometry: Array
+    jumped: bool
     sighting: Sighting
     novelty: float
     least_novelty: float
@@ -247,14 +250,14 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
         raise ValueError("an image came before any start pose")
     motion, seen = mcl.motion, state.seen
     delay_s = motion.delay_sigma_s if isinstance(motion, EstimatesConstantErrors) else 0.0
-    moves, odometry_pose = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
+    moves, odometry_pose, jumped = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
     increment = wheels = reduce(Increment.then, moves)
     if mcl.odometer is not None and mcl.odometer.follows_edges:
         seconds, cov = (sighting.t_ns - state.at_ns) / 1e9, covariance_of(motion, wheels)
         before = None if seen is None else seen.edges
         increment, state.pace = mcl.odometer.increment(wheels, cov, before, sighting.edges, seconds, state.pace)
         moves = moves if increment is wheels else [increment]
-    return _Drive(moves, increment, odometry_pose)
+    return _Drive(moves, increment, odometry_pose, jumped)
 
 
 def _checked(
@@ -303,7 +306,7 @@ def _checked(
     if other is None:
         return drive, driven
     increment, moved = other
-    return _Drive([increment], increment, drive.odometry), moved
+    return _Drive([increment], increment, drive.odometry, drive.jumped), moved
 
 
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
@@ -324,7 +327,7 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
     if mcl.level is not None:
         edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, least_novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(drive.moves, increment, drive.odometry, sighting, novelty, least_novelty, jump)
+    return _Image(drive.moves, increment, drive.odometry, drive.jumped, sighting, novelty, least_novelty, jump)
 
 
 def _proposed(
@@ -417,6 +420,7 @@ def _located(state: FilterState, weighed: Particles | None, measured: Sighting, 
         reason=belief.reason(p_correct, measured),
         warning=belief.warning,
         wheels_are_wrong=state.wheels.are_wrong,
+        odometry_jumped=image.jumped,
         clusters=clusters,
         attitude=state.attitude,
         height=state.height,

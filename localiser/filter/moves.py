@@ -9,24 +9,28 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.filter.events import Odometry, track_of
-from localiser.geometry import Array, Increment, Trajectory
+from localiser.geometry import Array, Increment, Trajectory, bridged
 
 MOVE_M, MOVE_RAD = 0.5, 0.3  # the longest way and turn that are taken as one step
 
 
 def moves_between(
     odometry: deque[Odometry], start_ns: int, t_ns: int, delay_s: float = 0.0
-) -> tuple[list[Increment], Array]:
-    """Return the motion from `start_ns` until `t_ns`, and the odometry's pose (3,) then; forget what is past.
+) -> tuple[list[Increment], Array, bool]:
+    """Return the motion from `start_ns` until `t_ns`, the odometry's pose (3,) then, and whether it jumped between.
+
+    What is past is forgotten. A jump is bridged, see `geometry.bridged`.
 
     Poses are interpolated at both ends, so the increments are exact whatever the rates of the two sensors. A long way
     is cut into moves short enough for the motion model, which is linear in what it does not know. delay_s: by how much
     the robot may be later than its odometry.
     """
     if not odometry:
-        return [Increment.from_mean(np.zeros(3))], np.zeros(3)
-    track = track_of(odometry)
+        return [Increment.from_mean(np.zeros(3))], np.zeros(3), False
+    raw = track_of(odometry)
+    track, jumps = bridged(raw)
     times = track.t_ns
+    jumped = bool(((times[jumps] > start_ns) & (times[jumps - 1] < t_ns)).any())
     inside = times[(times > start_ns) & (times < t_ns)]
     knots_ns = np.array([start_ns, *inside, t_ns])
     knots = track.sampled(knots_ns).poses
@@ -42,10 +46,11 @@ def moves_between(
         Increment(mean, np.zeros((3, 3)), path, turned, late)
         for mean, path, turned, late in zip(means, paths, turns, by_delay, strict=True)
     ]
-    # Keep the last pose at or before where the next increment, or a later robot's, starts.
-    while len(odometry) > 1 and odometry[1].t_ns <= t_ns - round(1e9 * delay_s):
+    pose = raw.at(t_ns)
+    # Keep the last pose at or before where the next increment, or a later robot's, starts, and the one before it.
+    while len(odometry) > 2 and odometry[2].t_ns <= t_ns - round(1e9 * delay_s):
         odometry.popleft()
-    return moves, knots[-1]
+    return moves, pose, jumped
 
 
 def _by_delay(track: Trajectory, ends_ns: NDArray[np.int64], means: Array, delay_s: float) -> Array:

@@ -46,5 +46,5 @@ from localiser.geometry.slopes import (
     slope_from_lean,
     slope_from_point,
 )
-from localiser.geometry.trajectory import Trajectory, without_pauses
+from localiser.geometry.trajectory import Trajectory, bridged, without_pauses
 from localiser.geometry.twist import MOST_SPEED_M_S, UNKNOWN_TWIST, Twist, twist_at

@@ -1,4 +1,4 @@
-"""Poses at times, and between them; times without their long pauses."""
+"""Poses at times, and between them; odometry without its jumps, times without their long pauses."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.geometry.angles import Array
-from localiser.geometry.poses import interpolate_pose
+from localiser.geometry.angles import Array, wrap_angle
+from localiser.geometry.poses import between, compose, interpolate_pose
+
+FASTEST_M_S, FASTEST_RAD_S = 10.0, 20.0  # faster than any robot in a building
+LEAST_JUMP_M, LEAST_JUMP_RAD = 0.3, 0.3  # below it may be noise of poses that follow each other at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +43,30 @@ class Trajectory:
         times = np.asarray(times_ns, dtype=np.int64)
         poses = np.array([self.at(int(t)) for t in times]).reshape(-1, 3)
         return Trajectory(times, poses)
+
+
+def bridged(odometry: Trajectory) -> tuple[Trajectory, NDArray[np.int64]]:
+    """Return poses of odometry without jumps, and the indices (J,) of the poses that are the first behind one.
+
+    A base that restarts begins to count anew, so its pose jumps faster than any robot moves. There the robot is taken
+    to have gone on as in the step before, and poses behind the jump are moved along. Where a jump is the first step,
+    nothing is known of the motion, and the robot is taken to have stood still.
+    """
+    steps = between(odometry.poses[:-1], odometry.poses[1:])
+    seconds = np.diff(odometry.t_ns) / 1e9
+    way_m, turn_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
+    far = (way_m > np.maximum(FASTEST_M_S * seconds, LEAST_JUMP_M)) | (
+        turn_rad > np.maximum(FASTEST_RAD_S * seconds, LEAST_JUMP_RAD)
+    )
+    poses = odometry.poses
+    jumps: NDArray[np.int64] = np.flatnonzero(far) + 1
+    for jump in jumps:
+        step = np.zeros(3)
+        if jump > 1:
+            step = between(poses[jump - 2], poses[jump - 1]) * (seconds[jump - 1] / seconds[jump - 2])
+        at = compose(poses[jump - 1], step)
+        poses = np.concatenate([poses[:jump], compose(at, between(poses[jump], poses[jump:]))])
+    return Trajectory(odometry.t_ns, poses), jumps
 
 
 def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:

@@ -103,6 +103,8 @@ class Monitor:
             self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°")
         if located.warning:
             self.warn("map", located.warning)
+        if located.odometry_jumped:
+            self.warn("jump", "the odometry jumped: did the base restart? The robot is taken to have gone on as before")
         if located.wheels_are_wrong and self.newest is not None:
             wheels = between(self.newest.located.odometry, located.odometry)
             self.warn(

@@ -14,7 +14,7 @@ from localiser import motion
 from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
-from localiser.geometry import Array, Increment, Trajectory, Twist, between, compose
+from localiser.geometry import Array, Increment, Trajectory, Twist, between, bridged, compose
 from localiser.mapping.factors import Wheels
 from localiser.motion import MotionParameters
 
@@ -77,14 +77,18 @@ def known_poses(log: RecordedLog, poses: str) -> Trajectory:
             path=log.path,
             field="--poses",
         )
+    wheels, _ = bridged(log.odometry)
     if log.start is None:
-        return log.odometry
-    first = log.odometry.at(log.start.t_ns)
-    return Trajectory(log.odometry.t_ns, compose(log.start.mean, between(first, log.odometry.poses)))
+        return wheels
+    return Trajectory(wheels.t_ns, compose(log.start.mean, between(wheels.at(log.start.t_ns), wheels.poses)))
 
 
 def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], parameters: MotionParameters) -> Wheels:
-    """Return what the wheels say of the motion between the times (T,), with its noise by the motion model."""
+    """Return what the wheels say of the motion between the times (T,), with its noise by the motion model.
+
+    Where the odometry jumps it is bridged.
+    """
+    odometry, _ = bridged(odometry)
     poses = odometry.sampled(t_ns).poses
     moves = between(poses[:-1], poses[1:])
     steps = between(odometry.poses[:-1], odometry.poses[1:])

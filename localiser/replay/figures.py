@@ -21,7 +21,7 @@ from localiser.filter import LocatedFrame, Sighting, Start
 from localiser.geometry import Array, Trajectory
 from localiser.localiser import Localiser
 from localiser.replay.frames import KeptFrames
-from localiser.storage import Log, fingerprint
+from localiser.storage import Log, fingerprint, jump_text
 
 CLOCK_PAIRS = 60  # of images, for the offset of the clocks: about a second of computing
 BADLY_LIT = 0.1  # fraction of the images from which on their light is told
@@ -154,6 +154,8 @@ def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
     clock, clock_warnings = _clock(run, edges)
     light, light_warnings = _light(run)
     warnings += clock_warnings + light_warnings + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
+    if run.localiser.config.increments.source != "vision" and (jumped := jump_text(run.log)):
+        warnings.append(jumped)
     scale = {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
     figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height | scale
     figures |= clock | light

@@ -16,7 +16,7 @@ from localiser.storage.images import (
     encode_image,
     read_image,
 )
-from localiser.storage.log import Event, Log, LogReader, ReadOptions, require_odometry, thinned
+from localiser.storage.log import Event, Log, LogReader, ReadOptions, jump_text, require_odometry, thinned
 from localiser.storage.maps import map_text, read_map, write_map
 from localiser.storage.marks import MarksTable, read_marks
 from localiser.storage.open import FORMATS, open_log

@@ -15,7 +15,7 @@ from localiser.documents import Place, shown
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import Anywhere, Odometry, Sighting, Start
-from localiser.geometry import Trajectory, Twist
+from localiser.geometry import Trajectory, Twist, bridged
 from localiser.landmarks import LandmarkMap
 from localiser.storage.images import ImageEvent
 
@@ -177,6 +177,19 @@ def thinned(log: Log, every_s: float) -> Log:
         if frame.t_ns - kept[-1].t_ns >= least_ns:
             kept.append(frame)
     return require_overlap(replace(log, frames=kept))
+
+
+def jump_text(log: Log) -> str:
+    """Return how often the odometry of a log jumps, when and how far first, as a text for people; "" if never."""
+    wheels, jumps = log.odometry, bridged(log.odometry)[1]
+    if not len(jumps):
+        return ""
+    way_m = float(np.hypot(*(wheels.poses[jumps[0]] - wheels.poses[jumps[0] - 1])[:2]))
+    return (
+        f"The odometry jumps {len(jumps)}×, for the first time by {way_m:.1f} m after "
+        f"{(int(wheels.t_ns[jumps[0]]) - log.start_ns) / 1e9:.1f} s, faster than a robot moves: did the base restart? "
+        "There the robot was taken to have gone on as before."
+    )
 
 
 def require_overlap(log: Log) -> Log:

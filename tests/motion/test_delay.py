@@ -47,7 +47,7 @@ def test_increments_say_what_a_later_robot_would_have_done_all_along() -> None:
     state.odometry.extend(wheels(track))
     for t_ns in (SECOND, 5 * SECOND // 4, 3 * SECOND // 2, 11 * SECOND, 12 * SECOND):
         start_ns = state.at_ns
-        moves, _ = moves_between(state.odometry, start_ns, t_ns, LATE_S)
+        moves, *_ = moves_between(state.odometry, start_ns, t_ns, LATE_S)
         late = [Increment.from_mean(move.mean + LATE_S * move.by_delay) for move in moves]
         expected = between(*later(track, LATE_S).sampled([start_ns, t_ns]).poses)
         np.testing.assert_allclose(reduce(Increment.then, late).mean, expected, atol=1e-9)
@@ -62,7 +62,7 @@ def test_increments_say_what_a_later_robot_would_have_done_all_along() -> None:
 def test_of_a_robot_that_cannot_be_late_nothing_is_said() -> None:
     state = FilterState()
     state.odometry.extend(wheels(commanded(3)))
-    moves, _ = moves_between(state.odometry, 0, 2 * SECOND)
+    moves, *_ = moves_between(state.odometry, 0, 2 * SECOND)
     assert not any(move.by_delay.any() for move in moves)
 
 

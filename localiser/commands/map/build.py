@@ -81,7 +81,7 @@ def build(
 
     from localiser.commands.map.watch import MapWatch
     from localiser.mapping import build_map, cache_folder
-    from localiser.storage import write_map, write_tum
+    from localiser.storage import jump_text, write_map, write_tum
 
     require_writable(out, trajectory, rrd, overwrite=force)
     if len(logs) > 1:
@@ -105,6 +105,8 @@ def build(
                 raise
         _warn(_mount_warning(recorded, settings, built))
         _warn(_clock_warning(recorded, settings))
+        if poses != "truth":
+            _warn(jump_text(recorded) or None)
         header: dict[str, object] = {"built_from_frames": len(built.trajectory)}
         write_map(replace(built.landmark_map, header=header), out)
     if trajectory is not None:

@@ -1,0 +1,97 @@
+"""Odometry that begins anew in the middle of a drive."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from short_log import corridor_with_edges
+
+from localiser.filter.events import Odometry
+from localiser.filter.moves import moves_between
+from localiser.geometry import Array, Increment, Trajectory, between, bridged, compose
+from localiser.mapping import known_poses, wheels_of
+from localiser.motion import MotionParameters
+from localiser.storage import jump_text
+
+STEP = np.array([0.0, -0.02, 0.01])
+STEP_NS = 50_000_000
+
+
+def driven(count: int = 100) -> Trajectory:
+    poses = [np.array([3.0, -2.0, 1.0])]
+    for _ in range(count - 1):
+        poses.append(compose(poses[-1], STEP))
+    return Trajectory(STEP_NS * np.arange(count), np.array(poses))
+
+
+def restarted(track: Trajectory, at: int, origin: Array) -> Trajectory:
+    """Return odometry that is at `origin` (3,) at the pose `at`, and goes on from there."""
+    later = compose(origin, between(track.poses[at], track.poses[at:]))
+    return Trajectory(track.t_ns, np.concatenate([track.poses[:at], later]))
+
+
+def test_a_jump_is_bridged_by_the_step_before_it() -> None:
+    track = driven()
+    found, jumps = bridged(restarted(restarted(track, 40, np.zeros(3)), 70, np.array([0.0, 10.0, 0.0])))
+    assert jumps.tolist() == [40, 70]
+    np.testing.assert_allclose(between(found.poses[:-1], found.poses[1:]), np.tile(STEP, (99, 1)), atol=1e-9)
+
+
+def test_a_turn_at_once_is_a_jump_and_a_first_one_stands_still() -> None:
+    found, jumps = bridged(restarted(driven(), 1, np.array([3.0, -2.0, -1.0])))
+    assert jumps.tolist() == [1]
+    np.testing.assert_allclose(found.poses[1], found.poses[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("seconds", [0.001, 0.05, 5.0])
+def test_fast_robots_and_noisy_stamps_do_not_jump(seconds: float) -> None:
+    """5 m/s, or 0.2 m between two poses that were stamped at nearly the same time."""
+    way = max(5.0 * seconds, 0.2)
+    track = Trajectory(np.array([0, round(1e9 * seconds)]), np.array([[0.0, 0.0, 0.0], [0.0, -way, 0.2]]))
+    found, jumps = bridged(track)
+    assert not len(jumps)
+    np.testing.assert_array_equal(found.poses, track.poses)
+    assert not len(bridged(Trajectory(track.t_ns[:1], track.poses[:1]))[1])
+
+
+def test_the_filter_moves_over_a_jump_as_before_it_whichever_image_it_falls_to() -> None:
+    track = restarted(driven(), 42, np.zeros(3))
+    waiting, told = deque[Odometry](), []
+    total = Increment.from_mean(np.zeros(3))
+    for t_ns, pose in zip(track.t_ns.tolist(), track.poses, strict=True):
+        waiting.append(Odometry(t_ns, pose))
+        if t_ns % (4 * STEP_NS) == 0 and t_ns:
+            moves, at, jumped = moves_between(waiting, t_ns - 4 * STEP_NS, t_ns)
+            np.testing.assert_allclose(at, pose, atol=1e-9)
+            told.append(jumped)
+            for move in moves:
+                total = total.then(move)
+    assert told.index(True) == 10 and sum(told) == 1
+    expected = np.zeros(3)
+    for _ in range(4 * len(told)):
+        expected = compose(expected, STEP)
+    np.testing.assert_allclose(total.mean, expected, atol=1e-6)
+
+
+def test_a_jump_is_told_with_its_time_and_size() -> None:
+    log, _ = corridor_with_edges()
+    assert jump_text(log) == ""
+    at = int(np.searchsorted(log.odometry.t_ns, log.start_ns + 6_000_000_000))
+    way_m = float(np.hypot(*log.odometry.poses[at - 1, :2]))
+    told = jump_text(replace(log, odometry=restarted(log.odometry, at, np.zeros(3))))
+    assert f"jumps 1×, for the first time by {way_m:.1f} m after 6.0 s" in told
+
+
+def test_a_map_is_built_from_odometry_as_if_the_base_had_not_restarted() -> None:
+    log, _ = corridor_with_edges()
+    at = len(log.odometry) // 2
+    broken = replace(log, odometry=restarted(log.odometry, at, np.zeros(3)))
+    whole, found = (known_poses(one, "odometry") for one in (log, broken))
+    np.testing.assert_allclose(found.poses[:, :2], whole.poses[:, :2], atol=0.1)  # one step of 50 ms is not known
+    sigma = MotionParameters()
+    times = np.array([frame.t_ns for frame in log.frames])
+    moves, mended = (wheels_of(one.odometry, times, sigma) for one in (log, broken))
+    np.testing.assert_allclose(mended.motion, moves.motion, atol=0.05)
