@@ -47,9 +47,6 @@ LISTED = {
     """,
     "takes more than 2 s; tests/simulate and tests/commands run parts of it": """
         simulate configs/worlds/office.yaml -o logs/office
-        paper
-        paper --out paper
-        paper --places 40 --seed 1
     """,
     "writes the same file as another command on the page; tests/commands/map and tests/mapping run it": """
         map build logs/corridor --poses odometry -o mine.yaml

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, evaluate, example, paper, replay, simulate, view
+from localiser.commands import batch, convert, evaluate, example, replay, simulate, view
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
@@ -76,7 +76,6 @@ app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=convert.EPILOG)(convert.convert)
 app.command(epilog=doctor.EPILOG)(doctor.doctor)
 app.command(epilog=edges.EPILOG)(edges.edges)
-app.command(epilog=paper.EPILOG)(paper.paper)
 
 
 def main() -> None:

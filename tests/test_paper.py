@@ -1,8 +1,7 @@
-"""The command `paper`: the paper's own figures come out, and its motions are measured as exactly as is claimed."""
+"""`python -m paper`: the paper's own figures come out, and its motions are measured as exactly as is claimed."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 from folders import ROOT
-from short_log import Localiser
 
 from localiser import geometry
 from localiser.edges import Edges
+from paper import __main__ as program
 from paper.equations import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
 from paper.motions import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
-from paper.reproduce import Reproduction, reproduce, steps
+from paper.reproduce import Reproduction, reproduce
 from paper.results import (
     METHODS,
     Method,
@@ -36,10 +35,7 @@ SMALL, LARGE = SIZES
 
 @pytest.fixture(scope="module")
 def reproduced() -> Reproduction:
-    calls = []
-    result = reproduce(2, 0, lambda: calls.append(1))
-    assert len(calls) == steps(2)
-    return result
+    return reproduce(2, 0)
 
 
 # -- what follows from the equations ----------------------------------------------------------------------------------
@@ -211,68 +207,24 @@ def test_places_leave_room_and_differ(reproduced: Reproduction) -> None:
         assert 2 * np.arctan(size[0] / 2 / camera.fx) == pytest.approx(np.pi / 3)
 
 
-# -- the command ------------------------------------------------------------------------------------------------------
-
-
-def test_help_has_an_example(localiser: Localiser) -> None:
-    result = localiser("paper", "--help")
-    assert result.exit_code == 0
-    assert "localiser paper" in result.out.split("Examples")[1]
+# -- the page ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow  # quick: the other tests of this file hold the tables
-def test_the_command_prints_and_writes_every_table(
-    localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    result = localiser("paper", "--places", 2, "--seed", 0, "--out", out)
-    assert result.exit_code == 0, result.err
-    sheets = reproduced.sheets  # the same seed, the same tables
-    markdown = (out / "paper.md").read_text()
-    assert "`localiser paper --places 2 --seed 0`" in markdown
-    printed = "".join(result.out.split())
-    for sheet in sheets:
-        assert "".join(sheet.title.split()) in printed
-        assert sheet.markdown() in markdown
-        with (out / f"{sheet.name}.csv").open() as file:
-            header, *rows = csv.reader(file)
-        assert header == [column.replace("\n", " ") for column in sheet.columns]
-        assert len(set(header)) == len(header)
-        assert [tuple(row) for row in rows] == list(sheet.rows)
-    assert {file.suffix for file in out.iterdir()} == {".csv", ".md", ".png"}
-    assert cv2.imread(str(out / "paper.png")).shape == (960, 1400, 3)
-    assert "4/4" in result.err
-
-    before = markdown
-    monkeypatch.setattr("paper.reproduce.reproduce", lambda *_: pytest.fail("measured before looking"))
-    again = localiser("paper", "--out", out)
-    assert again.exit_code == 2
-    assert f"{out}: expected a new or empty folder" in again.err
-    assert (out / "paper.md").read_text() == before
+def test_the_page_is_made_anew(tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "paper.md"
+    page.write_text((ROOT / "docs" / "paper.md").read_text())
+    (tmp_path / "figures").mkdir()
+    monkeypatch.setattr(program, "DOCS", tmp_path)
+    monkeypatch.setattr(program, "PLACES", 2)
+    program.main()
+    for sheet in reproduced.sheets:  # the same seed, the same tables
+        assert "\n".join(sheet.markdown().rstrip().splitlines()[1:]) in page.read_text()
+    assert cv2.imread(str(tmp_path / "figures" / "paper.png")).shape == (960, 1400, 3)
 
 
-def test_quiet_writes_without_a_word(
-    localiser: Localiser, tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("paper.reproduce.reproduce", lambda *_: reproduced)
-    result = localiser("paper", "--quiet", "--out", tmp_path / "out")
-    assert (result.exit_code, result.out, result.err) == (0, "", "")
-    assert (tmp_path / "out" / "paper.png").is_file()
-
-
-def test_outside_a_clone_the_command_says_where_the_reproduction_is(
-    localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("localiser.commands.paper.CLONE", tmp_path)
-    result = localiser("paper", "--out", tmp_path / "out")
-    assert result.exit_code == 2
-    assert "the folder `paper` of the project's repository" in " ".join(result.err.split())
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_sheet_reads_back_from_csv_and_markdown() -> None:
+def test_a_sheet_is_a_table_of_markdown() -> None:
     sheet = Sheet("name", "Title", ("a", "b\nc"), (("1", "x, y"), ("2", "z")), "Note.")
-    assert list(csv.reader(sheet.csv().splitlines())) == [["a", "b c"], ["1", "x, y"], ["2", "z"]]
     assert sheet.markdown().splitlines() == [
         "## Title", "", "| a | b c |", "| --- | ---: |", "| 1 | x, y |", "| 2 | z |", "", "Note.",
     ]  # fmt: skip
