@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, evaluate, example, replay, simulate, view
+from localiser.commands import batch, convert, demo, evaluate, replay, simulate, view
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
@@ -66,8 +66,7 @@ def _root(
     """Take what holds for all commands."""
 
 
-app.command(epilog=example.DEMO_EPILOG)(example.demo)
-app.command(epilog=example.EXAMPLE_EPILOG)(example.example)
+app.command(epilog=demo.EPILOG)(demo.demo)
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=view.EPILOG)(view.view)
 app.command(epilog=batch.EPILOG)(batch.batch)

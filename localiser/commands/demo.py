@@ -1,4 +1,4 @@
-"""`localiser example` and `localiser demo`: the drive that ships, as files and as a first run."""
+"""`localiser demo`: a first run along the drive that ships, whose files can be kept."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from localiser.commands.options import Quiet, Seed
 from localiser.commands.replay import View, replay
 from localiser.errors import LocaliserError, OutputError
 
-EXAMPLE_EPILOG = "Example: `localiser example try-it && cd try-it && localiser replay logs/corridor`"
-DEMO_EPILOG = "Example: `localiser demo --view web`"
+EPILOG = """Examples:
+
+`localiser demo --view web`
+
+`localiser demo --keep try-it && cd try-it && localiser replay logs/corridor`"""
 
 LOG = Path("logs/corridor")
 PARTS = (Path("configs"), LOG, Path("maps/corridor.yaml"))
@@ -40,44 +43,40 @@ def demo(
         float | None,
         typer.Option(min=0.01, metavar="X", help="X times as fast as the robot drove; by default as fast as possible."),
     ] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Keep the log, its map, worlds and configurations there, where all documented commands work.",
+        ),
+    ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
 ) -> None:
     """Replay the example drive, a simulated robot in a corridor; needs no file of yours."""
+    if keep is not None:
+        _copy_to(keep)
     replay(example_folder() / LOG, out=out, view=view, speed=speed, seed=seed, quiet=quiet)
     if not quiet:
         run = out / LOG.name / "latest"
-        typer.echo(
-            f"Next: `localiser view {run}` shows the run image by image; "
-            "`localiser example FOLDER` writes the log, its map and more to try."
+        files = (
+            "--keep FOLDER keeps the log, its map and more to try" if keep is None else f"files to try are in {keep}"
         )
+        typer.echo(f"Next: `localiser view {run}` shows the run image by image; {files}.")
 
 
-def example(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the files go; nothing is overwritten.")],
-    quiet: Quiet = False,
-) -> None:
-    """Write the example's log, map, worlds and configurations to FOLDER, where all documented commands work."""
+def _copy_to(folder: Path) -> None:
+    """Write the example's files to a folder, where they can be changed. Raises OutputError for what is there."""
+    from localiser.storage import output_errors
+
     source = example_folder()
     for part in PARTS:
         if (folder / part).exists():
             raise OutputError(f"{folder / part}: expected nothing there, found a file or a folder")
     for part in PARTS:
-        _copy(source / part, folder / part)
-    if not quiet:
-        typer.echo(
-            f"In {folder}: {LOG}, a drive of 41 s with its map; {PARTS[2]}; configs with worlds to simulate. "
-            f"Try there: localiser replay {LOG}"
-        )
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy a file or a folder; what is copied can be written to, whatever the installation's files are like."""
-    from localiser.storage import output_errors
-
-    with output_errors(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_dir():
-            shutil.copytree(source, target, copy_function=shutil.copyfile)
-        else:
-            shutil.copyfile(source, target)
+        with output_errors(folder / part):
+            (folder / part).parent.mkdir(parents=True, exist_ok=True)
+            if (source / part).is_dir():
+                shutil.copytree(source / part, folder / part, copy_function=shutil.copyfile)
+            else:
+                shutil.copyfile(source / part, folder / part)

@@ -1,4 +1,4 @@
-"""`localiser example`, `demo` and `view`, and completion by the shell: all in a folder that holds nothing."""
+"""`localiser demo` and `view`, and completion by the shell: all in a folder that holds nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from folders import ROOT
 from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 
-from localiser.commands import example
+from localiser.commands import demo
 
 NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
 
@@ -37,9 +37,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shipped = package / "example"
     for folder in ("configs", "logs", "maps"):
         (shipped / folder).mkdir(parents=True)
-    cut_log(CORRIDOR, shipped / example.LOG, FRAMES)
-    (shipped / example.PARTS[2]).write_bytes((ROOT / example.PARTS[2]).read_bytes())
-    monkeypatch.setattr(example, "PACKAGE", package)
+    cut_log(CORRIDOR, shipped / demo.LOG, FRAMES)
+    (shipped / demo.PARTS[2]).write_bytes((ROOT / demo.PARTS[2]).read_bytes())
+    monkeypatch.setattr(demo, "PACKAGE", package)
     return shipped
 
 
@@ -47,26 +47,28 @@ def files(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
-def test_the_example_is_what_a_clone_has(localiser: Localiser, empty: Path) -> None:
-    result = localiser("example", "here")
-    assert (result.exit_code, result.err) == (0, "")
+def test_what_is_kept_is_what_a_clone_has(empty: Path) -> None:
+    demo._copy_to(empty / "here")
     written = files(empty / "here")
     assert set(written) >= {"logs/corridor/log.yaml", "configs/worlds/office.yaml"}
     assert filecmp.cmpfiles(ROOT, empty / "here", written, shallow=False) == (written, [], [])
 
 
-def test_an_installed_package_has_the_example_in_itself(localiser: Localiser, empty: Path, installed: Path) -> None:
+def test_the_demo_keeps_the_files_of_an_installed_package(localiser: Localiser, empty: Path, installed: Path) -> None:
     (installed / "logs" / "corridor" / "log.yaml").chmod(0o444)
-    assert localiser("example", ".").exit_code == 0
-    assert files(empty) == files(installed)
-    assert os.access(empty / "logs" / "corridor" / "log.yaml", os.W_OK)
+    with patch("localiser.replay.run.write_report"):
+        result = localiser("demo", "--keep", "kept")
+    assert result.exit_code == 0 and "files to try are in kept" in result.out
+    assert files(empty / "kept") == files(installed)
+    assert os.access(empty / "kept" / "logs" / "corridor" / "log.yaml", os.W_OK)
+    assert (empty / "results" / "corridor" / "1" / "metrics.json").is_file()
 
 
-def test_the_example_overwrites_nothing(localiser: Localiser, empty: Path, installed: Path) -> None:
+def test_what_is_kept_overwrites_nothing(localiser: Localiser, empty: Path, installed: Path) -> None:
     mine = empty / "maps" / "corridor.yaml"
     mine.parent.mkdir()
     mine.write_text("mine")
-    result = localiser("example", ".")
+    result = localiser("demo", "--keep", ".")
     assert (result.exit_code, result.out) == (2, "")
     assert result.err == "Error: maps/corridor.yaml: expected nothing there, found a file or a folder\n"
     assert files(empty) == ["maps/corridor.yaml"] and mine.read_text() == "mine"
@@ -75,7 +77,7 @@ def test_the_example_overwrites_nothing(localiser: Localiser, empty: Path, insta
 def test_a_package_without_the_example_says_so(
     localiser: Localiser, empty: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(example, "PACKAGE", empty / "localiser")
+    monkeypatch.setattr(demo, "PACKAGE", empty / "localiser")
     result = localiser("demo")
     assert result.exit_code == 2 and "not part of this installation" in result.err
 
@@ -83,7 +85,7 @@ def test_a_package_without_the_example_says_so(
 def test_the_demo_replays_the_example_and_says_what_next(localiser: Localiser, empty: Path, installed: Path) -> None:
     with patch("localiser.replay.run.write_report"):
         result = localiser("demo", "--seed", "1")
-    assert result.exit_code == 0
+    assert result.exit_code == 0 and "--keep FOLDER" in result.out
     run = empty / "results" / "corridor" / "1"
     assert {"run.rrd", "metrics.json"} <= {file.name for file in run.iterdir()}
     assert "`localiser view results/corridor/latest`" in result.out
