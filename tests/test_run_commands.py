@@ -61,7 +61,6 @@ LISTED = {
         camera sync drive
         camera calibrate views/*.png --floor floor.png --board charuco --squares 8x6 --square-m 0.1 -o camera.yaml
         convert drive.bag logs/drive
-        odometry marks logs/drive marks.csv -o logs/drive/groundtruth.csv
         convert a.bag b.db3
         convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml --every 0.2s
         replay drive.db3

@@ -20,7 +20,7 @@ from localiser.commands.doctor import arguments as doctor
 from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
-from localiser.commands.odometry.arguments import odometry_app
+from localiser.commands.odometry import odometry_app
 from localiser.commands.pose import pose_app
 from localiser.errors import LocaliserError
 

@@ -19,7 +19,6 @@ from localiser.storage.images import (
 )
 from localiser.storage.log import Event, Log, LogReader, ReadOptions, require_odometry, thinned
 from localiser.storage.maps import map_text, read_map, write_map
-from localiser.storage.marks import MarksTable, read_marks
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import decode, encode, fingerprint
 from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan

@@ -1,23 +1,29 @@
-"""The command `odometry fit`: its arguments, and what it prints."""
+"""`localiser odometry`: how good a robot's odometry is, from its drives with a truth or with a map."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, Quiet, progress, show
+from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from localiser.calibration import OdometryFit
-    from localiser.commands.odometry.fit import Checked
+    from localiser.calibration import ClockOffset, Drive, OdometryFit
+    from localiser.config import Config
+    from localiser.storage import Log
+
+TRUTH, FILTER = "truth", "filter"
+_BIAS = ("distance_sigma", "turn_sigma", "veer_sigma_deg_per_m")
 
 odometry_app = typer.Typer(
     no_args_is_help=True,
-    help="Find out how good the robot's odometry is; make a truth of it and of marks.",
+    help="Find out how good the robot's odometry is.",
     rich_markup_mode="markdown",
 )
 
@@ -45,7 +51,7 @@ def fit(
     quiet: Quiet = False,
 ) -> None:
     """Find the noise of a robot's odometry and its constant errors from LOGS, and say what they would change."""
-    from localiser.commands.odometry.fit import checked_drive, drive_of, fitted, to_yaml
+    from localiser.calibration import fit_odometry
     from localiser.config import read_config
     from localiser.storage import open_log, require_new_file, write_text
 
@@ -57,9 +63,12 @@ def fit(
         for path in logs:
             log = open_log(path, sensor=settings.sensor)
             own = read_config(config, overrides or [], log.settings)
-            drives.append(checked_drive(drive_of(log, own, by_filter=by_filter, map_file=map_file)))
+            drives.append(drive_of(log, own, by_filter=by_filter, map_file=map_file))
             advance()
-    found = fitted(drives, settings.motion)
+    found = fit_odometry([checked.drive for checked in drives], settings.motion)
+    if found is None:
+        names = ", ".join(checked.drive.name for checked in drives)
+        raise InputError(f"expected ten metres or ten radians of driving at least, found less in {names}", field="LOG")
     if not quiet:
         _show(drives, found)
     if out is not None:
@@ -67,47 +76,61 @@ def fit(
         typer.echo(f"Written to {out}; use it with --config {out}")
 
 
-@odometry_app.command(
-    epilog="""Example: `localiser odometry marks logs/drive marks.csv -o logs/drive/groundtruth.csv`, with marks.csv:
+@dataclass(frozen=True, slots=True, eq=False)
+class Checked:
+    """A drive on the clock of its wheels. by: what its path is from. clock: how much later that was stamped."""
 
-`t_s,x,z,heading_deg,sigma_m`
+    drive: Drive
+    by: str
+    clock: ClockOffset
 
-`0.0,0.00,0.00,90,0.01`
 
-`31.5,4.25,-3.10,,`"""
-)
-def marks(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of the drive, with odometry.")],
-    marks_file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MARKS",
-            help="CSV of when the robot stood on which mark: t_s (since the first odometry) or t_ns, x, z (metres), "
-            "and where known heading_deg, sigma_m (0.01), sigma_deg (2).",
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The poses, as `t_ns,x,z,heading`.")],
-    config: ConfigFile = None,
-    overrides: Overrides = None,
-    quiet: Quiet = False,
-) -> None:
-    """Make the true poses of a drive over surveyed MARKS: odometry between them, corrected to meet them."""
-    from localiser.calibration import drive_over_marks
-    from localiser.commands.odometry.marks import named, shown_drive
-    from localiser.config import read_config
-    from localiser.storage import open_log, read_marks, require_new_file, require_odometry, write_poses
+def drive_of(log: Log, config: Config, *, by_filter: bool = False, map_file: Path | None = None) -> Checked:
+    """Return the drive of a log, its path from the truth or the filter, on the clock of the wheels. Raises InputError.
 
-    require_new_file(out)
-    recorded = open_log(log)
-    require_odometry(recorded, "a drive over marks")
-    settings = read_config(config, overrides or [], recorded.settings)
-    table = read_marks(marks_file, int(recorded.odometry.t_ns[0]))
-    with named(table):
-        drive = drive_over_marks(recorded.odometry, table.marks, settings.motion)
-    write_poses(drive.trajectory, out)
-    if not quiet:
-        typer.echo(shown_drive(drive))
-        typer.echo(f"Written to {out}; a log has it as its truth by `groundtruth: {out.name}` in log.yaml.")
+    The filter's path is by the clocks of both.
+    """
+    from itertools import groupby
+
+    import numpy as np
+
+    from localiser.calibration import ClockOffset, Drive, on_one_clock, smooth_path
+    from localiser.filter import SURE
+    from localiser.geometry import Trajectory
+    from localiser.replay import prepare
+    from localiser.storage import require_odometry
+
+    require_odometry(log, "fitting it")
+    if log.groundtruth is not None and not by_filter:
+        drive, clock = on_one_clock(Drive(log.name, log.odometry, log.groundtruth))
+        return Checked(drive, TRUTH, clock)
+    ready = prepare(log, config, map_file=map_file)
+    ready.run()
+    runs = [
+        list(run)
+        for sure, run in groupby((frame.located for frame in ready.frames), lambda at: at.p_correct > SURE)
+        if sure
+    ]
+    located = max(runs, key=len, default=[])
+    if len(located) < 2:
+        raise InputError("the robot was not found on the map, so its path is not known", path=log.path)
+    poses = np.array([at.estimate.pose for at in located])
+    covs = np.array([at.estimate.pose_cov for at in located])
+    path, cov = smooth_path(poses, covs, [at.increment for at in located[1:]], config.motion)
+    times = np.array([at.t_ns for at in located], dtype=np.int64)
+    drive = Drive(log.name, log.odometry, Trajectory(times, path), cov)
+    return Checked(drive, FILTER, ClockOffset(0.0, np.inf, 0.0, 0))
+
+
+def to_yaml(drives: list[Checked], found: OdometryFit) -> str:
+    """Return the configuration file: what was found, and nothing else."""
+    from localiser.calibration import ALPHAS
+    from localiser.documents import dump
+
+    names = ", ".join(f"{checked.drive.name} ({checked.by})" for checked in drives)
+    bias = {name: float(f"{getattr(found.motion.bias, name):.4g}") for name in _BIAS}
+    values = {name: float(f"{getattr(found.motion, name):.4g}") for name in ALPHAS}
+    return f"# Odometry, fitted to: {names}\n{dump({'motion': {**values, 'bias': bias}})}"
 
 
 def _show(drives: list[Checked], found: OdometryFit) -> None:
