@@ -317,12 +317,9 @@ LINES = {
     "edges-of-log": ("log", "edges IN --out OUT/made --no-pictures --quiet"),
     "map-show": ("map.yaml", "map show IN --out OUT/map.png"),
     "map-check": ("edges", "map check IN/map.yaml --log IN --out OUT/map.png"),
-    "map-export": ("map.yaml", "map export IN"),
-    "map-add": ("map.yaml", "map add IN --at 1,2 --out OUT/new.yaml"),
     "map-align": ("map.yaml", "map align IN SAMPLES/map.yaml --out OUT/new.yaml"),
     "map-merge": ("map.yaml", "map merge IN SAMPLES/map.yaml --align --out OUT/new.yaml"),
     "map-plan": ("plan", "map plan IN/plan.yaml --out OUT/new.yaml"),
-    "map-draw": ("world.yaml", "map draw IN --out OUT/plan.yaml"),
     "map-build": ("edges", "map build IN --poses odometry --out OUT/new.yaml"),
     "map-update": ("edges", "map update SAMPLES/map.yaml IN --poses truth --out OUT/new.yaml"),
     "camera-tilt": ("log", "camera tilt IN --quiet"),
@@ -344,13 +341,9 @@ simulate {samples}/small_world.yaml --out out/made --seed 1
 convert {samples}/video.avi out/made --camera {samples}/camera.yaml --every 0.2s --start-ns 5 --to folder
 convert {samples}/file.db3 out/made.mcap --topic odometry=/odom --camera {samples}/camera.yaml
 edges {samples}/image.jpg --camera {samples}/camera.yaml --detector columns --out out --set edges.min_contrast=0.1
-map show {samples}/map.yaml --out map.png --rrd map.rrd
-map add {samples}/map.yaml --at 1,2 --out new.yaml --id x --bottom 0 --top 1
-map move {samples}/map.yaml 2 --to 1,2 --out new.yaml
-map remove {samples}/map.yaml 2 3 --out new.yaml
+map show {samples}/map.yaml --out map.png
 map align {samples}/map.yaml {samples}/map.yaml --within 0.3 --out new.yaml
 map plan {samples}/plan/plan.yaml --out new.yaml
-map draw {samples}/world.yaml --out plan.yaml --resolution 0.1 --yaw-deg 10
 map check {samples}/map.yaml --camera {samples}/camera.yaml --out map.png --set mcl.particles=100
 map build {samples}/edges --out new.yaml --poses {samples}/poses.csv --trajectory t.tum
 camera board board.png --board charuco --squares 8x6 --square-m 0.03 --marker-m 0.02 --dictionary 4X4_50

@@ -1,8 +1,6 @@
 """Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
-from localiser.mapping.aliasing import Aliasing, find_aliasing
 from localiser.mapping.alignment import Alignment, align, matches
-from localiser.mapping.ambiguity import ALIKE, Ambiguity, best_spots, find_ambiguity
 from localiser.mapping.build import BuildWatch, MapBuilt, build_map
 from localiser.mapping.build_together import build_map_together
 from localiser.mapping.check import (
@@ -11,21 +9,18 @@ from localiser.mapping.check import (
     LogFit,
     coverage,
     doubtful,
-    duplicates,
     fit_to_log,
     in_view,
     log_fit,
 )
 from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
-from localiser.mapping.deduplicate import deduplicated
-from localiser.mapping.edit import added, moved, removed
 from localiser.mapping.factors import Prior, Wheels
 from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.live_map import LiveMap
 from localiser.mapping.log_edges import cache_folder, edges_of_log
 from localiser.mapping.mappable import require_association, turn_drift
-from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
+from localiser.mapping.merge import agreeing, duplicates, fused, joined_maps, merge_duplicates, same_in_both
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks

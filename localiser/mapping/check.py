@@ -1,9 +1,9 @@
-"""Check a map: duplicate or doubtful landmarks, landmarks that a log contradicts, places with too few in view."""
+"""Check a map: doubtful landmarks, landmarks that a log contradicts, places with too few in view."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +15,11 @@ from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
 from localiser.mapping.log_edges import edges_of_log
-from localiser.mapping.merge import agreeing
 from localiser.mapping.recorded import RecordedLog
 from localiser.mapping.sightings import Index, Sightings
 
-TWICE_M = 0.02
-"""Landmarks nearer to each other are one to any camera here."""
 ENOUGH = 3
 """Landmarks in view that fix a pose: two leave an arc of places."""
-_NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
-_SHARED_M = 0.016  # sigma of places that is the most which a build adds to that of every landmark
 _MATCH_RAD = np.deg2rad(1.5)  # an edge farther from where a landmark should be seen is another's
 _STEP_M, _MOST_STEPS = 0.25, 60  # between places; along the longer side of the building
 _AT_ONCE = 4096  # poses whose views are worked out together
@@ -73,37 +68,6 @@ class Coverage:
             f"Fewer than {ENOUGH} landmarks in view: {100 * self.share.mean():.0f} % of all places and headings; "
             f"walls, which hide more, are not counted"
         )
-
-
-def duplicates(landmark_map: LandmarkMap) -> Index:
-    """Return the pairs (K, 2) of landmarks that are probably one: as near as two can be told apart, and alike."""
-    from scipy.spatial import cKDTree
-
-    pairs = cKDTree(landmark_map.points).query_pairs(_NEAR_M, output_type="ndarray").astype(np.int64).reshape(-1, 2)
-    one, other = pairs.T
-    apart = np.hypot(*(landmark_map.points[one] - landmark_map.points[other]).T)
-    alike = landmark_map.polarity[one] * landmark_map.polarity[other] >= 0
-    # A covariance that is not known makes nothing likely.
-    own = replace(landmark_map, cov=_own_cov(landmark_map.cov))
-    same = agreeing(own, own, pairs, TWICE_M)
-    return np.asarray(pairs[alike & ((apart < TWICE_M) | same)])
-
-
-def _own_cov(cov: Array) -> Array:
-    """Return covariances (L, 2, 2) without the errors that images and poses share, up to `_SHARED_M`² across.
-
-    No number of images averages these out (`place_cov`), and they say nothing of whether two neighbours, such as the
-    backs of two books, are one. Across the line of sight they are as large as half of all landmarks are certain, and
-    they grow along it as the rest of the error does. So a covariance shrinks as a whole.
-    """
-    known = np.isfinite(cov).all(axis=(1, 2)) & (np.trace(cov, axis1=1, axis2=2) > 0)
-    if not known.any():
-        return cov
-    across = np.maximum(np.linalg.eigvalsh(cov[known])[:, 0], 1e-30)
-    shared = np.clip(np.median(across), 0.0, _SHARED_M**2)
-    own = cov.copy()
-    own[known] *= np.maximum(1.0 - shared / across, 0.0)[:, None, None]
-    return own
 
 
 def doubtful(landmark_map: LandmarkMap, existence_min: float = 0.5, sigma_max_m: float = 0.2) -> Index:

@@ -1,4 +1,4 @@
-"""Merge maps: landmarks that are the same are fused, the others are kept."""
+"""Merge maps: landmarks that are the same are fused, the others are kept; of two maps, or within one."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping.alignment import matches
+from localiser.mapping.sightings import Index
 
 Mask = NDArray[np.bool_]
 
 _PLAIN = ("points", "cov", "bottom_m", "top_m", "polarity")
 _QUALITY = ("sightings", "parallax_rad", "existence")
 _CHI2_99 = 9.21  # squared Mahalanobis distance that holds 99 % of a Gaussian in the plane
+TWICE_M = 0.02
+"""Landmarks nearer to each other are one to any camera here."""
+_NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
+_SHARED_M = 0.016  # sigma of places that is the most which a build adds to that of every landmark
 
 
 def joined_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
@@ -104,3 +109,93 @@ def agreeing(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64], 
 
 def _is_known(cov: Array) -> Mask:
     return np.asarray(np.isfinite(cov).all(axis=(1, 2)))
+
+
+# -- within one map ----------------------------------------------------------------------------------------------------
+
+
+def duplicates(landmark_map: LandmarkMap) -> Index:
+    """Return the pairs (K, 2) of landmarks that are probably one: as near as two can be told apart, and alike."""
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(landmark_map.points).query_pairs(_NEAR_M, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+    one, other = pairs.T
+    apart = np.hypot(*(landmark_map.points[one] - landmark_map.points[other]).T)
+    alike = landmark_map.polarity[one] * landmark_map.polarity[other] >= 0
+    # A covariance that is not known makes nothing likely.
+    own = replace(landmark_map, cov=_own_cov(landmark_map.cov))
+    same = agreeing(own, own, pairs, TWICE_M)
+    return np.asarray(pairs[alike & ((apart < TWICE_M) | same)])
+
+
+def _own_cov(cov: Array) -> Array:
+    """Return covariances (L, 2, 2) without the errors that images and poses share, up to `_SHARED_M`² across.
+
+    No number of images averages these out (`place_cov`), and they say nothing of whether two neighbours, such as the
+    backs of two books, are one. Across the line of sight they are as large as half of all landmarks are certain, and
+    they grow along it as the rest of the error does. So a covariance shrinks as a whole.
+    """
+    known = np.isfinite(cov).all(axis=(1, 2)) & (np.trace(cov, axis1=1, axis2=2) > 0)
+    if not known.any():
+        return cov
+    across = np.maximum(np.linalg.eigvalsh(cov[known])[:, 0], 1e-30)
+    shared = np.clip(np.median(across), 0.0, _SHARED_M**2)
+    own = cov.copy()
+    own[known] *= np.maximum(1.0 - shared / across, 0.0)[:, None, None]
+    return own
+
+
+def merge_duplicates(landmark_map: LandmarkMap) -> tuple[LandmarkMap, list[tuple[int | str, int | str]]]:
+    """Return the map with its duplicates merged, and the ids of each pair: which stayed, and which went into it.
+
+    The nearest pairs come first, until none is left. Of a pair that landmark stays which more images show; see
+    `_merge_pairs`.
+    """
+    gone: list[tuple[int | str, int | str]] = []
+    while len(pairs := _disjoint(landmark_map)):
+        gone += [(landmark_map.ids[kept], landmark_map.ids[other]) for kept, other in pairs]
+        landmark_map = _merge_pairs(landmark_map, pairs)
+    return landmark_map, gone
+
+
+def _disjoint(landmark_map: LandmarkMap) -> Index:
+    """Return duplicates (K, 2), each landmark once, the nearest first; which of two stays is the first of them."""
+    pairs = duplicates(landmark_map)
+    apart = np.hypot(*(landmark_map.points[pairs[:, 0]] - landmark_map.points[pairs[:, 1]]).T)
+    shown = np.zeros(len(landmark_map)) if landmark_map.quality is None else landmark_map.quality.sightings
+    taken: set[int] = set()
+    chosen = []
+    for one, other in pairs[np.argsort(apart, kind="stable")].tolist():
+        if taken.isdisjoint((one, other)):
+            taken |= {one, other}
+            chosen.append((one, other) if not shown[other] > shown[one] else (other, one))
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+
+
+def _merge_pairs(landmark_map: LandmarkMap, pairs: Index) -> LandmarkMap:
+    """Return the map with the second of each pair (K, 2) merged into the first.
+
+    Places by their covariances, the middle where none is known. Heights reach as far as either did, and an end is
+    unknown where it is so for either. Sightings add up; existence and parallax are the greater ones.
+    """
+    one, other = pairs.T
+    points, cov = landmark_map.points.copy(), landmark_map.cov.copy()
+    points[one], cov[one] = fused_places(points[one], cov[one], points[other], cov[other])
+    unknown = ~np.isfinite(cov[one]).all(axis=(1, 2))
+    points[one[unknown]] = landmark_map.points[pairs[unknown]].mean(axis=1)
+    bottom, top, polarity = landmark_map.bottom_m.copy(), landmark_map.top_m.copy(), landmark_map.polarity.copy()
+    bottom[one], top[one] = np.minimum(bottom[one], bottom[other]), np.maximum(top[one], top[other])
+    polarity[one] = np.where(polarity[one] == 0, polarity[other], polarity[one])
+    quality = landmark_map.quality
+    if quality is not None:
+        sightings, parallax, existence = (
+            column.copy() for column in (quality.sightings, quality.parallax_rad, quality.existence)
+        )
+        sightings[one] = np.nansum([sightings[one], sightings[other]], axis=0)
+        parallax[one] = np.fmax(parallax[one], parallax[other])
+        existence[one] = np.fmax(existence[one], existence[other])
+        quality = replace(quality, sightings=sightings, parallax_rad=parallax, existence=existence)
+    whole = replace(
+        landmark_map, points=points, cov=cov, bottom_m=bottom, top_m=top, polarity=polarity, quality=quality
+    )
+    return whole.take(np.setdiff1d(np.arange(len(whole)), other))

@@ -21,7 +21,7 @@ from localiser.storage.log import Event, Log, LogReader, ReadOptions, require_od
 from localiser.storage.maps import map_text, read_map, write_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import decode, encode, fingerprint
-from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan
+from localiser.storage.plans import is_plan, read_plan
 from localiser.storage.restamp import images_table, move_images
 from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv, write_runs_parquet
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name

@@ -22,11 +22,3 @@ def test_the_command_line_imports_nothing_that_help_does_not_need() -> None:
     code = "import sys, localiser.__main__; print(*{name.split('.')[0] for name in sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & (SLOW - {"rich"} | {"numpy", "numba", "cv2", "pydantic", "yaml"})
-
-
-def test_what_draws_a_map_is_there_when_it_is_asked_for() -> None:
-    from localiser import view
-
-    assert callable(view.record_map)
-    with pytest.raises(AttributeError, match=r"'localiser\.view' has no attribute 'nothing'"):
-        view.nothing  # noqa: B018

@@ -23,6 +23,7 @@ from localiser.commands.options import (
     show,
     topics_by_role,
 )
+from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from localiser.commands.doctor.checks import Finding
@@ -36,6 +37,7 @@ EPILOG = """Examples:
 `localiser doctor --image 0 --picture camera.png`"""
 
 LONGEST_S = 86400.0
+_FARTHEST_M = 1e6
 _COLOURS = {"ok": "green", "warning": "yellow", "missing": "red"}
 
 
@@ -72,7 +74,6 @@ def doctor(
     missing.
     """
     from localiser.commands.doctor import checks as examination
-    from localiser.commands.map.edit import parse_point
     from localiser.config import read_config
     from localiser.live import input_topics, open_transport
     from localiser.storage import read_camera, read_map, require_new_file
@@ -106,7 +107,7 @@ def doctor(
         landmark_map = read_map(map_file)
         findings.append(examination.Finding("map", "ok", f"{len(landmark_map)} landmarks"))
         if at is not None and known is not None:
-            x, z = parse_point(at, "--at").tolist()
+            x, z = _point(at)
             findings.append(examination.map_check(landmark_map, known, (x, z)))
     if picture is not None and seen is not None:
         examination.save_picture(picture, seen, known, settings)
@@ -114,6 +115,17 @@ def doctor(
     _show(findings)
     if any(finding.state == "missing" for finding in findings):
         raise typer.Exit(1)
+
+
+def _point(text: str) -> tuple[float, float]:
+    """Return the point that `x,z` in metres stands for. Raises InputError."""
+    try:
+        x, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = z = float("nan")
+    if not (abs(x) <= _FARTHEST_M and abs(z) <= _FARTHEST_M):
+        raise InputError(f"expected x,z in metres, found {text!r}", field="--at")
+    return x, z
 
 
 def _show(findings: list[Finding]) -> None:

@@ -34,18 +34,15 @@ def check(
     ] = None,
     plan: PlanFile = None,
     out: Picture = None,
-    rrd: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun: what looks like what, what helps.")
-    ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tell what looks wrong with a MAP, how it fits a log, where too little is in view, or looks like elsewhere."""
-    from localiser.commands.map.pictures import Surroundings, draw_check
+    """Tell what looks wrong with a MAP, how it fits a log, and where too little is in view."""
+    from localiser.commands.map.pictures import Surroundings, draw_coverage
     from localiser.geometry import Trajectory
-    from localiser.mapping import cache_folder, coverage, find_aliasing, fit_to_log, known_poses
+    from localiser.mapping import cache_folder, coverage, fit_to_log, known_poses
     from localiser.storage import read_camera, read_map, read_plan
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
@@ -55,7 +52,7 @@ def check(
     if recorded is not None:
         camera = recorded.camera
     if camera is not None:
-        require_writable(picture, rrd, overwrite=force)
+        require_writable(picture, overwrite=force)
     if recorded is not None and effective is not None:
         named, _ = poses_named(poses)
         known = named if isinstance(named, Trajectory) else known_poses(recorded, named)
@@ -68,14 +65,9 @@ def check(
     if camera is None:
         typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
         return
-    found, look = coverage(landmark_map, camera), find_aliasing(landmark_map, camera, path)
-    draw_check(landmark_map, found, look, picture, Surroundings(path, walls))
-    if rrd is not None:
-        from localiser.view import record_aliasing
-
-        record_aliasing(rrd, camera, landmark_map, look)
+    found = coverage(landmark_map, camera)
+    draw_coverage(landmark_map, found, picture, Surroundings(path, walls))
     typer.echo(found.text())
-    typer.echo(look.text())
     typer.echo(f"Picture in {picture}")
 
 

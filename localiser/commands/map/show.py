@@ -25,7 +25,6 @@ def show(
     poses: WasAt = "truth",
     plan: PlanFile = None,
     out: Picture = None,
-    rrd: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the same for Rerun.")] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -39,12 +38,8 @@ def show(
     landmark_map = read_map(map_file)
     surroundings = Surroundings(_driven(log, poses), read_plan(plan) if plan else None)
     picture = out or map_file.with_suffix(".png")
-    require_writable(picture, rrd, overwrite=force)
+    require_writable(picture, overwrite=force)
     draw_map(landmark_map, picture, surroundings)
-    if rrd is not None:
-        from localiser.view import record_map
-
-        record_map(rrd, landmark_map)
     if not quiet:
         print_table(summary_table(landmark_map))
         typer.echo(f"Picture in {picture}")

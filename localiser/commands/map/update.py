@@ -38,22 +38,8 @@ def update(
         track, source = poses_named(poses)
         built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
     changed = updated(old, built, recorded.camera, effective.mapping.tracks.found, within)
-    kept = keep_old(map_file) if out.resolve() == map_file.resolve() else None
     write_map(changed.landmark_map, out)
     if not quiet:
-        if kept is not None:
-            typer.echo(f"The map as it was is {kept}")
         typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")
         typer.echo(f"Gone: {', '.join(map(str, changed.gone)) or 'none'}")
         typer.echo(f"New: {', '.join(map(str, changed.new)) or 'none'}")
-
-
-def keep_old(path: Path) -> Path:
-    """Copy a map file beside itself, under the first free name MAP.1.yaml, MAP.2.yaml, …; return that name."""
-    from localiser.documents import MAX_DOCUMENT_BYTES, read_bytes, write_bytes
-
-    number = 1
-    while (kept := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
-        number += 1
-    write_bytes(kept, read_bytes(path, MAX_DOCUMENT_BYTES))
-    return kept

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 
-from localiser.errors import InputError
-from localiser.mapping import MOST_CELLS, FloorPlan, cells_from_map, map_from_cells
+from localiser.mapping import FloorPlan, cells_from_map, map_from_cells
 from localiser.simulate import Solids, World, solids_of
 
 CUT_M = 1.2
@@ -15,21 +16,17 @@ CUT_M = 1.2
 _MARGIN_M = 0.5
 
 
-def draw_plan(world: World, resolution_m: float, yaw_rad: float = 0.0, *, furniture: bool = False) -> FloorPlan:
+def draw_plan(world: World, resolution_m: float, yaw_rad: float = 0.0) -> FloorPlan:
     """Return the plan of a world, cut at `CUT_M`, on a grid whose x axis is turned by `yaw_rad` from the ROS frame's.
 
-    A cell is a wall where its middle is. Raises InputError for a world with nothing to draw, or too fine a grid.
+    A cell is a wall where its middle is.
     """
-    solids = drawn_solids(world, furniture=furniture)
-    if not len(solids):
-        raise InputError(f"expected walls or posts that reach {CUT_M} m, found none", field="walls")
+    solids = drawn_solids(world)
     nothing = np.zeros((0, 0), dtype=bool)
     turned = FloorPlan(nothing, nothing, resolution_m, np.array([0.0, 0.0, yaw_rad]))
     corners = cells_from_map(turned, solids.corners.reshape(-1, 2))
     low = np.floor(corners.min(axis=0) - _MARGIN_M / resolution_m)
     columns, rows = (int(n) for n in np.ceil(corners.max(axis=0) + _MARGIN_M / resolution_m) - low)
-    if columns * rows > MOST_CELLS:
-        raise InputError(f"expected a plan of at most {MOST_CELLS} cells, found {columns}×{rows}", field="--resolution")
     x, z = map_from_cells(turned, low[None])[0]
     occupied = np.zeros((rows, columns), dtype=bool)
     plan = FloorPlan(occupied, ~occupied, resolution_m, np.array([x, -z, yaw_rad]))
@@ -37,15 +34,15 @@ def draw_plan(world: World, resolution_m: float, yaw_rad: float = 0.0, *, furnit
     return replace(plan, free=~occupied)
 
 
-def drawn_solids(world: World, *, furniture: bool = False) -> Solids:
-    """Return what a plan of the world shows: no leaves of doors, no pictures, furniture where asked for."""
+def drawn_solids(world: World) -> Solids:
+    """Return what a plan of the world shows: no leaves of doors, no pictures, no furniture."""
     walls = tuple(
         wall.model_copy(
             update={"posters": (), "doors": tuple(door.model_copy(update={"leaf": None}) for door in wall.doors)}
         )
         for wall in world.walls
     )
-    solids = solids_of(world.model_copy(update={"walls": walls, "furniture": world.furniture if furniture else ()}))
+    solids = solids_of(world.model_copy(update={"walls": walls, "furniture": ()}))
     cut = np.flatnonzero((solids.bottom_m <= CUT_M) & (solids.top_m > CUT_M))
     columns = {field.name: getattr(solids, field.name) for field in fields(solids) if field.name != "material"}
     return Solids(material=tuple(solids.material[k] for k in cut), **{name: c[cut] for name, c in columns.items()})
@@ -61,3 +58,14 @@ def _fill(occupied: np.ndarray, plan: FloorPlan, solids: Solids) -> None:
         points = map_from_cells(plan, np.stack([column.ravel(), row.ravel()], axis=-1) + 0.5)
         inside = (points @ normal.T <= offset).all(axis=1).reshape(column.shape)
         occupied[bottom:top, left:right] |= inside
+
+
+def write_plan(plan: FloorPlan, path: Path) -> None:
+    """Write a plan as map_server has it: YAML, and a PNG beside it."""
+    picture = path.with_suffix(".png")
+    cv2.imwrite(str(picture), np.where(plan.occupied, 0, np.where(plan.free, 254, 205)).astype(np.uint8)[::-1])
+    x, y, yaw = plan.origin_ros.tolist()
+    path.write_text(
+        f"image: {picture.name}\nresolution: {plan.resolution_m}\norigin: [{x}, {y}, {yaw}]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\nmode: trinary\n"
+    )

@@ -10,7 +10,7 @@ import pytest
 from map_commands import run
 
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import deduplicated, duplicates
+from localiser.mapping import duplicates, merge_duplicates
 from localiser.storage import read_map, write_map
 
 
@@ -25,7 +25,7 @@ def five() -> LandmarkMap:
 
 
 def test_three_at_one_place_become_the_one_that_most_images_show() -> None:
-    merged, gone = deduplicated(five())
+    merged, gone = merge_duplicates(five())
     assert merged.ids == (1, 3, 4)
     assert sorted(other for _, other in gone) == [0, 2]
     assert merged.points[0] == pytest.approx([1.005, 2.0033], abs=1e-4)
@@ -38,15 +38,15 @@ def test_three_at_one_place_become_the_one_that_most_images_show() -> None:
 
 def test_places_without_covariances_meet_in_the_middle() -> None:
     plain = LandmarkMap.from_points(np.array([[0.0, 0.0], [0.01, 0.0]]))
-    merged, _ = deduplicated(plain)
+    merged, _ = merge_duplicates(plain)
     assert merged.points == pytest.approx(np.array([[0.005, 0.0]]))
 
 
 def test_a_command_merges_what_the_check_lists(tmp_path: Path) -> None:
     write_map(five(), tmp_path / "map.yaml")
     assert "there twice" in run("map", "check", tmp_path / "map.yaml").output
-    shown = run("map", "deduplicate", tmp_path / "map.yaml", "-o", tmp_path / "better.yaml").output
-    assert "0 is now part of 1" in shown
+    shown = " ".join(run("map", "merge", tmp_path / "map.yaml", "-o", tmp_path / "better.yaml").output.split())
+    assert "0 is part of 1" in shown
     assert "3 landmarks" in shown
-    assert "2 fewer" in shown
+    assert "2 were there twice" in shown
     assert len(read_map(tmp_path / "better.yaml")) == 3
