@@ -13,11 +13,10 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, demo, evaluate, replay, simulate, view
+from localiser.commands import batch, convert, demo, edges, evaluate, replay, simulate, view
 from localiser.commands.camera.arguments import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
-from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app

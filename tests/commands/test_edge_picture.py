@@ -1,4 +1,4 @@
-"""Comparing detectors, and the lines that the overlay draws from the mount alone."""
+"""Rows of edges, and their picture with the lines that the mount alone predicts."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser.camera import Camera
-from localiser.commands.edges.compare import NEAR_PX, Comparison, matches
-from localiser.commands.edges.guides import bearings_shown, horizon, meridian
-from localiser.commands.edges.inputs import stems_of
-from localiser.commands.edges.overlay import draw_overlay
-from localiser.commands.edges.records import COLUMNS, csv_text, rows_of
+from localiser.commands.edge_picture import bearings_shown, draw_picture, horizon, meridian
+from localiser.commands.edge_search import COLUMNS, csv_text, rows_of, stems_of
 from localiser.edges import Edges
 
 CAMERA = camera_of(640, 480, tilt_deg=20.0)
@@ -27,50 +24,6 @@ def edges_of(ends_px: list[list[list[float]]], camera: Camera = CAMERA) -> Edges
     sigma = np.full(len(ends), 1e-3)
     lean = camera.lean_of_segments(ends)
     return Edges.from_columns(camera.bearing_of_segments(ends), sigma, lean, sigma, ends_px=ends)
-
-
-# -- comparison -------------------------------------------------------------------------------------------------------
-
-
-def test_a_whole_edge_matches_its_pieces_and_they_match_it() -> None:
-    whole = edges_of([[[300, 400], [300, 100]]])
-    pieces = edges_of([[[301, 400], [301, 300]], [[500, 400], [500, 100]], [[301, 250], [301, 100]]])
-    assert matches(whole, pieces, CAMERA).tolist() == [2]  # the longer piece
-    assert matches(pieces, whole, CAMERA).tolist() == [0, -1, 0]
-
-
-def test_an_edge_is_found_again_when_half_of_it_is_near() -> None:
-    whole = edges_of([[[300, 400], [300, 100]]])
-    for top, found in ((240, True), (260, False)):
-        assert (matches(whole, edges_of([[[300, 400], [300, top]]]), CAMERA)[0] >= 0) == found
-    for beside, found in ((0.9 * NEAR_PX, True), (1.1 * NEAR_PX, False)):
-        other = edges_of([[[300 + beside, 400], [300 + beside, 100]]])
-        assert (matches(whole, other, CAMERA)[0] >= 0) == found
-
-
-def test_nothing_matches_nothing() -> None:
-    assert matches(Edges.none(), edges_of([[[1, 9], [1, 1]]]), CAMERA).tolist() == []
-    assert matches(edges_of([[[1, 9], [1, 1]]]), Edges.none(), CAMERA).tolist() == [-1]
-
-
-def test_counts_and_shares_are_over_all_images() -> None:
-    comparison = Comparison(["a", "b"])
-    two = edges_of([[[100, 400], [100, 100]], [[300, 400], [300, 100]]])
-    one = edges_of([[[300.5, 400], [300.5, 100]]])
-    comparison.add({"a": two, "b": one}, {"a": 1.0, "b": 10.0}, CAMERA)
-    comparison.add({"a": one, "b": Edges.none()}, {"a": 3.0, "b": 30.0}, CAMERA)
-    a, b = comparison.rows()
-    assert (a["images"], a["edges"], a["edges_per_image"], a["ms_median"]) == (2, 3, 1.5, 2.0)
-    assert a["share_also_b"] == pytest.approx(1 / 3)
-    assert b["share_also_a"] == 1.0
-    apart = np.rad2deg(one.bearing[0] - two.bearing[1])
-    assert a["apart_median_b_deg"] == b["apart_median_a_deg"] == pytest.approx(abs(apart))
-
-
-def test_a_comparison_of_no_image_has_no_figures() -> None:
-    (row,) = Comparison(["a"]).rows()
-    assert row["edges_per_image"] == 0
-    assert np.isnan(row["ms_median"])
 
 
 # -- rows -------------------------------------------------------------------------------------------------------------
@@ -137,7 +90,7 @@ def test_a_steep_camera_sees_no_horizon() -> None:
 def test_in_a_dense_row_every_edge_has_its_number_and_none_hides_another() -> None:
     count = 14
     edges = edges_of([[[300.0 + 5 * i, 300], [300.0 + 5 * i, 100]] for i in range(count)])
-    figure = draw_overlay(np.full((480, 640), 90, np.uint8), CAMERA, {"columns": edges}, title="row")
+    figure = draw_picture(np.full((480, 640), 90, np.uint8), CAMERA, edges, title="row")
     figure.canvas.draw()
     (panel,) = (axes for axes in figure.axes if len(axes.images))
     boxes = {text.get_text(): text.get_window_extent() for text in panel.texts if text.get_text().isdigit()}
@@ -156,7 +109,7 @@ def test_a_foot_outside_the_image_one_that_is_hidden_and_one_on_the_floor_have_e
         edges, foot_range_m=np.array([np.nan, 2.0, 2.0]), foot_range_sigma_m=np.array([np.nan, 0.1, 0.1]),
         foot_probability=np.array([0.0, 0.2, 0.8]),
     )  # fmt: skip
-    figure = draw_overlay(np.full((480, 640), 90, np.uint8), CAMERA, {"columns": feet}, title="feet")
+    figure = draw_picture(np.full((480, 640), 90, np.uint8), CAMERA, feet, title="feet")
     (panel,) = (axes for axes in figure.axes if len(axes.images))
     signs = {}
     for line in panel.lines:

@@ -1,17 +1,20 @@
-"""The picture of what was found: the image, its vertical edges by how certain they are, and what the mount says."""
+"""The picture of what was found: the image, its vertical edges by how certain they are, and what the mount says.
+
+The mount alone predicts lines: vertical edges of round bearings, which meet at the nadir point, and the horizon.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from localiser import geometry
 from localiser.camera import Camera
-from localiser.commands.edges.guides import bearings_shown, horizon, meridian
-from localiser.commands.edges.records import FLOOR, foot_flag
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.storage import Image, write_bytes
@@ -22,7 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
-_PANEL_PX = {1: 1000, 2: 800, 3: 640}  # least width of a panel, by how many stand in a row
+FLOOR = 0.5
+"""A lower end that is as likely as this stands on the floor."""
+_LEAST_PX = 1000  # width of the image in the picture
 _HEAD_PX, _TITLE_PX, _FOOT_PX, _MARGIN_PX = 62, 50, 78, 22
 _GROUND, _INK, _MUTED = "#14181d", "#f2f5f8", "#9fabb8"
 _REJECTED, _HORIZON = "#c7cdd4", "#7ee0a1"
@@ -34,43 +39,44 @@ _LINE_PX = 14.0  # height of a label
 _RING_PX = 5.0
 _SURE_SHARE = 0.2  # a range less certain than this is not worth its label
 _BENT_STEPS = 9
+_STEPS = 129
+_WIDEST_DEG = 80.0
+_FEW_LINES = 9
+_LEAST_DEPTH = 0.02
 
 
-def save_overlay(path: Path, image: Image, camera: Camera, found: Mapping[str, Edges], *, title: str) -> None:
-    """Write the picture of one image (H, W) as PNG: one panel for each detector. Raises OutputError."""
+def foot_flag(edges: Edges) -> NDArray[np.str_]:
+    """Return (E,) floor, hidden or outside: what the lower end most likely is; empty where that is not known."""
+    unseen = np.where(edges.foot_probability == 0, "outside", "")
+    return np.where(np.isnan(edges.foot_range_m), unseen, np.where(edges.foot_probability >= FLOOR, "floor", "hidden"))
+
+
+def save_picture(path: Path, image: Image, camera: Camera, edges: Edges, *, title: str) -> None:
+    """Write the picture of one image (H, W) as PNG. Raises OutputError."""
     from matplotlib import style
 
     with style.context(["default", {"font.family": "DejaVu Sans", "font.size": 10, "text.color": _INK}]):
-        figure = draw_overlay(image, camera, found, title=title)
+        figure = draw_picture(image, camera, edges, title=title)
         figure.canvas.draw()
         pixels = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
     _, data = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR))
     write_bytes(path, bytes(data))
 
 
-def draw_overlay(image: Image, camera: Camera, found: Mapping[str, Edges], *, title: str) -> Figure:
+def draw_picture(image: Image, camera: Camera, edges: Edges, *, title: str) -> Figure:
     """Return the picture as a figure; an image too small to see anything in is drawn a whole number of times larger."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    across = min(len(found), max(_PANEL_PX))
-    down = -(-len(found) // across)
-    zoom = max(1, -(-_PANEL_PX[across] // camera.width))
+    zoom = max(1, -(-_LEAST_PX // camera.width))
     panel = np.array([camera.width, camera.height]) * zoom
-    size = np.array([
-        across * (panel[0] + _MARGIN_PX) + _MARGIN_PX,
-        _HEAD_PX + down * (panel[1] + _TITLE_PX) + _FOOT_PX,
-    ])  # fmt: skip
+    size = panel + np.array([2 * _MARGIN_PX, _HEAD_PX + _TITLE_PX + _FOOT_PX])
     figure = Figure(figsize=tuple(size / DPI), dpi=DPI, facecolor=_GROUND)
     FigureCanvasAgg(figure)
-    for place, (name, edges) in enumerate(found.items()):
-        row, column = divmod(place, across)
-        left = _MARGIN_PX + column * (panel[0] + _MARGIN_PX)
-        top = _HEAD_PX + _TITLE_PX + row * (panel[1] + _TITLE_PX)
-        box = np.array([left, size[1] - top - panel[1], *panel]) / [*size, *size]
-        axes = figure.add_axes(tuple(box))
-        _draw_panel(axes, image, camera, edges, zoom)
-        _draw_title(axes, name, edges)
+    top = _HEAD_PX + _TITLE_PX
+    axes = figure.add_axes(tuple(np.array([_MARGIN_PX, size[1] - top - panel[1], *panel]) / [*size, *size]))
+    _draw_panel(axes, image, camera, edges, zoom)
+    _draw_title(axes, edges)
     _draw_head(figure, size, camera, title, zoom)
     _draw_legend(figure, size)
     return figure
@@ -194,11 +200,10 @@ def _bent(ends_px: Array, camera: Camera) -> Array:
 # -- around the panels ------------------------------------------------------------------------------------------------
 
 
-def _draw_title(axes: Axes, name: str, edges: Edges) -> None:
-    shown = f"vertical edges: {len(edges)}, segments rejected: {len(edges.rejected_px)}"
+def _draw_title(axes: Axes, edges: Edges) -> None:
+    text = f"vertical edges: {len(edges)}, segments rejected: {len(edges.rejected_px)}"
     place: dict[str, Any] = {"textcoords": "offset points", "va": "bottom", "xycoords": "axes fraction"}
-    axes.annotate(name, (0, 1), xytext=(0, 17), fontsize=12, fontweight="bold", **place)
-    axes.annotate(shown, (1, 1), xytext=(0, 17), ha="right", color=_MUTED, **place)
+    axes.annotate(text, (1, 1), xytext=(0, 17), ha="right", color=_MUTED, **place)
 
 
 def _draw_head(figure: Figure, size: Array, camera: Camera, title: str, zoom: int) -> None:
@@ -253,3 +258,47 @@ def _scale() -> LogNorm:
     from matplotlib.colors import LogNorm
 
     return LogNorm(*_SIGMA_DEG)
+
+
+# -- what the mount predicts -------------------------------------------------------------------------------------------
+
+
+def bearings_shown(camera: Camera) -> Array:
+    """Return round bearings in degrees across the view, so few that they stay apart."""
+    a, e = _border(camera)
+    depth = _depth(camera, e)
+    tangent = (a / depth)[depth > _LEAST_DEPTH]
+    low, high = np.rad2deg(np.arctan([tangent.min(), tangent.max()])).clip(-_WIDEST_DEG, _WIDEST_DEG)
+    step = next((step for step in (1, 2, 5, 10) if high - low <= _FEW_LINES * step), 20)
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+
+
+def meridian(camera: Camera, bearing_rad: float) -> Array:
+    """Return pixels (S, 2) along the image line of a vertical edge at this bearing, those inside the image."""
+    _, border_e = _border(camera)
+    e = np.linspace(border_e.min(), border_e.max(), _STEPS)
+    e = e[_depth(camera, e) > _LEAST_DEPTH]
+    return _inside(camera, np.stack([geometry.edge_a_at(e, bearing_rad, camera.mount.tilt_rad), e], axis=-1))
+
+
+def horizon(camera: Camera) -> Array:
+    """Return pixels (S, 2) of points infinitely far away at the camera's height, those inside the image."""
+    reach = np.abs(camera.image_from_pixels(camera.border_px(33, 0.5))).max() * 1.5
+    a = np.linspace(-reach, reach, 2 * _STEPS)
+    return _inside(camera, np.stack([a, np.full_like(a, np.tan(camera.mount.tilt_rad))], axis=-1))
+
+
+def _border(camera: Camera) -> Array:
+    """Return upright coordinates a and e (2, P) of the image's border."""
+    return camera.upright_from_pixels(camera.border_px(33, 0.5).reshape(-1, 2)).T
+
+
+def _depth(camera: Camera, e: Array) -> Array:
+    return np.asarray(np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad))
+
+
+def _inside(camera: Camera, upright: Array) -> Array:
+    upright = upright[np.linalg.norm(upright, axis=-1) < camera.lens_radius]
+    pixels = camera.pixels_from_upright(upright)
+    size = np.array([camera.width, camera.height])
+    return np.asarray(pixels[np.all((pixels > -1.5) & (pixels < size + 0.5), axis=-1)])
