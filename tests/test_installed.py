@@ -62,9 +62,9 @@ def test_a_video_of_ones_own(source: str, localiser: Installed, tmp_path: Path, 
     folder = CORRIDOR if source == "corridor" else request.getfixturevalue("data_dir") / source
     start_ns = film(folder, tmp_path)
     given = ("--camera", "camera.yaml", "--odometry", "odometry.csv", "--start-ns", start_ns)
-    localiser("convert", "phone.mp4", "logs/phone", *given, cwd=tmp_path)
+    localiser("convert", "phone.mp4", "logs/filmed", *given, cwd=tmp_path)
 
-    said = " ".join(localiser("camera", "sync", "logs/phone", "--write", cwd=tmp_path).split())
+    said = " ".join(localiser("camera", "sync", "logs/filmed", "-o", "logs/phone", cwd=tmp_path).split())
     offset_s, sigma_s = map(float, re.findall(r"(\d+\.\d+) s", said)[:2])
     assert abs(offset_s - AHEAD_S) < max(3 * sigma_s, 0.01) and "earlier than wheels" in said
 

@@ -14,7 +14,7 @@ import typer
 
 from localiser import __version__
 from localiser.commands import batch, convert, demo, edges, evaluate, replay, simulate, view
-from localiser.commands.camera.arguments import camera_app
+from localiser.commands.camera import camera_app
 from localiser.commands.config import config_app
 from localiser.commands.doctor import arguments as doctor
 from localiser.commands.live import live_app

@@ -84,6 +84,9 @@ Interface = Annotated[
     str, typer.Option("--interface", metavar="NAME", help="Network interface for DDS; by default this machine alone.")
 ]
 LONGEST_WAIT_S = 60.0
+NewLog = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="LOG", help="Write the log with what was found to a new folder.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
 
@@ -128,11 +131,11 @@ def show(renderable: object) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from localiser.commands.fitted import fitted
+    from localiser.commands.tables import fit_width
 
     # A pipe has no width: then a table is as wide as it wants.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    for part in fitted(renderable, console) if isinstance(renderable, Table) else (renderable,):
+    for part in fit_width(renderable, console) if isinstance(renderable, Table) else (renderable,):
         console.print(part)
 
 

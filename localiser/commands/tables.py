@@ -1,4 +1,4 @@
-"""Make tables fit the terminal without breaking words: columns that do not fit go on in a further table."""
+"""Tables of the command line: all look alike, and columns that do not fit the terminal go on in a further table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,18 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-def fitted(table: Table, console: Console) -> list[Table]:
+def new_table(title: str, *columns: str, texts: int = 1) -> Table:
+    """Return an empty table; the first `texts` columns hold texts, the others numbers, which stand right."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for place, column in enumerate(columns):
+        table.add_column(column, justify="left" if place < texts else "right", vertical="bottom")
+    return table
+
+
+def fit_width(table: Table, console: Console) -> list[Table]:
     """Return the table in pieces that are as wide as the console at most, where its columns can be.
 
     Each piece begins with the columns that tell the rows apart. Title and caption stand once. A table without a

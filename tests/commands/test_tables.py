@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from localiser.commands.fitted import fitted
+from localiser.commands.tables import fit_width
 
 
 def wide() -> Table:
@@ -22,7 +22,7 @@ def wide() -> Table:
 @pytest.mark.parametrize("width", [80, 120, 200])
 def test_wide_tables_go_on_below_and_lose_nothing(width: int) -> None:
     console = Console(width=width, color_system=None)
-    pieces = fitted(wide(), console)
+    pieces = fit_width(wide(), console)
     assert (len(pieces) == 1) == (width == 200)
     with console.capture() as capture:
         for piece in pieces:
@@ -44,7 +44,7 @@ def test_a_list_of_texts_stays_one_table_and_breaks_no_word(width: int) -> None:
     table.add_row("ok", "zenoh", "a router answers at tcp/127.0.0.1:7447")
     table.add_row("missing", "odometry", text)
     console = Console(width=width, color_system=None)
-    (piece,) = fitted(table, console)
+    (piece,) = fit_width(table, console)
     with console.capture() as capture:
         console.print(piece)
     printed = capture.get()
