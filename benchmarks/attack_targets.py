@@ -287,7 +287,6 @@ READERS: dict[str, Target] = {
     "edges": Target("edges/edges.csv", _table_of_edges),
     "json": Target("run/metrics.json", _reader("read_json")),
     "runs-csv": Target("batch/runs.csv", _reader("read_runs")),
-    "runs-parquet": Target("batch/runs.parquet", _reader("read_runs")),
     "jpeg": Target("small.jpg", _image),
     "png": Target("image.png", _image),
     "plan": Target("plan", lambda path, out: _reader("read_plan")(path / "plan.yaml", out)),

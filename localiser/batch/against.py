@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from localiser.batch.run import CSV, PARQUET
+from localiser.batch.run import CSV
 from localiser.errors import InputError
 from localiser.evaluate import Comparison, compare_pairs
 from localiser.storage import CHOICE, read_runs
@@ -36,13 +36,10 @@ class Verdict:
 
 
 def read_table_of(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a batch by its folder or its table (CSV or Parquet). Raises InputError."""
-    if not path.is_dir():
-        return read_runs(path)
-    for name in (CSV, PARQUET):
-        if (path / name).is_file():
-            return read_runs(path / name)
-    raise InputError(f"expected the folder of a batch, with a {CSV}", path=path)
+    """Return the rows of a batch by its folder or its table. Raises InputError."""
+    if path.is_dir() and not (path / CSV).is_file():
+        raise InputError(f"expected the folder of a batch, with a {CSV}", path=path)
+    return read_runs(path / CSV if path.is_dir() else path)
 
 
 def compare_with(here: Sequence[Row], there: Sequence[Row], path: Path) -> Verdict:

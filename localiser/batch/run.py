@@ -24,12 +24,11 @@ from localiser.storage import (
     read_map,
     safe_name,
     write_runs_csv,
-    write_runs_parquet,
     write_text,
 )
 
 Row = dict[str, Any]
-CSV, PARQUET, SUMMARY, ROW = "runs.csv", "runs.parquet", "table.md", "row.json"
+CSV, SUMMARY, ROW = "runs.csv", "table.md", "row.json"
 SIGINT_EXIT_CODE = 130
 FIRST_FIGURES = (
     "frames", "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
@@ -71,7 +70,7 @@ def run_batch(
     """Run every combination that is not done yet, and return a row for each, in the order of logs and choices.
 
     begun: called with the numbers of runs that are done and left; returns what is called after each run. The rows are
-    in `runs.csv` and `runs.parquet` of the folder too, and what they came to in `table.md`; those of an interrupted
+    in `runs.csv` of the folder too, and what they came to in `table.md`; those of an interrupted
     batch as far as it got. A run that fails is a row with its reason, and is tried again by the next batch.
 
     Raises RunEndedEarlyError, OutputError.
@@ -191,7 +190,6 @@ def _write_tables(folder: Path, rows: dict[int, Row]) -> None:
     ordered = [rows[number] for number in sorted(rows)]
     if ordered:
         write_runs_csv(folder / CSV, ordered)
-        write_runs_parquet(folder / PARQUET, ordered)
         write_text(folder / SUMMARY, summary_markdown(ordered))
 
 

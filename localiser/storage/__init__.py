@@ -22,7 +22,7 @@ from localiser.storage.maps import map_text, read_map, write_map
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import decode, encode, fingerprint
 from localiser.storage.plans import is_plan, read_plan
-from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv, write_runs_parquet
+from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
 from localiser.storage.tables import csv_of
 from localiser.storage.tracks import TrackWriter, read_track
