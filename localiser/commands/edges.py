@@ -95,18 +95,14 @@ def _show(search: EdgeSearch) -> None:
             f"image (median), found in {np.median(search.ms):.1f} ms"
         )
         return
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from localiser.commands.edge_search import rows_of
+    from localiser.evaluate import new_table
 
     rows, image = rows_of(search.last), search.images[0].image
     if not rows:
         typer.echo(f"No vertical edges in {image}; segments rejected: {len(search.last.rejected_px)}")
         return
-    table = Table(title=f"{len(rows)} vertical edges in {image}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for title, *_ in _COLUMNS:
-        table.add_column(title, justify="right", no_wrap=True)
+    table = new_table(f"{len(rows)} vertical edges in {image}", *(title for title, *_ in _COLUMNS), texts=0)
     for row in rows[:_MOST_ROWS]:
         table.add_row(*(_text(row[key], factor, spec) for _, key, factor, spec in _COLUMNS))
     if len(rows) > _MOST_ROWS:

@@ -149,11 +149,11 @@ def _show(drives: list[Checked], found: OdometryFit) -> None:
 
 def _drives(drives: list[Checked], found: OdometryFit) -> Table:
     import numpy as np
-    from rich.table import Table
 
-    table = Table("drive", "by", "metres", "turned (°)", "distance (%)", "turn (%)", "veer (°/m)", box=None)
-    for column in table.columns[2:]:
-        column.justify = "right"
+    from localiser.evaluate import new_table
+
+    columns = ("drive", "by", "metres", "turned (°)", "distance (%)", "turn (%)", "veer (°/m)")
+    table = new_table("", *columns, texts=2)
     units = np.array([100.0, 100.0, np.rad2deg(1.0)])
     for index, checked in enumerate(drives):
         own = found.pieces.drive == index
@@ -165,13 +165,10 @@ def _drives(drives: list[Checked], found: OdometryFit) -> Table:
 
 
 def _parameters(found: OdometryFit) -> Table:
-    from rich.table import Table
-
     from localiser.calibration import ALPHAS
+    from localiser.evaluate import new_table
 
-    table = Table("motion.", "now", "found", "1σ", box=None)
-    for column in table.columns[1:]:
-        column.justify = "right"
+    table = new_table("", "motion.", "now", "found", "1σ")
     for name, factor in zip(ALPHAS, found.factor, strict=True):
         values = (getattr(motion, name) for motion in (found.before, found.motion))
         table.add_row(name, *(f"{value:.2e}" for value in values), f"×/÷ {factor:.2f}")

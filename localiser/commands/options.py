@@ -131,7 +131,7 @@ def show(renderable: object) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from localiser.commands.tables import fit_width
+    from localiser.evaluate import fit_width
 
     # A pipe has no width: then a table is as wide as it wants.
     console = Console(width=None if sys.stdout.isatty() else 160)

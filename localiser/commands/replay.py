@@ -136,9 +136,10 @@ def _wait_for(viewer: LiveView) -> None:
 def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
     from rich.text import Text
 
-    from localiser.evaluate import RunTables, learnt_constants
+    from localiser.evaluate import learnt_constants, run_tables
 
-    show(RunTables({folder.name: figures}))
+    for part in run_tables({folder.name: figures}):
+        show(part)
     show(Text(_how_sure(figures["confidence"])))
     if constants := learnt_constants(figures):
         show(Text(f"Learnt: {', '.join(constants)}."))

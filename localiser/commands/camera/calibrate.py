@@ -249,7 +249,7 @@ def write_board(board: Board, path: Path) -> None:
 def _show(found: Calibration) -> None:
     import numpy as np
 
-    from localiser.commands.tables import new_table
+    from localiser.evaluate import new_table
 
     intrinsics = found.intrinsics
     outliers = intrinsics.outliers

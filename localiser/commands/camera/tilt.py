@@ -88,7 +88,7 @@ def find_tilt(log: Log, images: list[ImageEvent], config: Config, advance: Calla
 def _show(found: LogMount, images: int) -> None:
     import numpy as np
 
-    from localiser.commands.tables import new_table
+    from localiser.evaluate import new_table
 
     table = new_table("", "", "stated", "found", "1σ", "found - stated")
     rows = zip(("tilt (°)", "roll (°)"), *np.rad2deg([found.stated, found.mount, found.sigma]), strict=True)

@@ -76,11 +76,10 @@ def best_fit(first: LandmarkMap, second: LandmarkMap, within_m: float, *, simila
 def _fit_table(first: LandmarkMap, second: LandmarkMap, alignment: Alignment) -> Table:
     """Return the landmarks that match and lie farthest apart."""
     import numpy as np
-    from rich.table import Table
 
-    table = Table(title="Farthest apart")
-    for name in ("first", "second", "apart, m"):
-        table.add_column(name, justify="right")
+    from localiser.evaluate import new_table
+
+    table = new_table("Farthest apart", "first", "second", "apart, m", texts=0)
     for k in np.argsort(-alignment.residual_m, kind="stable")[:10]:
         one, other = alignment.pairs[k]
         table.add_row(str(first.ids[one]), str(second.ids[other]), f"{alignment.residual_m[k]:.3f}")

@@ -74,13 +74,11 @@ def check(
 def suspects(landmark_map: LandmarkMap, fit: LogFit | None) -> Table:
     """Return what looks wrong with single landmarks."""
     import numpy as np
-    from rich.table import Table
 
+    from localiser.evaluate import new_table
     from localiser.mapping import doubtful, duplicates
 
-    table = Table(title="What looks wrong")
-    for name in ("", "landmarks"):
-        table.add_column(name)
+    table = new_table("What looks wrong", "", "landmarks", texts=2)
     ids = [str(name) for name in landmark_map.ids]
     pairs = duplicates(landmark_map)
     table.add_row("there twice", _some([f"{ids[i]}={ids[j]}" for i, j in pairs]))

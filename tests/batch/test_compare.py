@@ -7,7 +7,7 @@ import pytest
 from batches import row
 from scipy import stats
 
-from localiser.evaluate.paired import ALL_LOGS, COMPARED, Comparison, compare_pairs, holm
+from localiser.batch.compare import ALL_LOGS, COMPARED, Comparison, compare_pairs, holm
 
 RMSE = COMPARED[:1]
 

@@ -1,4 +1,4 @@
-"""Compare two sets of runs in pairs: is a figure worse here than there, by more than chance explains?
+"""Compare a batch with the runs of an earlier one: is a figure worse here than there, by more than chance explains?
 
 Each pair is one log with one seed. Errors are compared by their ratio, shares by their difference, so that positive is
 always worse. A figure is compared for each log over its seeds, and for all logs together over the logs' means, because
@@ -13,12 +13,19 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from localiser.evaluate.metrics import DECIMALS
+from localiser.batch.run import CSV
+from localiser.errors import InputError
+from localiser.evaluate import DECIMALS, new_table
 from localiser.geometry import Array
+from localiser.storage import CHOICE, read_runs
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 ALPHA = 0.05
 ALL_LOGS = "all logs"
@@ -150,3 +157,110 @@ def _interval(losses: Array, level: float) -> tuple[float, float]:
 
 def _standard_error(losses: Array) -> float:
     return float(losses.std(ddof=1) / math.sqrt(len(losses))) if np.ptp(losses) > 0 else 0.0
+
+
+# -- two batches ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a comparison came to.
+
+    newly_failed: rows of runs that fail here and did not there. pairs: how many were compared. alone, alone_there: how
+    many runs have no counterpart.
+    """
+
+    comparisons: Sequence[Comparison]
+    newly_failed: Sequence[Row]
+    pairs: int
+    alone: int
+    alone_there: int
+
+    @property
+    def is_loss(self) -> bool:
+        """Whether something is significantly worse, or fails that did not."""
+        return bool(self.newly_failed) or any(one.is_worse for one in self.comparisons)
+
+
+def read_table_of(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a batch by its folder or its table. Raises InputError."""
+    if path.is_dir() and not (path / CSV).is_file():
+        raise InputError(f"expected the folder of a batch, with a {CSV}", path=path)
+    return read_runs(path / CSV if path.is_dir() else path)
+
+
+def compare_with(here: Sequence[Row], there: Sequence[Row], path: Path) -> Verdict:
+    """Compare the rows of a batch with those read from `path`, which errors name.
+
+    Pairs have the same measurements (`log_id`) and seed, and the same value of every setting (or configuration) that
+    was varied on one side and has a value in common with the other. Raises InputError when runs there cannot be told
+    apart, or none has a counterpart.
+    """
+    names = ["log_id", "seed", *_varied(here, there)]
+    ours, theirs = (_by_key(rows, names, path) for rows in (here, there))
+    common = [key for key in ours if key in theirs]
+    pairs = [(ours[key], theirs[key]) for key in common]
+    if not pairs:
+        raise InputError("expected runs of the same logs (by content) with the same seeds, found none", path=path)
+    return Verdict(
+        compare_pairs([pair for pair in pairs if not any(row.get("error") for row in pair)]),
+        [row for row, other in pairs if row.get("error") and not other.get("error")],
+        len(pairs),
+        len(ours) - len(pairs),
+        len(theirs) - len(pairs),
+    )
+
+
+def _varied(here: Sequence[Row], there: Sequence[Row]) -> list[str]:
+    """Return the columns of choices that have several values in either table, and one in common."""
+    names = [name for name in here[0] if name == "config" or name.startswith(CHOICE)]
+    values = {name: ({row.get(name) for row in here}, {row.get(name) for row in there}) for name in names}
+    return [name for name, (ours, theirs) in values.items() if max(len(ours), len(theirs)) > 1 and ours & theirs]
+
+
+def _by_key(rows: Sequence[Row], names: Sequence[str], path: Path) -> dict[tuple[Any, ...], Row]:
+    found: dict[tuple[Any, ...], Row] = {}
+    for row in rows:
+        key = tuple(row.get(name) for name in names)
+        if row.get("log_id") is None:
+            continue  # of a log that could not be read
+        if key in found:
+            told = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            problem = f"expected one run for each log and seed on either side, found two with {told}"
+            raise InputError(f"{problem}; compare fewer settings at once", path=path)
+        found[key] = row
+    return found
+
+
+# -- the table --------------------------------------------------------------------------------------------------------
+
+
+def comparison_table(verdict: Verdict) -> Table:
+    """Return the table of the comparisons: those of all logs, then those of single logs that differ significantly."""
+    title = "Compared with the other runs, in pairs of log and seed; all intervals hold together with 95 %"
+    table = new_table(title, "figure", "log", "pairs", "change", "interval", "", texts=2)
+    for one in verdict.comparisons:
+        if one.log == ALL_LOGS or one.is_worse or one.is_better or not _has_total(one, verdict.comparisons):
+            told, style = ("worse", "bold red") if one.is_worse else ("better", "green") if one.is_better else ("", "")
+            change, interval = _change(one)
+            table.add_row(one.figure.title, one.log, str(one.pairs), change, interval, told, style=style)
+    return table
+
+
+def _has_total(one: Comparison, comparisons: Sequence[Comparison]) -> bool:
+    return any(other.figure == one.figure and other.log == ALL_LOGS for other in comparisons)
+
+
+def _change(one: Comparison) -> tuple[str, str]:
+    """Return the mean change of a figure and its interval, in per cent; of shares, in percentage points."""
+    if one.figure.as_ratio:
+        mean, low, high = (_percent(value) for value in (one.loss, one.low, one.high))
+        return f"{mean} %", f"{low} … {high} %"
+    sign = 100.0 if one.figure.more_is_worse else -100.0
+    least, middle, most = sorted(sign * value + 0.0 for value in (one.low, one.loss, one.high))  # no -0.0
+    return f"{middle:+.1f} points", f"{least:+.1f} … {most:+.1f} points"
+
+
+def _percent(logarithm: float) -> str:
+    """Return the logarithm of a ratio as a change in per cent; one of more than a millionfold as such."""
+    return f"{100 * math.expm1(logarithm):+.1f}" if logarithm < math.log(1e6) else "> 10⁸"
