@@ -16,9 +16,8 @@ import numpy as np
 from localiser.documents import drafted
 from localiser.evaluate import panels
 from localiser.evaluate.accuracy import Track, errors_against
-from localiser.evaluate.constants import learnt_constants
-from localiser.evaluate.flat import figure_at
-from localiser.evaluate.pauses import PAUSE_LONGER_THAN_S
+from localiser.evaluate.metrics import PAUSE_LONGER_THAN_S
+from localiser.evaluate.tables import figure_at, learnt_constants
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 

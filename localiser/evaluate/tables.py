@@ -1,22 +1,107 @@
-"""Tables for the terminal: all look alike, columns that do not fit go on below; and the tables of runs.
+"""Figures of runs as flat rows, and tables for the terminal: all look alike, columns that do not fit go on below.
 
 No word is broken. The tables of runs tell what runs know of themselves, and their errors.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from localiser.evaluate.flat import figure_at
 from localiser.evaluate.metrics import ABOUT
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+
+# -- flat rows --------------------------------------------------------------------------------------------------------
+
+TIMES = ("frame_ms_median", "frame_ms_p95", "stage_ms")
+"""How the names begin of figures that tell how long something took: alone of all, they differ from run to run."""
+
+
+def figure_at(figures: Mapping[str, Any], name: str) -> Any:
+    """Return the figure of that name, as `flat_figures` has it (`group.figure`), None where it is not there."""
+    value: Any = figures
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def flat_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return metrics as a row of numbers, truth values, texts and None, in the order that they have.
+
+    Why images were not sure (`confidence.reasons`) is one text, `reason (images); …`, since its keys differ from run to
+    run.
+    """
+    return dict(_flat(figures, ""))
+
+
+def is_time(name: str) -> bool:
+    """Whether a figure tells how long something took."""
+    return name.startswith(TIMES)
+
+
+def _flat(figures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in figures.items():
+        name = f"{prefix}{key}"
+        if key == "reasons" and isinstance(value, Mapping):
+            yield name, "; ".join(f"{reason} ({count})" for reason, count in value.items()) or None
+        elif isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        elif isinstance(value, list):
+            texts = [one for one in value if isinstance(one, str)]
+            yield name, " ".join(texts) or None if texts or key == "warnings" else len(value)
+        else:
+            yield name, value
+
+
+# Name in `biases`: how it reads, unit, and what the value is multiplied by for it.
+LEARNT = {
+    "distance_scale": ("distance", "%", 100.0),
+    "turn_scale": ("turn", "%", 100.0),
+    "veer": ("veer", "°/m", 57.29577951308232),
+    "camera_yaw": ("camera yaw", "°", 57.29577951308232),
+    "delay": ("delay", "ms", 1000.0),
+}
+
+
+def learnt_constants(figures: Mapping[str, Any]) -> list[str]:
+    """Return a text for each constant error that the run has learnt, and for tilt and roll by the edges."""
+    texts = []
+    for name, learnt in (figures.get("biases") or {}).items():
+        label, unit, per = LEARNT.get(name, (name.replace("_", " "), "", 1.0))
+        space = "" if unit.startswith("°") else " "
+        texts.append(f"{label} {per * learnt['value']:+.2f} ± {per * learnt['sigma']:.2f}{space}{unit}".rstrip())
+    for name in ("tilt", "roll"):
+        if figures.get(f"{name}_found_deg") is not None:
+            found, sigma = figures[f"{name}_found_deg"], figures[f"{name}_found_sigma_deg"]
+            texts.append(f"{name} {found:.3f} ± {sigma:.3f}°")
+    return texts
+
+
+# -- identical runs ---------------------------------------------------------------------------------------------------
+
+
+def without_twins(runs: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Mapping[str, Any]], dict[str, str]]:
+    """Return the runs that differ, each by the first of its names, and for each other name the run it is identical to.
+
+    Two runs are identical where all their figures are, but for what a frame took. Seeds are among the figures.
+    """
+    first: dict[str, str] = {}
+    twins: dict[str, str] = {}
+    for name, figures in runs.items():
+        content = json.dumps({key: figures[key] for key in figures if not is_time(key)}, sort_keys=True)
+        if first.setdefault(content, name) != name:
+            twins[name] = first[content]
+    return {name: runs[name] for name in first.values()}, twins
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
 
 Metrics = Mapping[str, Any]
 Value = float | None
