@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
+from localiser.evaluate import picture_style, save_figure
 from localiser.geometry import Array
-from localiser.storage import Image, write_bytes
+from localiser.storage import Image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,14 +54,8 @@ def foot_flag(edges: Edges) -> NDArray[np.str_]:
 
 def save_picture(path: Path, image: Image, camera: Camera, edges: Edges, *, title: str) -> None:
     """Write the picture of one image (H, W) as PNG. Raises OutputError."""
-    from matplotlib import style
-
-    with style.context(["default", {"font.family": "DejaVu Sans", "font.size": 10, "text.color": _INK}]):
-        figure = draw_picture(image, camera, edges, title=title)
-        figure.canvas.draw()
-        pixels = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
-    _, data = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR))
-    write_bytes(path, bytes(data))
+    with picture_style({"font.size": 10, "text.color": _INK}):
+        save_figure(draw_picture(image, camera, edges, title=title), path)
 
 
 def draw_picture(image: Image, camera: Camera, edges: Edges, *, title: str) -> Figure:

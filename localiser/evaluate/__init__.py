@@ -4,7 +4,7 @@ from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_
 from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
 from localiser.evaluate.metrics import ABOUT, DECIMALS, bias_figures, fit_wheels, metrics, timing_metrics
 from localiser.evaluate.page import WorstMoments, report_page
-from localiser.evaluate.report import picture_style, write_report
+from localiser.evaluate.report import picture_style, save_figure, write_report
 from localiser.evaluate.tables import (
     COLUMNS,
     figure_at,

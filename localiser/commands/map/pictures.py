@@ -5,18 +5,16 @@ Walls and the path that was driven are drawn where they are known.
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from localiser.evaluate import picture_style
+from localiser.evaluate import picture_style, save_figure
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import ENOUGH, Coverage, FloorPlan, map_from_cells
-from localiser.storage import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,13 +108,6 @@ def _map_figure(landmark_map: LandmarkMap, surroundings: Surroundings, name: str
     figure.legend(loc="lower center", ncols=4)
     figure.tight_layout(rect=(0.0, 0.05, 1.0, 1.0))
     return figure
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG file, whole or not at all; without what differs from run to run."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
 
 
 def _draw_landmarks(axes: Axes, landmark_map: LandmarkMap) -> None:
