@@ -39,7 +39,7 @@ from localiser.mapping import (
     turn_drift,
     wheels_of,
 )
-from localiser.mapping.landmarks import fitted
+from localiser.mapping.landmarks import fit_landmarks
 from localiser.mapping.log_edges import edges_of_log
 from localiser.motion import MotionParameters
 from localiser.storage import Log, open_log
@@ -268,7 +268,7 @@ def nees_from_start(built: mapping.MapBuilt, log: Log, path: Path) -> str:
         return "– | –"
     truth = log.groundtruth.sampled(built.trajectory.t_ns).poses
     true_cameras = built.sightings.camera_poses(log.camera, truth)
-    met = fitted(built.sightings, built.built.of, true_cameras, built.sightings.sigma).fit.points
+    met = fit_landmarks(built.sightings, built.built.of, true_cameras, built.sightings.sigma).fit.points
     kept = built.landmark_map.points[:, None] - built.built.fit.points[None]
     apart = np.linalg.norm(met[np.linalg.norm(kept, axis=-1).argmin(axis=1)][:, None] - exact[None], axis=-1)
     known = apart.min(axis=1) < _NEAR_M

@@ -20,7 +20,7 @@ from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.live_map import LiveMap
 from localiser.mapping.log_edges import cache_folder, edges_of_log
 from localiser.mapping.mappable import require_association, turn_drift
-from localiser.mapping.merge import agreeing, duplicates, fused, joined_maps, merge_duplicates, same_in_both
+from localiser.mapping.merge import agreeing, common_landmarks, duplicates, fuse_maps, join_maps, merge_duplicates
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
 from localiser.mapping.plan_corners import plan_landmarks
@@ -29,4 +29,4 @@ from localiser.mapping.recorded import known_poses, wheels_of
 from localiser.mapping.sightings import Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import follow
-from localiser.mapping.update import updated
+from localiser.mapping.update import update_map

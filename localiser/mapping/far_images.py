@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.mapping.association import assign, looks_alike
-from localiser.mapping.landmarks import Built, fitted, long_enough, numbered
+from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, renumber
 from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.sightings import Index, Sightings, direction_of
 
@@ -56,13 +56,13 @@ def build_from_far_images(
     sigma: (S,) rad of the bearings, without the errors of poses.
     """
     rays = _Rays(sightings, cameras, np.hypot(sigma, POSE_SIGMA_RAD), parameters.range_max_m)
-    of = numbered(long_enough(_greedy(rays, rays.hypotheses()), _FEWEST_IMAGES))
-    built = fitted(sightings, of, cameras, rays.sigma)
+    of = renumber(long_enough(_greedy(rays, rays.hypotheses()), _FEWEST_IMAGES))
+    built = fit_landmarks(sightings, of, cameras, rays.sigma)
     for _ in range(_ROUNDS):
-        again = numbered(long_enough(_shared(rays, built), _FEWEST_IMAGES))
+        again = renumber(long_enough(_shared(rays, built), _FEWEST_IMAGES))
         if (again == built.of).all():
             break
-        built = fitted(sightings, again, cameras, rays.sigma)
+        built = fit_landmarks(sightings, again, cameras, rays.sigma)
     return built, _existence(rays, built)
 
 
@@ -180,7 +180,7 @@ def _placed(rays: _Rays, shown: Index) -> Array:
     """Return where (2,) the rays of some edges cross best."""
     of = np.full(len(rays.sightings), -1, dtype=np.int64)
     of[shown] = 0
-    return np.asarray(fitted(rays.sightings, of, rays.cameras, rays.sigma).fit.points[0])
+    return np.asarray(fit_landmarks(rays.sightings, of, rays.cameras, rays.sigma).fit.points[0])
 
 
 def _shared(rays: _Rays, built: Built) -> Index:

@@ -58,14 +58,14 @@ def measured_sigma(sightings: Sightings, focal_px: float, parameters: MappingPar
     return np.hypot(sightings.sigma, parameters.systematic_px / focal_px)
 
 
-def joined(sightings: Sightings, of: Index, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
+def join_tracks(sightings: Sightings, of: Index, cameras: Array, sigma: Array, parameters: MappingParameters) -> Built:
     """Return the landmarks that groups of sightings, `of` (S,), make when all that are one edge are joined."""
-    built = fitted(sightings, numbered(of), cameras, sigma)
+    built = fit_landmarks(sightings, renumber(of), cameras, sigma)
     for _ in range(_ROUNDS):
         number = _join(built, parameters)
         if (number == np.arange(len(built))).all():
             break
-        built = fitted(sightings, numbered(np.where(built.of >= 0, number[built.of], -1)), cameras, sigma)
+        built = fit_landmarks(sightings, renumber(np.where(built.of >= 0, number[built.of], -1)), cameras, sigma)
     return built
 
 
@@ -75,7 +75,7 @@ def long_enough(of: Index, shortest: int = SHORTEST_TRACK) -> Index:
     return np.where(count[of + 1] >= shortest, of, -1)
 
 
-def fitted(sightings: Sightings, of: Index, cameras: Array, sigma: Array) -> Built:
+def fit_landmarks(sightings: Sightings, of: Index, cameras: Array, sigma: Array) -> Built:
     """Return the landmarks that the sightings (S,) with the numbers `of` make; -1 is left out."""
     used = np.flatnonzero(of >= 0)
     landmark = of[used]
@@ -147,7 +147,7 @@ def _distance2(built: Built, one: Index, other: Index, parameters: MappingParame
     return np.asarray(np.einsum("pi,pij,pj->p", offset, np.linalg.inv(total), offset))
 
 
-def numbered(of: Index) -> Index:
+def renumber(of: Index) -> Index:
     """Return the labels (S,) renumbered without gaps, -1 kept."""
     labels, number = np.unique(of, return_inverse=True)
     return number - 1 if labels[0] == -1 else number

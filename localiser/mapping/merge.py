@@ -24,7 +24,7 @@ _NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be tw
 _SHARED_M = 0.016  # sigma of places that is the most which a build adds to that of every landmark
 
 
-def joined_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
+def join_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
     """Return the landmarks of both maps, those of the second with new ids where the first has them already."""
     taken = {str(name) for name in first.ids}
     number = 1 + max((name for name in (*first.ids, *second.ids) if isinstance(name, int)), default=-1)
@@ -41,7 +41,7 @@ def joined_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
     return _with_columns(whole, columns, has_quality=first.quality is not None or second.quality is not None)
 
 
-def fused(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> LandmarkMap:
+def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> LandmarkMap:
     """Return both maps with the landmarks `pairs` (K, 2) as one: place by their covariances, the rest by the second.
 
     The first's ids stay. Where a covariance is not known, the other's place counts alone; where neither is, the
@@ -49,7 +49,7 @@ def fused(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> 
     """
     one, other = pairs.T
     seen = second.take(other)
-    whole = joined_maps(first, second.take(np.setdiff1d(np.arange(len(second)), other)))
+    whole = join_maps(first, second.take(np.setdiff1d(np.arange(len(second)), other)))
     columns = _columns(whole, whole.quality.profile.shape[1] if whole.quality else 0)
     for name, values in _columns(seen, columns["profile"].shape[1]).items():
         column = columns[name] = columns[name].copy()
@@ -78,7 +78,7 @@ def _with_columns(one: LandmarkMap, columns: dict[str, Any], *, has_quality: boo
 
 
 def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:
-    """Return points (K, 2) and covariances (K, 2, 2) by the information of both; see `fused` for what is unknown."""
+    """Return points (K, 2) and covariances (K, 2, 2) by the information of both; see `fuse_maps` for what is unknown."""
     known, other_known = _is_known(cov), _is_known(other_cov)
     both = known & other_known
     points = np.where((known & ~other_known)[:, None], first, second)
@@ -89,7 +89,7 @@ def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> t
     return points, result
 
 
-def same_in_both(first: LandmarkMap, second: LandmarkMap, within_m: float) -> NDArray[np.int64]:
+def common_landmarks(first: LandmarkMap, second: LandmarkMap, within_m: float) -> NDArray[np.int64]:
     """Return the landmarks (K, 2) of two maps in one frame that are one.
 
     They are each other's nearest, within `within_m`, and do not contradict each other.

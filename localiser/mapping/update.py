@@ -12,7 +12,7 @@ from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality, Sight, SightParameters, sight
 from localiser.mapping.build import MapBuilt
 from localiser.mapping.landmarks import Built
-from localiser.mapping.merge import fused, same_in_both
+from localiser.mapping.merge import common_landmarks, fuse_maps
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 
 _BESIDE_RAD = np.deg2rad(2.0)  # what was seen so near to a direction,
@@ -37,14 +37,14 @@ class Updated:
     again: int
 
 
-def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, within_m: float) -> Updated:
+def update_map(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, within_m: float) -> Updated:
     """Return the map with what a build of a log in its frame says: fused, lost, added.
 
     found: chance that an edge that is there is found in an image. Raises InputError when hardly
     any landmark is found again: then the poses are not in the map's frame.
     """
     new = built.landmark_map
-    pairs = same_in_both(old, new, within_m)
+    pairs = common_landmarks(old, new, within_m)
     if len(pairs) < max(3, len(new) // 10):
         raise InputError(
             f"expected landmarks of the map in the log, found {len(pairs)} of the {len(new)} that it shows: "
@@ -54,7 +54,7 @@ def updated(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, wit
     cameras = built.slam.cameras if built.slam else built.sightings.camera_poses(camera, built.trajectory.poses)
     existence = existence_after(old, built.sightings, built.built, camera, cameras, found)
     existence[pairs[:, 0]] = np.nan  # what the log says of those it shows counts
-    whole = fused(with_existence(old, existence), new, pairs)
+    whole = fuse_maps(with_existence(old, existence), new, pairs)
     assert whole.quality is not None
     gone = np.flatnonzero(whole.quality.existence[: len(old)] < _GONE)
     kept = np.setdiff1d(np.arange(len(whole)), gone)

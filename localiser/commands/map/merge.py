@@ -66,11 +66,11 @@ def _merge_own(one: LandmarkMap) -> tuple[LandmarkMap, str]:
 
 
 def _merge_both(one: LandmarkMap, other: LandmarkMap, within_m: float, *, find_frame: bool) -> tuple[LandmarkMap, str]:
-    from localiser.mapping import fused, same_in_both
+    from localiser.mapping import common_landmarks, fuse_maps
 
     if find_frame:
         other = best_fit(one, other, within_m, similarity=False).moved(other)
-    pairs = same_in_both(one, other, within_m)
+    pairs = common_landmarks(one, other, within_m)
     both = len(pairs)
     if not both:
         raise InputError(
@@ -78,4 +78,4 @@ def _merge_both(one: LandmarkMap, other: LandmarkMap, within_m: float, *, find_f
             "are they in one frame? `localiser map align` finds out"
         )
     told = f"{both} of both maps, {len(one) - both} of the first alone, {len(other) - both} of the second alone"
-    return fused(one, other, pairs), told
+    return fuse_maps(one, other, pairs), told

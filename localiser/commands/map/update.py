@@ -28,7 +28,7 @@ def update(
     quiet: Quiet = False,
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
-    from localiser.mapping import build_map, cache_folder, updated
+    from localiser.mapping import build_map, cache_folder, update_map
     from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
@@ -37,7 +37,7 @@ def update(
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         track, source = poses_named(poses)
         built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
-    changed = updated(old, built, recorded.camera, effective.mapping.tracks.found, within)
+    changed = update_map(old, built, recorded.camera, effective.mapping.tracks.found, within)
     write_map(changed.landmark_map, out)
     if not quiet:
         typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")

@@ -11,7 +11,7 @@ from map_commands import refused, run
 
 from localiser.geometry import robot_from_map
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import joined_maps
+from localiser.mapping import join_maps
 from localiser.storage import read_map, write_map
 
 
@@ -38,7 +38,7 @@ def test_align_and_merge(made: Path, tmp_path: Path) -> None:
     known = read_map(made).take(np.arange(10, 30))
     other = tmp_path / "other.yaml"
     extra = LandmarkMap.from_points(np.array([[20.0, 20.0]]), ids=("new",))
-    write_map(joined_maps(replace(known, points=robot_from_map(pose, known.points)), extra), other)
+    write_map(join_maps(replace(known, points=robot_from_map(pose, known.points)), extra), other)
     out = tmp_path / "aligned.yaml"
     shown = run("map", "align", made, other, "-o", out)
     assert shown.exit_code == 0

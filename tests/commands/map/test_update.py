@@ -11,7 +11,7 @@ from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import joined_maps
+from localiser.mapping import join_maps
 from localiser.storage import read_map, write_map
 
 
@@ -29,7 +29,7 @@ def test_gone_and_new_landmarks(tmp_path: Path) -> None:
     kept = np.setdiff1d(np.arange(len(drive.landmark_map)), [missing])
     posts = np.array([[-0.55, -7.3], [0.5, -7.9]])
     gone = LandmarkMap.from_points(posts, ids=("post", "pole"), bottom_m=np.zeros(2), top_m=np.full(2, 1.5))
-    old = joined_maps(drive.landmark_map.take(kept), gone)
+    old = join_maps(drive.landmark_map.take(kept), gone)
     old = replace(old, cov=np.tile(1e-4 * np.eye(2), (len(old), 1, 1)))
     path, out = tmp_path / "old.yaml", tmp_path / "new.yaml"
     write_map(old, path)
