@@ -44,7 +44,6 @@ def make(folder: Path) -> Path:
     _write_pictures(folder, log)
     _write_worlds(folder)
     _write_video(folder / "video.avi", log)
-    _write_mrclam(folder / "mrclam")
     (folder / "saved.state").write_bytes(_state(log))
     plan = folder / "plan"
     plan.mkdir()
@@ -133,23 +132,6 @@ def _write_video(path: Path, log: Log) -> None:
     writer.release()
 
 
-def _write_mrclam(folder: Path) -> None:
-    folder.mkdir()
-    times = np.arange(0, 4, 0.1)
-    moves = [f"{t:.3f} 0.1 0.05" for t in times]
-    truth = [f"{t:.3f} {0.1 * t:.4f} 0.0 {0.05 * t:.4f}" for t in times]
-    seen = [f"{t:.3f} {code} 2.0 {bearing}" for t in times[2:-2:4] for code, bearing in ((63, 0.3), (81, -0.4), (5, 0))]
-    files = {
-        "Robot1_Odometry.dat": moves,
-        "Robot1_Groundtruth.dat": truth,
-        "Robot1_Measurement.dat": seen,
-        "Landmark_Groundtruth.dat": ["6 2.0 1.0 0.01 0.02", "7 3.0 -1.0 0.03 0.04"],
-        "Barcodes.dat": ["1 5", "6 63", "7 81"],
-    }
-    for name, lines in files.items():
-        (folder / name).write_text("\n".join(lines) + "\n")
-
-
 def _state(log: Log) -> bytes:
     localiser = localiser_of(log)
     start = log.start
@@ -179,7 +161,7 @@ def write_others(folder: Path) -> None:
 
     from attack_targets import OPTIONS
 
-    from localiser.mapping.log_edges import edges_of_log
+    from localiser.mapping.recorded import edges_of_log
 
     sys.path[:0] = [str(ROOT / "tests" / "support")]
     import live_feed

@@ -169,7 +169,7 @@ def _state(path: Path, out: Path) -> None:
 
 
 def _cache(path: Path, out: Path) -> None:
-    from localiser.mapping.log_edges import _load
+    from localiser.mapping.recorded import _load
 
     _load(path, 2)
 
@@ -237,11 +237,6 @@ def _command(line: str) -> Run:
     return run
 
 
-def _of_robot(run: Run) -> Run:
-    """Return what does the same with the first robot of a folder of MRCLAM."""
-    return lambda path, out: run(Path(f"{path}:1"), out)
-
-
 def in_places(word: str, places: dict[str, str]) -> str:
     for name, place in places.items():
         if word == name or word.startswith(f"{name}/"):
@@ -295,7 +290,6 @@ READERS: dict[str, Target] = {
     "cache": Target("edges.npz", _cache),
     "log": Target("log", all_of_log),
     "log-edges": Target("edges", all_of_log),
-    "mrclam": Target("mrclam", _of_robot(all_of_log)),
     "bag-ros1": Target("bag.bag", all_of_log),
     "bag-mcap": Target("file.mcap", all_of_log),
     "bag-sqlite": Target("file.db3", all_of_log),
@@ -307,7 +301,6 @@ LINES = {
     "replay": ("edges", "replay IN --no-rrd --out OUT --quiet"),
     "replay-images": ("log", "replay IN --out OUT --quiet"),
     "replay-bag": ("file.mcap", "replay IN --no-rrd --out OUT --quiet"),
-    "replay-mrclam": ("mrclam", "replay IN --no-rrd --out OUT --quiet"),
     "evaluate": ("run", "evaluate IN"),
     "batch-again": ("batch", "batch SAMPLES/edges --seeds 0-2 --jobs 1 --against IN/runs.csv --out IN --quiet"),
     "convert-folder": ("log", "convert IN OUT/made.mcap --quiet"),
@@ -330,7 +323,7 @@ TARGETS = READERS | {"options": Target("options", _options, LONG_S, change=_chan
 for _name, (_sample, _line) in LINES.items():
     _run = _command(_line)
     _files = (".csv", ".tum", ".json", ".yaml") if _sample == "run" else ()  # not the pictures of a report
-    TARGETS[_name] = Target(_sample, _of_robot(_run) if _sample == "mrclam" else _run, LONG_S, _files)
+    TARGETS[_name] = Target(_sample, _run, LONG_S, _files)
 
 OPTIONS = """
 replay {samples}/edges --out out --no-rrd --start 1,2,3 --seed 1 --speed 100 --set mcl.particles=100 --observation line

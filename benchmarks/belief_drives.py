@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import scenarios
 from belief_run import CORRECT_RAD, Drive
+from mrclam import MrclamReader
 from numpy.typing import NDArray
 from scenarios import IMAGES, Trial
 
 from localiser import ImageEvent, Trajectory, compose, find_edges, open_log, read_config, wrap_angle
 from localiser.geometry import Array, between
+from localiser.storage.log import ReadOptions
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("LOCALISER_DATA", ROOT.parent / "shared" / "data"))
@@ -38,7 +40,8 @@ def drive_of(name: str) -> Drive:
         return drive_of_trial("office", scenarios.trial_of(place, np.arange(len(place.truth)), 0, IMAGES))
     if name.startswith("mrclam"):
         sensor = read_config(MRCLAM).sensor
-        return _drive(name, open_log(f"{_folder(name)}:{name[-1]}", format="mrclam", sensor=sensor), MRCLAM)
+        log = MrclamReader().read(Path(f"{_folder(name)}:{name[-1]}"), ReadOptions(sensor))
+        return _drive(name, log, MRCLAM)
     return _drive(name, open_log(_folder(name)))
 
 

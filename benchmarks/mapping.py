@@ -20,6 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
 
+import mrclam
 import numpy as np
 
 from localiser import documents, mapping, simulate
@@ -40,7 +41,7 @@ from localiser.mapping import (
     wheels_of,
 )
 from localiser.mapping.landmarks import fit_landmarks
-from localiser.mapping.log_edges import edges_of_log
+from localiser.mapping.recorded import edges_of_log
 from localiser.motion import MotionParameters
 from localiser.storage import Log, open_log
 
@@ -340,6 +341,7 @@ def rigid(found: Array, truth: Array, *, scaled: bool = False) -> Callable[[Arra
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    mrclam.register()  # and the builder for coarse bearings
     parser.add_argument("what", choices=("known", "laps", "long", "nees", "slam", "coarse", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)

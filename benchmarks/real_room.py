@@ -28,7 +28,7 @@ from localiser.evaluate import Errors, errors_against, nees
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE, Sighting
 from localiser.geometry import Array, map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, field_of_view_rad, landmark_ends, predicted_lines
-from localiser.mapping import build_map_together, cache_folder, edges_of_log
+from localiser.mapping import build_map, cache_folder, edges_of_log
 from localiser.replay import Replay
 
 TRUTH_COV = np.diag([0.01, 0.01, np.deg2rad(0.2)]) ** 2
@@ -144,7 +144,7 @@ class Room:
         """Return the map of some logs at their true poses."""
         if name not in self._maps:
             settings = read_config(None, [], logs[0].settings)
-            self._maps[name] = build_map_together(logs, settings, cache=cache_folder()).landmark_map
+            self._maps[name] = build_map(logs, config=settings, cache=cache_folder()).landmark_map
         return self._maps[name]
 
     def edges_of(self, name: str) -> Log:

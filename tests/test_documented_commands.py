@@ -95,6 +95,9 @@ PROGRAM = re.compile(r"\bpython ((?:benchmarks|docs)/\w+\.py)([^\n`#]*)")
 def test_programs_beside_the_package_have_the_options_that_are_documented(page: Path) -> None:
     """They take minutes to hours, so they are not run here; tests/benchmarks runs their parts."""
     for program, arguments in PROGRAM.findall(page.read_text(encoding="utf-8")):
+        if program.endswith("mrclam.py"):  # the program itself, with another format
+            parsed(arguments.split())
+            continue
         code = (ROOT / program).read_text(encoding="utf-8")
         for option in re.findall(r"--[a-z-]+", arguments):
             assert f'"{option}"' in code, f"{program} has no option {option}"

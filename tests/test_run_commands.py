@@ -53,7 +53,6 @@ LISTED = {
         map merge mine.yaml -o better.yaml
     """,
     "needs data that do not ship": """
-        replay ../shared/data/mrclam:1 --format mrclam --start truth --seed 0
         map build left_even right_even --poses truth -o room.yaml
         replay left_odd --map room.yaml --start truth --seed 0
     """,

@@ -36,7 +36,7 @@ Topics = Annotated[
     ),
 ]
 LogFormat = Annotated[
-    str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
+    str | None, typer.Option("--format", metavar="FORMAT", help="folder or bag; by default found out.")
 ]
 BagCamera = Annotated[
     Path | None,

@@ -19,19 +19,14 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.geometry import Array, compose, forward, map_from_robot, wrap_angle
 from localiser.mapping.factors import CONSTANTS, Bearings, Prior, Problem, Wheels
-from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
-from localiser.mapping.from_known_poses import with_leftovers
-from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, renumber, same_groups
+from localiser.mapping.known_poses import reassociate, with_leftovers
+from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, misfit, renumber, same_groups
+from localiser.mapping.loop_checks import contradicting_steps, contradiction, without_contradicting_visits
 from localiser.mapping.loop_closure import same_landmarks, without_outvoted_tracks
-from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.place_recognition import recognised
-from localiser.mapping.reassociate import reassociate
-from localiser.mapping.score_test import without_contradicting_visits
 from localiser.mapping.sightings import Index, Sightings
-from localiser.mapping.smooth import CONVERGED, Smoothed, dead_reckoned, smooth
-from localiser.mapping.tracks import follow
-from localiser.mapping.triangulate import misfit
-from localiser.mapping.wheel_check import contradicting_steps, contradiction
+from localiser.mapping.smooth import CONVERGED, Scale, Smoothed, dead_reckoned, scale_by_floor_contacts, smooth
+from localiser.mapping.tracks import MappingParameters, follow
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
 _CLEAR = 3.0  # log-likelihood by which an association must be better than any other, to be clear

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import agreeing, align, fuse_maps, join_maps, matches
-from localiser.mapping.alignment import fitted_motion, most_voted
+from localiser.mapping.merge import fitted_motion, most_voted
 
 
 def hall(seed: int, count: int = 40) -> np.ndarray:

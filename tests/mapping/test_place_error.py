@@ -12,7 +12,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.mapping import Built, Sightings
 from localiser.mapping.landmarks import fit_landmarks
-from localiser.mapping.place_error import place_cov
+from localiser.mapping.quality import place_cov
 from localiser.mapping.sightings import direction_of, per_point
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9))

@@ -17,13 +17,11 @@ from localiser.geometry import Array, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.factors import Problem, State, cost_of, linearise
-from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
-from localiser.mapping.landmarks import fit_landmarks
+from localiser.mapping.landmarks import fit_landmarks, triangulate
 from localiser.mapping.loop_closure import same_landmarks
 from localiser.mapping.place_recognition import Recognised, recognised
 from localiser.mapping.sightings import Index
-from localiser.mapping.smooth import dead_reckoned, smooth
-from localiser.mapping.triangulate import triangulate
+from localiser.mapping.smooth import Scale, dead_reckoned, scale_by_floor_contacts, smooth
 from localiser.motion import MotionParameters
 
 

@@ -1,4 +1,4 @@
-"""Landmarks from few, far images at known poses: crossings of rays are hypotheses, and images verify them.
+"""Landmarks from known poses: follow, triangulate, join, associate again; and of images too far apart to follow edges.
 
 Where images are far apart, an edge cannot be followed from one to the next. Every edge is a ray on the floor. Two rays
 of edges that look alike cross at a hypothesis. Its score compares two cases for every image: that it shows the
@@ -16,10 +16,88 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, forward, wrap_angle
-from localiser.mapping.association import assign, looks_alike
-from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, renumber
-from localiser.mapping.parameters import MappingParameters
-from localiser.mapping.sightings import Index, Sightings, direction_of
+from localiser.mapping.landmarks import Built, fit_landmarks, join_tracks, long_enough, renumber
+from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
+from localiser.mapping.tracks import MappingParameters, assign, association_scores, looks_alike
+
+# -- associate again --------------------------------------------------------------------------------------------------
+
+
+def reassociate(
+    sightings: Sightings,
+    built: Built,
+    cameras: Array,
+    sigma: Array,
+    parameters: MappingParameters,
+    margin: float = 0.0,
+) -> Index:
+    """Return the landmark (S,) of each sighting, -1 for none; see `Sightings`. cameras: (T, 3). sigma: (S,) rad.
+    margin: see `assign`.
+
+    A landmark competes for the edges of a frame when it is seen shortly before or after it: farther off it may be
+    hidden, and then some other edge in its direction would be taken for it.
+    """
+    live = _live(sightings, built, parameters.tracks.missed_most + 1)
+    of = np.full(len(sightings), -1, dtype=np.int64)
+    cov = built.cov
+    for frame in range(sightings.frames):
+        seen = np.arange(sightings.first[frame], sightings.first[frame + 1])
+        landmark = live[frame]
+        if len(seen) and len(landmark):
+            from_here = np.tile(cameras[frame], (len(landmark), 1))
+            expected, _ = direction_of(built.fit.points[landmark], from_here)
+            jacobian = per_point(built.fit.points[landmark], from_here)
+            own = np.einsum("li,lij,lj->l", jacobian, cov[landmark], jacobian)
+            looks = looks_alike(
+                built.side[landmark, None],
+                built.polarity[landmark, None],
+                sightings.side[seen],
+                sightings.polarity[seen],
+            )
+            heading = cameras[frame, 2] - sightings.bearing[seen]
+            score = association_scores(expected, own, heading, sigma[seen], looks, parameters.tracks)
+            row, column = assign(score, margin)
+            of[seen[column]] = landmark[row]
+    return of
+
+
+def _live(sightings: Sightings, built: Built, reach: int) -> list[Index]:
+    """Return for each frame the landmarks that are seen within `reach` frames of it."""
+    seen: NDArray[np.bool_] = np.zeros((sightings.frames, len(built)), dtype=bool)
+    seen[sightings.frame[built.used], built.of[built.used]] = True
+    near = seen.copy()
+    for step in range(1, reach + 1):
+        near[step:] |= seen[:-step]
+        near[:-step] |= seen[step:]
+    return [np.flatnonzero(row) for row in near]
+
+
+# -- until nothing changes --------------------------------------------------------------------------------------------
+
+_ROUNDS = 6
+
+
+def build_from_poses(
+    sightings: Sightings, track: Index, cameras: Array, sigma: Array, parameters: MappingParameters
+) -> Built:
+    """Return the landmarks that tracks (S,) make, seen from cameras (T, 3), with bearing errors sigma (S,) rad."""
+    built = join_tracks(sightings, long_enough(track), cameras, sigma, parameters)
+    for _ in range(_ROUNDS):
+        of = reassociate(sightings, built, cameras, sigma, parameters)
+        if (of == built.of).all():
+            break
+        built = join_tracks(sightings, with_leftovers(of, track), cameras, sigma, parameters)
+    return built
+
+
+def with_leftovers(of: Index, track: Index) -> Index:
+    """Return the landmarks `of` (S,), and what no landmark took as groups by its tracks (S,)."""
+    left = of < 0
+    rest = long_enough(np.where(left, track, -1))
+    return renumber(long_enough(np.where(left & (rest >= 0), rest + of.max(initial=-1) + 1, of)))
+
+
+# -- images that are far apart ----------------------------------------------------------------------------------------
 
 POSE_SIGMA_RAD = 3e-3
 """How far true headings are off at an image, one sigma: motion capture and clocks are no better."""
@@ -36,7 +114,7 @@ _ALIKE = 0.0  # log-likelihood ratio of looks from which two edges may be one
 _CLEAR = 1.0  # nats by which an edge must be likelier of its landmark than of another
 _LEAST_SCORE = 6.0  # nats of a landmark against edges of other things
 _FEWEST_IMAGES = 4
-_ROUNDS = 4
+_FAR_ROUNDS = 4
 
 
 def are_far(poses: Array) -> bool:
@@ -58,7 +136,7 @@ def build_from_far_images(
     rays = _Rays(sightings, cameras, np.hypot(sigma, POSE_SIGMA_RAD), parameters.range_max_m)
     of = renumber(long_enough(_greedy(rays, rays.hypotheses()), _FEWEST_IMAGES))
     built = fit_landmarks(sightings, of, cameras, rays.sigma)
-    for _ in range(_ROUNDS):
+    for _ in range(_FAR_ROUNDS):
         again = renumber(long_enough(_shared(rays, built), _FEWEST_IMAGES))
         if (again == built.of).all():
             break

@@ -3,6 +3,10 @@
 Leung, Halpern, Barfoot, Liu, "The UTIAS multi-robot cooperative localization and mapping dataset", IJRR 30(8), 2011.
 A log is one robot of a data set, `FOLDER:1`. Only bearings are used; barcodes say which landmark was seen, which the
 filter does not look at. What is no landmark, another robot or a barcode that was misread, stays in as clutter.
+
+After `register`, `open_log` reads such logs. As a program this is `localiser` with that format:
+
+python benchmarks/mrclam.py replay ../shared/data/mrclam:1 --format mrclam --start truth --seed 0
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from coarse_bearings import CoarseBearings
 from numpy.typing import NDArray
 
 from localiser import geometry
@@ -25,6 +30,8 @@ from localiser.errors import InputError
 from localiser.filter import Sighting
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
+from localiser.mapping import BUILDERS
+from localiser.storage import FORMATS
 from localiser.storage.edge_tables import MOST_EDGES
 from localiser.storage.log import Log, ReadOptions
 from localiser.storage.tables import Column, integer, number, read_columns
@@ -163,3 +170,17 @@ def _sightings(folder: Path, robot: int, landmark_map: LandmarkMap, sensor: Bear
         landmark = [index.get(subjects.get(barcode, 0), -1) for barcode in barcodes]
         measured = complete(bearing, np.full(len(bearing), sigma), unknown, unknown, tilt)
         yield Sighting(t_ns, Edges.from_columns(*measured, landmark_id=np.array(landmark, dtype=np.int64)))
+
+
+def register() -> None:
+    """Let `open_log` read such logs, and `build_map` build maps of coarse bearings."""
+    if not any(isinstance(reader, MrclamReader) for reader in FORMATS):
+        FORMATS.append(MrclamReader())
+        BUILDERS.insert(0, CoarseBearings())
+
+
+if __name__ == "__main__":
+    from localiser.__main__ import main
+
+    register()
+    main()

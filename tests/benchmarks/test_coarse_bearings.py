@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_bearings import CoarseBearings, landmarks_of_coarse_bearings
 from coarse_worlds import matched
+from mrclam import MrclamReader
 
-from localiser import mapping
+from localiser import mapping, storage
 from localiser.config import read_config
 from localiser.edges import BearingSensor, Edges, complete
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import MappingParameters, Sightings, build_map
-from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
-from localiser.mapping.sightings import direction_of
+from localiser.mapping import MappingParameters, Sightings, build_map, direction_of
 from localiser.storage import open_log
 
 SENSOR = BearingSensor()
@@ -24,6 +24,13 @@ SIGMA = np.deg2rad(SENSOR.bearing_sigma_deg)
 HALF_VIEW = np.deg2rad(SENSOR.half_view_deg)
 PARAMETERS = MappingParameters()
 PLACES = np.array([[3.0, 0.0], [3.0, 0.18], [0.0, 3.0], [-2.5, -1.0], [-2.4, -0.85], [1.0, -3.0], [-1.0, 2.5]])
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let logs of the data set be opened, and maps of them be built, in these tests alone."""
+    monkeypatch.setattr("localiser.storage.open.FORMATS", [*storage.FORMATS, MrclamReader()])
+    monkeypatch.setattr("localiser.mapping.build.BUILDERS", [CoarseBearings(), *mapping.BUILDERS])
 
 
 def wandering(rng: np.random.Generator, frames: int) -> Array:
@@ -49,7 +56,7 @@ def seen_from(cameras: Array, places: Array, rng: np.random.Generator, clutter: 
 
 def map_of(sightings: Sightings, cameras: Array) -> LandmarkMap:
     sigma = sightings.sigma
-    built = mapping.build_from_coarse(sightings, cameras, sigma, PARAMETERS)
+    built, _ = CoarseBearings().build(sightings, cameras, sigma, PARAMETERS)
     return mapping.landmark_map_of(sightings, built, cameras, sigma, CAMERA, PARAMETERS, "test", "test")
 
 
@@ -93,7 +100,7 @@ def test_a_landmark_has_one_sighting_a_frame_at_most() -> None:
     rng = np.random.default_rng(5)
     cameras = wandering(rng, 300)
     sightings = seen_from(cameras, PLACES, rng, 1.0, SIGMA)
-    of = mapping.landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 15.0)
+    of = landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 15.0)
     taken = of >= 0
     pairs = np.stack([sightings.frame[taken], of[taken]])
     assert taken.any()
@@ -102,7 +109,7 @@ def test_a_landmark_has_one_sighting_a_frame_at_most() -> None:
 
 def test_frames_without_bearings_vote_for_nothing() -> None:
     sightings = seen_from(np.zeros((4, 3)), np.zeros((0, 2)), np.random.default_rng(0), 0.0, SIGMA)
-    assert len(mapping.landmarks_of_coarse_bearings(sightings, np.zeros((4, 3)), sightings.sigma, 15.0)) == 0
+    assert len(landmarks_of_coarse_bearings(sightings, np.zeros((4, 3)), sightings.sigma, 15.0)) == 0
 
 
 def test_a_place_that_is_looked_at_from_one_spot_only_is_no_landmark() -> None:

@@ -1,5 +1,7 @@
 """Landmarks from coarse bearings at known poses: a mixture model, found by expectation-maximisation.
 
+With `CoarseBearings` in `mapping.BUILDERS`, `build_map` uses it where bearings are worse than half a degree.
+
 Where the error of a bearing is larger than the distance between landmarks, tracks mix neighbours. All bearings together
 still distinguish them, so nothing is tracked. A Hough transform finds the cells of the floor that most rays cross:
 these are the candidates. Expectation-maximisation then finds which candidates explain the bearings, where they are, and
@@ -9,16 +11,24 @@ coordinates cost loses its weight [Figueiredo, Jain 2002].
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, forward, wrap_angle
-from localiser.mapping.sightings import Index, Sightings
+from localiser.mapping import (
+    COARSE_RAD,
+    Built,
+    Index,
+    MappingParameters,
+    Sightings,
+    fit_landmarks,
+    long_enough,
+    renumber,
+)
 
-COARSE_RAD = np.deg2rad(0.5)
-"""Bearings worse than this are off by 4 cm five metres away: neighbours are mixed from one image to the next."""
 _CELL_M, _MOST_CELLS = 0.05, 4_000_000
 _NEAREST_M = 0.3
 _VAGUE_M = 0.3  # a ray that is off by more than this says too little of where its landmark stands
@@ -34,7 +44,7 @@ _BEST_SHARE = 0.2  # nor below this share of what is stated
 _SAME_M = 0.02
 _LONGEST_STEP_M = 0.1
 _ROUNDS, _LAST_ROUNDS = 60, 5
-_LEAST_SHARE = 0.03  # what fewer of the images show that have it in view came by, and went
+_LEAST_SHARE = 0.03  # a landmark that fewer of the images show which have it in view was there for a while only
 _AT_ONCE = 4096
 
 
@@ -207,3 +217,18 @@ def _shared_out(mixture: _Mixture, rays: _Rays, frame: Index) -> Index:
     again = (np.diff(of[order]) == 0) & (np.diff(frame[order]) == 0)
     of[order[1:][again]] = -1
     return of
+
+
+class CoarseBearings:
+    """A builder for bearings too coarse to be followed from image to image, at true poses; see `mapping.Builder`."""
+
+    def suits(self, paths: Sequence[Array], sigma: Array) -> bool:
+        """Whether bearings are worse than `COARSE_RAD` (median)."""
+        return bool(np.median(sigma) > COARSE_RAD)
+
+    def build(
+        self, sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
+    ) -> tuple[Built, Array | None]:
+        """Return the landmarks (L) of sightings (S) from cameras (T, 3); how likely each exists is told later."""
+        of = landmarks_of_coarse_bearings(sightings, cameras, sigma, parameters.range_max_m)
+        return fit_landmarks(sightings, renumber(long_enough(of)), cameras, sigma), None

@@ -1,8 +1,11 @@
-"""Score test of loop closures: find visits to a landmark that fit better with a landmark of their own.
+"""Whether loops that were closed are right: by the score of each visit, and by what the wheels measured.
 
 A wrong loop closure bends the poses until its bearings fit, so their residuals stay small. But the gradient of the cost
 at this visit is large. Suppose that the visit had its own landmark. Where this landmark would be, and by how much the
 cost would fall, follows from the linear problem at the solution, without solving it again [Rao 1948].
+
+Wrong loops bend a path until the bearings fit. What they leave behind is a path that the wheels should have measured
+otherwise: by a constant error that is not credible, or by more than their noise over some stretch of the way.
 """
 
 from __future__ import annotations
@@ -10,9 +13,20 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.mapping.factors import Problem, State, bearing_block, variables
+from localiser.mapping.factors import (
+    CONSTANTS,
+    Prior,
+    Problem,
+    State,
+    Wheels,
+    bearing_block,
+    variables,
+    wheel_residuals,
+)
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed
+
+# -- the score test ---------------------------------------------------------------------------------------------------
 
 _GATE = 11.8  # 99.7 % of a Gaussian in the plane
 _LEAST_SIGMA_M = 0.008  # from its other side, an edge is the other side of a frame or a strip
@@ -32,7 +46,7 @@ def without_contradicting_visits(problem: Problem, smoothed: Smoothed, of: Index
     several = np.flatnonzero(np.bincount(owner)[owner] > 1)
     if len(several) == 0:
         return of
-    chi2 = contradiction(problem, smoothed, visit, several)
+    chi2 = visit_contradiction(problem, smoothed, visit, several)
     leaves = several[_worst_of_their_time(problem.bearings.frame, visit, several, chi2)]
     parted = of.copy()
     gone = np.isin(visit, leaves)
@@ -61,7 +75,7 @@ def visits(landmark: Index, frame: Index) -> Index:
     return visit
 
 
-def contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> Array:
+def visit_contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> Array:
     """Return for each visit `asked` (V,) how many squared sigmas its own landmark would stand from the present one.
 
     With cost(δ) = cost - 2 λᵀδ + δᵀMδ for a landmark of its own at distance δ, all else at its best: λ is the pull of
@@ -94,3 +108,47 @@ def _pulls(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> 
     by_visit = csc_array(entries, shape=(len(kept), 2 * len(asked)))
     asks = bearing.jacobian(variables(state))[kept].T @ by_visit
     return pull, information - smoothed.factor.projected(asks.tocsc())
+
+
+# -- the wheels -------------------------------------------------------------------------------------------------------
+
+_CONSTANTS_CHI2 = 16.3  # 99.7 % of a Gaussian of four dimensions
+_STRETCHES = (1, 10, 30, 100)  # steps between images, over which the noise is compared
+_CHANCE = 0.003  # that the noise of right wheels alone contradicts a path
+
+
+def contradicting_steps(wheels: Wheels, poses: Array, constants: Array) -> Index:
+    """Return the steps (K,), each from image k to k + 1, in which a path contradicts the wheels."""
+    chi2 = (wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1)
+    return np.flatnonzero(chi2 > _largest_chi2(len(chi2)))
+
+
+def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) -> str | None:
+    """Return in words how a path contradicts the wheels; None where it does not.
+
+    poses: (T, 3). constants: (4,) of wheels and mount, as in `factors.CONSTANTS`. prior: what is stated of them.
+    """
+    sigmas = (constants - prior.mean) / prior.sigma
+    if sigmas @ sigmas > _CONSTANTS_CHI2:
+        worst = int(np.abs(sigmas).argmax())
+        return f"the wheels' constant errors would be {abs(sigmas[worst]):.1f} sigmas off ({CONSTANTS[worst]})"
+    residual = wheel_residuals(wheels, poses, constants)
+    gate = _largest_chi2(len(residual))
+    for steps in _STRETCHES:
+        count = len(residual) // steps
+        sums = residual[: count * steps].reshape(count, steps, 3).sum(axis=1)
+        chi2 = (sums**2).sum(axis=1) / steps
+        if count and chi2.max() > gate:
+            first = int(chi2.argmax()) * steps
+            return f"the wheels would be {np.sqrt(chi2.max()):.1f} sigmas off from image {first} to {first + steps}"
+    return None
+
+
+def _largest_chi2(count: int) -> float:
+    """Return what the largest χ² of `count` Gaussians of three dimensions exceeds with the probability `_CHANCE`.
+
+    The longer the drive, the farther off the noise of its worst step.
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(3, _CHANCE / max(count, 1)))

@@ -6,16 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mrclam import MrclamReader, integrated
 from mrclam_files import FILES
 
-from localiser import geometry
+from localiser import geometry, storage
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.storage import open_log
-from localiser.storage.mrclam import integrated
 
 COMMENT = "# a comment \r\n"
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let logs of the data set be opened, in these tests alone."""
+    monkeypatch.setattr("localiser.storage.open.FORMATS", [*storage.FORMATS, MrclamReader()])
 
 
 @pytest.fixture
