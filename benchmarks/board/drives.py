@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import mrclam
 import numpy as np
 import yaml
 from edge_light import Light
@@ -20,7 +21,7 @@ from figures.program import fingerprint
 
 from board import racks
 from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log
-from localiser.mapping import build_map_together, edges_of_log
+from localiser.mapping import build_map, edges_of_log
 from localiser.simulate import odometry_of
 from localiser.simulate.robot import OdometrySpec
 from localiser.storage import Log, write_log
@@ -39,6 +40,8 @@ REAL_MAPS = {
     "office even": ("office_real/even",),
     "office odd": ("office_real/odd",),
 }
+
+mrclam.register()
 
 
 def is_there(name: str) -> bool:
@@ -106,7 +109,7 @@ def _lit(frame, light: Light, seed: int):
 def map_of(name: str) -> LandmarkMap:
     """Return a map that is made of one or two logs with their true poses."""
     logs = [log_of(part) for part in REAL_MAPS[name]]
-    return build_map_together(logs, read_config(None, [], logs[0].settings), cache=KEPT / "edges").landmark_map
+    return build_map(logs, config=read_config(None, [], logs[0].settings), cache=KEPT / "edges").landmark_map
 
 
 def third_of(landmark_map: LandmarkMap) -> LandmarkMap:

@@ -17,7 +17,7 @@ from localiser.geometry import Array, Increment, compose, wrap_angle
 from localiser.motion import MotionParameters, linearised
 
 
-def smoothed(
+def smooth_path(
     poses: Array, covs: Array, increments: Sequence[Increment], motion: MotionParameters
 ) -> tuple[Array, Array]:
     """Return poses (T, 3) and covariances (T, 3, 3) of a run with what came later.

@@ -39,7 +39,7 @@ def drive_of(world: World, rng: np.random.Generator) -> Drive:
     """Return the world's drive and one draw of its odometry's errors."""
     spec = world.drive
     truth = truth_of(spec)
-    half_exposure_ns = round(world.image.longest_exposure_s * 5e8)
+    half_exposure_ns = round(world.image.exposure_s * 5e8)
     before_s, after_s = world.camera.camera().readout_s
     first_ns = max(round(spec.image_offset_s * 1e9), half_exposure_ns + round(-before_s * 1e9))
     last_ns = truth.t_ns[-1] - half_exposure_ns - round(after_s * 1e9)

@@ -1,4 +1,4 @@
-"""The command `edges`: what it writes of images and logs, how detectors compare, what is wrong with bad input."""
+"""The command `edges`: what it writes of images and logs, what is wrong with bad input."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import csv
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,7 +16,7 @@ from small_log import write_edge_log
 
 from localiser.calibration import MountCheck
 from localiser.camera import Camera
-from localiser.commands.edges.mount import mount_warnings
+from localiser.commands.edge_search import EdgeSearch
 from localiser.config import Config
 from localiser.edges import PROFILE_OFFSETS_PX
 from localiser.storage import read_camera, write_camera
@@ -25,7 +24,6 @@ from localiser.storage import read_camera, write_camera
 BEARINGS_DEG = np.array([-21.0, -6.0, 4.0, 19.0])
 GREYS = [60, 170, 90, 200, 110]
 CAMERA = camera_of(320, 240, tilt_deg=20.0, k1=-0.2)
-DETECTORS = ("columns", "lsd", "hough")
 
 
 @pytest.fixture
@@ -88,29 +86,29 @@ def test_the_table_holds_the_true_edges_from_left_to_right(localiser: Localiser,
 
 
 def test_json_and_csv_hold_the_same_edges(localiser: Localiser, folder: Path) -> None:
-    out = run(localiser, folder, folder / "0.png", folder / "1.png", "--detector", "lsd", "--detector", "columns")
+    out = run(localiser, folder, folder / "0.png", folder / "1.png", "--detector", "lsd")
     rows = table(out / "edges.csv")
+    assert {row["detector"] for row in rows} == {"lsd"}
     for index in range(2):
         data = json.loads((out / f"{index}.json").read_text())
         assert (data["format"], data["width"], data["height"]) == ("localiser-edges/1", 320, 240)
-        for detector, found in data["detectors"].items():
-            own = [row for row in rows if row["detector"] == detector and Path(row["image"]).name == f"{index}.png"]
-            assert len(own) == len(found["edges"]) >= 4
-            assert np.array(found["rejected_px"]).size == found["rejected"] * 4
-            for row, edge in zip(own, found["edges"], strict=True):
-                assert set(edge) == set(data["columns"])
-                profile = edge.pop("profile")
-                assert len(profile) == len(PROFILE_OFFSETS_PX)
-                assert np.sign(profile[-1] - profile[0]) == edge["polarity"]
-                for name, value in edge.items():
-                    assert row[name] == ("" if value is None else str(value))
+        own = [row for row in rows if Path(row["image"]).name == f"{index}.png"]
+        assert len(own) == len(data["edges"]) >= 4
+        assert np.array(data["rejected_px"]).size == data["rejected"] * 4
+        for row, edge in zip(own, data["edges"], strict=True):
+            assert set(edge) == set(data["columns"])
+            profile = edge.pop("profile")
+            assert len(profile) == len(PROFILE_OFFSETS_PX)
+            assert np.sign(profile[-1] - profile[0]) == edge["polarity"]
+            for name, value in edge.items():
+                assert row[name] == ("" if value is None else str(value))
 
 
 def test_tilt_and_roll_by_the_edges_stand_beside_what_is_stated(localiser: Localiser, folder: Path) -> None:
     write_camera(CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(0.8)), folder / "camera.yaml")
     wide = ("--set", "edges.tilt_sigma_deg=3", "--set", "edges.plumb_sigma_deg=0.05")
     found = json.loads((run(localiser, folder, folder / "0.png", *wide) / "0.json").read_text())
-    mount = found["detectors"]["columns"]["mount_by_edges"]
+    mount = found["mount_by_edges"]
     assert mount["tilt_sigma_deg"] < 0.5
     assert mount["tilt_deg"] == pytest.approx(20.0, abs=3 * mount["tilt_sigma_deg"])
     assert mount["roll_deg"] == pytest.approx(0.0, abs=3 * mount["roll_sigma_deg"])
@@ -135,7 +133,7 @@ def test_the_picture_shows_what_was_found(localiser: Localiser, folder: Path) ->
 def test_pictures_can_be_left_out(localiser: Localiser, folder: Path) -> None:
     out = run(localiser, folder, folder / "0.png")
     assert sorted(file.name for file in out.iterdir()) == [
-        "0.json", "camera.yaml", "config.yaml", "detectors.csv", "edges.csv",
+        "0.json", "camera.yaml", "config.yaml", "edges.csv",
     ]  # fmt: skip
 
 
@@ -143,7 +141,7 @@ def test_settings_are_those_of_the_configuration(localiser: Localiser, folder: P
     out = run(localiser, folder, folder / "0.png", "--set", "edges.min_length_px=900", "--set", "edges.detector=lsd")
     assert table(out / "edges.csv") == []
     assert "min_length_px: 900" in (out / "config.yaml").read_text()
-    assert [row["detector"] for row in table(out / "detectors.csv")] == ["lsd"]
+    assert json.loads((out / "0.json").read_text())["detector"] == "lsd"
 
 
 def test_camera_and_configuration_beside_the_results_read_back(localiser: Localiser, folder: Path) -> None:
@@ -156,23 +154,6 @@ def test_camera_and_configuration_beside_the_results_read_back(localiser: Locali
     assert (folder / "again" / "0.png").read_bytes() == (out / "0.png").read_bytes()
 
 
-def test_detectors_are_compared_with_each_other(localiser: Localiser, folder: Path) -> None:
-    arguments = [part for name in DETECTORS for part in ("--detector", name)]
-    out = run(localiser, folder, *(folder / f"{index}.png" for index in range(3)), *arguments, pictures=True)
-    rows = {row["detector"]: row for row in table(out / "detectors.csv")}
-    assert tuple(rows) == DETECTORS
-    found = table(out / "edges.csv")
-    for name, row in rows.items():
-        assert int(row["images"]) == 3
-        assert int(row["edges"]) == sum(edge["detector"] == name for edge in found)
-        assert float(row[f"share_also_{name}"]) == 1.0
-        assert float(row["ms_median"]) > 0
-    # The four strong edges of the wall are found by all of them.
-    assert float(rows["lsd"]["share_also_columns"]) >= 0.9
-    assert float(rows["columns"]["apart_median_lsd_deg"]) < 0.05
-    assert cv2.imread(str(out / "0.png")).shape[1] > 1900  # a panel each
-
-
 def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, folder: Path) -> None:
     one = localiser(
         "edges", folder / "0.png", "--camera", folder / "camera.yaml", "--out", folder / "one", "--no-pictures"
@@ -183,7 +164,7 @@ def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, 
     assert "Finding" not in one.err
     many = localiser("edges", folder / "0.png", folder / "1.png", "--camera", folder / "camera.yaml",
                      "--out", folder / "many", "--no-pictures")  # fmt: skip
-    assert "Vertical edges in 2 images" in many.out
+    assert "vertical edges in 2 images, 4 in an image" in many.out
     assert "2/2" in many.err
     silent = localiser("edges", folder / "0.png", folder / "1.png", "--camera", folder / "camera.yaml",
                        "--out", folder / "silent", "--no-pictures", "--quiet")  # fmt: skip
@@ -265,10 +246,9 @@ def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, f
 def test_a_roll_a_little_below_zero_is_told_without_a_sign(monkeypatch: pytest.MonkeyPatch) -> None:
     stated, found = np.deg2rad([15.0, 0.0]), np.deg2rad([18.0, -0.01])
     check = MountCheck(stated, found, np.diag(np.deg2rad([0.1, 0.1]) ** 2), disagrees=True)
-    monkeypatch.setattr("localiser.calibration.check_mount", lambda *_: check)
-    run = SimpleNamespace(config=Config(), camera=CAMERA, kept={"columns": []})
-    (warning,) = mount_warnings(run)
-    assert "roll 0.0° ± 0.1°" in warning
+    monkeypatch.setattr("localiser.commands.edge_search.check_mount", lambda *_: check)
+    warning = EdgeSearch(CAMERA, [], Config()).mount_warning()
+    assert warning is not None and "roll 0.0° ± 0.1°" in warning
 
 
 def test_an_image_without_edges_is_told_in_a_line(localiser: Localiser, folder: Path) -> None:
@@ -277,26 +257,8 @@ def test_an_image_without_edges_is_told_in_a_line(localiser: Localiser, folder: 
     one = localiser("edges", folder / "black.png", *camera, "--out", folder / "one")
     assert one.out.splitlines()[0].startswith("No vertical edges in")
     assert "bearing" not in one.out
-    two = localiser("edges", folder / "black.png", *camera, "--detector", "lsd", "--detector", "columns",
-                    "--out", folder / "two")  # fmt: skip
-    assert two.exit_code == 0
-    assert "nan" not in two.out
-    assert "0%" not in two.out
-
-
-def test_the_last_line_says_what_the_table_of_detectors_is_for(localiser: Localiser, folder: Path) -> None:
-    camera = ("--camera", folder / "camera.yaml", "--no-pictures")
-    assert "detectors.csv sums up." in localiser("edges", folder / "0.png", *camera, "--out", folder / "one").out
-    two = localiser("edges", folder / "0.png", *camera, "--detector", "lsd", "--detector", "columns",
-                    "--out", folder / "two")  # fmt: skip
-    assert "detectors.csv compares them." in two.out
-
-
-def test_a_detector_named_twice(localiser: Localiser, folder: Path) -> None:
-    result = localiser("edges", folder / "0.png", "--camera", folder / "camera.yaml",
-                       "--detector", "lsd", "--detector", "lsd")  # fmt: skip
-    assert result.exit_code == 2
-    assert "--detector: expected each detector once, found lsd 2 times" in result.err
+    two = localiser("edges", folder / "black.png", folder / "0.png", *camera, "--out", folder / "two")
+    assert "4 vertical edges in 2 images" in two.out
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------
@@ -340,7 +302,6 @@ def test_a_bad_image_ends_the_run_and_keeps_what_was_done(localiser: Localiser, 
     assert "Traceback" not in result.err
     assert table(out / "edges.csv") == expected
     assert {file.name for file in out.glob("[0-9]*")} == {"0.json", "0.png"}
-    assert table(out / "detectors.csv")[0]["images"] == "1"
 
 
 def test_a_bad_first_image_leaves_no_folder(localiser: Localiser, folder: Path) -> None:

@@ -327,7 +327,7 @@ BAD = {
     "--start of two numbers": Bad(with_arguments("--start", "1,2"), ["--start", "x,z,heading_deg", "'1,2'"]),
     "--start of words": Bad(with_arguments("--start", "the,front,door"), ["--start", "'the,front,door'"]),
     "--start of nan": Bad(with_arguments("--start", "nan,0,0"), ["--start", "'nan,0,0'"]),
-    "unknown format": Bad(with_arguments("--format", "rosbug"), ["--format", "folder, bag or mrclam", "'rosbug'"]),
+    "unknown format": Bad(with_arguments("--format", "rosbug"), ["--format", "folder or bag", "'rosbug'"]),
     "slope without tilt": Bad(
         untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "observation.kind=line"]
     ),

@@ -39,10 +39,10 @@ def check(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tell what looks wrong with a MAP, how it fits a log, where too little is in view, or looks like elsewhere."""
-    from localiser.commands.map.pictures import Surroundings, draw_check
+    """Tell what looks wrong with a MAP, how it fits a log, and where too little is in view."""
+    from localiser.commands.map.pictures import Surroundings, draw_coverage
     from localiser.geometry import Trajectory
-    from localiser.mapping import cache_folder, coverage, find_aliasing, fit_to_log, known_poses
+    from localiser.mapping import cache_folder, coverage, fit_to_log, known_poses
     from localiser.storage import read_camera, read_map, read_plan
 
     picture = out or map_file.with_name(f"{map_file.stem}_coverage.png")
@@ -65,23 +65,20 @@ def check(
     if camera is None:
         typer.echo("What is in view from where depends on the camera: --log LOG or --camera FILE shows it.")
         return
-    found, look = coverage(landmark_map, camera), find_aliasing(landmark_map, camera, path)
-    draw_check(landmark_map, found, look, picture, Surroundings(path, walls))
+    found = coverage(landmark_map, camera)
+    draw_coverage(landmark_map, found, picture, Surroundings(path, walls))
     typer.echo(found.text())
-    typer.echo(look.text())
     typer.echo(f"Picture in {picture}")
 
 
 def suspects(landmark_map: LandmarkMap, fit: LogFit | None) -> Table:
     """Return what looks wrong with single landmarks."""
     import numpy as np
-    from rich.table import Table
 
+    from localiser.evaluate import new_table
     from localiser.mapping import doubtful, duplicates
 
-    table = Table(title="What looks wrong")
-    for name in ("", "landmarks"):
-        table.add_column(name)
+    table = new_table("What looks wrong", "", "landmarks", texts=2)
     ids = [str(name) for name in landmark_map.ids]
     pairs = duplicates(landmark_map)
     table.add_row("there twice", _some([f"{ids[i]}={ids[j]}" for i, j in pairs]))
