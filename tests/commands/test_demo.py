@@ -56,7 +56,7 @@ def test_what_is_kept_is_what_a_clone_has(empty: Path) -> None:
 
 def test_the_demo_keeps_the_files_of_an_installed_package(localiser: Localiser, empty: Path, installed: Path) -> None:
     (installed / "logs" / "corridor" / "log.yaml").chmod(0o444)
-    with patch("localiser.replay.run.write_report"):
+    with patch("localiser.replay.folder.write_report"):
         result = localiser("demo", "--keep", "kept")
     assert result.exit_code == 0 and "files to try are in kept" in result.out
     assert files(empty / "kept") == files(installed)
