@@ -13,10 +13,9 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, demo, edges, evaluate, replay, simulate, view
+from localiser.commands import batch, convert, demo, doctor, edges, evaluate, replay, simulate, view
 from localiser.commands.camera import camera_app
 from localiser.commands.config import config_app
-from localiser.commands.doctor import arguments as doctor
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
@@ -88,7 +87,7 @@ def main() -> None:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()
         with suppress(OSError):
-            typer.secho(f"Error: {_told(error)}", fg="red", err=True)
+            typer.secho(f"Error: {_message_of(error)}", fg="red", err=True)
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
 
 
@@ -111,7 +110,7 @@ def _flush() -> None:
             raise
 
 
-def _told(error: LocaliserError | OSError) -> str:
+def _message_of(error: LocaliserError | OSError) -> str:
     """Return what is wrong; of the system's errors, with the path that it is about."""
     if isinstance(error, LocaliserError):
         return str(error)

@@ -17,7 +17,7 @@ from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 from small_log import write_edge_log, write_small_log
 
 from localiser.calibration import Board
-from localiser.commands.doctor.checks import offset_finding
+from localiser.commands.doctor_checks import offset_finding
 from localiser.edges import find_edges
 from localiser.errors import InputError
 from localiser.storage import open_log, read_camera

@@ -26,7 +26,7 @@ from localiser.commands.options import (
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
-    from localiser.commands.doctor.checks import Finding
+    from localiser.commands.doctor_checks import Finding
 
 EPILOG = """Examples:
 
@@ -73,7 +73,7 @@ def doctor(
     Listens to a robot when --connect, --listen, --zenoh-config or --dds is given. Exit code 1 when something is
     missing.
     """
-    from localiser.commands.doctor import checks as examination
+    from localiser.commands import doctor_checks as examination
     from localiser.config import read_config
     from localiser.live import input_topics, open_transport
     from localiser.storage import read_camera, read_map, require_new_file

@@ -1,1 +1,0 @@
-"""`localiser doctor`: check whether installation, robot, camera and map fit together."""
