@@ -12,5 +12,13 @@ from localiser.calibration.log_mount import (
     mount_of_lines,
     spread,
 )
-from localiser.calibration.odometry import ALPHAS, SCALES, Drive, OdometryFit, Pieces, fit_odometry, on_one_clock
-from localiser.calibration.smooth_track import smooth_path
+from localiser.calibration.odometry import (
+    ALPHAS,
+    SCALES,
+    Drive,
+    OdometryFit,
+    Pieces,
+    fit_odometry,
+    on_one_clock,
+    smooth_path,
+)

@@ -5,7 +5,6 @@ The mount alone predicts lines: vertical edges of round bearings, which meet at 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,8 +35,6 @@ _REJECTED, _HORIZON = "#c7cdd4", "#7ee0a1"
 _CERTAINTY = ("#35b6ff", "#9fe3ff", "#fff2a8", "#ffa24d", "#ff5a45")
 _SIGMA_DEG = (0.01, 1.0)
 _DIMMED = 1.45  # the image's white is drawn as this share of full white's inverse, so that lines stand out
-_LINE_PX = 14.0  # height of a label
-_RING_PX = 5.0
 _SURE_SHARE = 0.2  # a range less certain than this is not worth its label
 _BENT_STEPS = 9
 _STEPS = 129
@@ -89,7 +86,7 @@ def _draw_panel(axes: Axes, image: Image, camera: Camera, edges: Edges, zoom: in
     _draw_guides(axes, camera)
     _draw_lines(axes, camera, edges)
     _draw_rings(axes, edges)
-    _annotate(axes, edges, zoom)
+    _annotate(axes, edges)
 
 
 def _draw_guides(axes: Axes, camera: Camera) -> None:
@@ -146,40 +143,20 @@ def _mark(axes: Axes, points: Array, marker: str | int, size: float, paint: tupl
     axes.plot(*points.T, linestyle="none", marker=marker, markersize=size, color=inside, **style)
 
 
-def _annotate(axes: Axes, edges: Edges, zoom: int) -> None:
-    """Write an edge's number at its top and its range at its foot.
-
-    A number in whose place another one stands already is moved up or down along its edge, on which it stays; of ranges
-    in one place that of the longest edge is written.
-    """
+def _annotate(axes: Axes, edges: Edges) -> None:
+    """Write an edge's number at its top, and its range at its foot where that is sure."""
     from matplotlib.patheffects import withStroke
 
-    halo = [withStroke(linewidth=2.5, foreground="black")]
-    style: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 9, "fontweight": "bold", "zorder": 9}
-    rings = edges.ends_px[foot_flag(edges) == "floor", 0] * zoom
-    placed: list[tuple[Array, float]] = [(ring, _RING_PX) for ring in rings]
-    size = np.array([axes.get_xlim()[1], axes.get_ylim()[0]]) * zoom
-    for wanted, text in _labels(edges, zoom):
-        half = 4.0 * len(text) + 1
-        for place in wanted.clip([half, 8], size - [half, 8]):  # kept inside the picture, to which it belongs
-            if not any(abs(place[0] - x) < half + width and abs(place[1] - y) < _LINE_PX for (x, y), width in placed):
-                placed.append((place, half))
-                axes.text(place[0] / zoom, place[1] / zoom, text, path_effects=halo, **style)
-                break
-
-
-def _labels(edges: Edges, zoom: int) -> Iterator[tuple[Array, str]]:
-    """Yield where (places, 2) on the enlarged picture to write what, best place first, and the most telling text."""
-    order = np.argsort(-edges.length_px, kind="stable")
-    for index in order:
-        bottom, top = edges.ends_px[index] * zoom
-        down = (bottom - top) / max(float(np.linalg.norm(bottom - top)), 1e-9)
-        along = np.arange(0.0, max(float(np.linalg.norm(bottom - top)) - 2 * _LINE_PX, 1.0), _LINE_PX)
-        yield np.concatenate([[top - [0, 11]], top + down * (along[:, None] + _LINE_PX)]), str(index + 1)
-    for index in order:
-        is_sure = edges.foot_range_sigma_m[index] < _SURE_SHARE * edges.foot_range_m[index]
-        if is_sure and not edges.foot_probability[index] < FLOOR:
-            yield edges.ends_px[index, :1] * zoom + [[0, 17], [0, 31]], f"{edges.foot_range_m[index]:.1f} m"
+    style: dict[str, Any] = {
+        "path_effects": [withStroke(linewidth=2.5, foreground="black")], "textcoords": "offset points",
+        "ha": "center", "va": "center", "fontsize": 9, "fontweight": "bold", "zorder": 9, "annotation_clip": True,
+    }  # fmt: skip
+    is_sure = edges.foot_range_sigma_m < _SURE_SHARE * edges.foot_range_m
+    is_sure &= ~(edges.foot_probability < FLOOR)
+    for index, (bottom, top) in enumerate(edges.ends_px):
+        axes.annotate(str(index + 1), tuple(top), xytext=(0, 9), **style)
+        if is_sure[index]:
+            axes.annotate(f"{edges.foot_range_m[index]:.1f} m", tuple(bottom), xytext=(0, -13), **style)
 
 
 def _bent(ends_px: Array, camera: Camera) -> Array:

@@ -17,7 +17,7 @@ from localiser.calibration import check_mount
 from localiser.camera import Camera
 from localiser.commands.edge_picture import foot_flag, save_picture
 from localiser.config import Config, in_force, to_yaml
-from localiser.edges import PROFILE_OFFSETS_PX, EdgeParameters, Edges, find_edges, mount_error_of_edges
+from localiser.edges import EdgeParameters, Edges, find_edges, mount_error_of_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.geometry import Twist
 from localiser.replay import Stop, asked_to_stop
@@ -26,7 +26,6 @@ from localiser.storage import (
     Image,
     RunFolder,
     csv_of,
-    json_text,
     output_errors,
     read_image,
     require_new,
@@ -35,7 +34,6 @@ from localiser.storage import (
     write_text,
 )
 
-FORMAT = "localiser-edges/1"
 KEPT_IMAGES = 200
 """So many images tell whether the stated mount is right; a large batch is not held in memory."""
 _CLEAR = 9.2  # squared Mahalanobis distance in two dimensions that chance exceeds in 1 % of the cases
@@ -193,22 +191,12 @@ class EdgeSearch:
             save_picture(self.folder / f"{taken.stem}.png", image, self.camera, self.last, title=title)
 
     def _write(self, taken: Taken) -> None:
-        """Write what was found in an image as JSON, and append it to edges.csv, which so survives a stop."""
+        """Append what was found in an image to edges.csv, which so survives a stop."""
         about = {"image": taken.image, **({} if taken.t_ns is None else {"t_ns": taken.t_ns})}
-        rows, detector = rows_of(self.last), self.config.edges.detector
-        found = {
-            "detector": detector,
-            "edges": [{**row, "profile": profile} for row, profile in zip(rows, self.last.profile, strict=True)],
-            "rejected_px": self.last.rejected_px,
-            "rejected": len(self.last.rejected_px),
-            "mount_by_edges": self.mount,
-        }
-        head = {"format": FORMAT, **about, "width": self.camera.width, "height": self.camera.height}
-        columns = {"columns": {**COLUMNS, "profile": PROFILE}}
-        write_text(self.folder / f"{taken.stem}.json", json_text(head | columns | found))
+        detector = self.config.edges.detector
         path = self.folder / "edges.csv"
         with output_errors(path):
-            table = [{**about, "detector": detector, **row} for row in rows]
+            table = [{**about, "detector": detector, **row} for row in rows_of(self.last)]
             text = csv_text([*about, "detector", *COLUMNS], table, header=not path.exists())
             with path.open("a", encoding="utf-8", newline="") as file:
                 file.write(text)
@@ -234,32 +222,27 @@ class EdgeSearch:
 
 # -- rows -------------------------------------------------------------------------------------------------------------
 
-COLUMNS = {
-    "edge": "number in the picture, from left to right",
-    "bearing_rad": "direction from the camera's forward axis, positive right, of the line held through the nadir point",
-    "bearing_sigma_rad": "its standard deviation",
-    "lean_rad": "angle of the free line from the image's vertical, top to the right positive, roll undone",
-    "lean_sigma_rad": "its standard deviation",
-    "slope": "the paper's slope m = 1 / tan(lean)",
-    "slope_deg": "the paper's slope as an angle, from the image's horizontal: 90 is vertical",
-    "vertical_probability": "how likely it is a vertical edge and not another line that points at the nadir point",
-    "length_px": "visible length",
-    "polarity": "1 dark to light from left to right, -1 light to dark, 0 unknown",
-    "bottom_u_px": "lower end in the image as taken, to the right of the top-left pixel's centre",
-    "bottom_v_px": "and below it",
-    "top_u_px": "upper end",
-    "top_v_px": "and below the top-left pixel's centre",
-    "foot_range_m": "floor distance of the lower end from the camera, if it stands on the floor; empty if not seen",
-    "foot_range_sigma_m": "its standard deviation, the mount's error left out",
-    "foot_probability": "how likely the lower end stands on the floor",
-    "foot": "floor: likely; hidden: likelier something else, such as what stands in front; outside: not in the image",
-    "foot_right_m": "that floor point to the right of the camera",
-    "foot_back_m": "and behind it, so negative ahead",
-}
-
-PROFILE = (
-    f"grey values across it, {PROFILE_OFFSETS_PX[0]:g} … {PROFILE_OFFSETS_PX[-1]:g} px from it in equal steps, left to "
-    "right, means along it; JSON only"
+COLUMNS = (
+    "edge",  # number in the picture, from left to right
+    "bearing_rad",  # direction from the camera's forward axis, positive right, of the line held through the nadir point
+    "bearing_sigma_rad",  # its standard deviation
+    "lean_rad",  # angle of the free line from the image's vertical, top to the right positive, roll undone
+    "lean_sigma_rad",  # its standard deviation
+    "slope",  # the paper's slope m = 1 / tan(lean)
+    "slope_deg",  # the paper's slope as an angle, from the image's horizontal: 90 is vertical
+    "vertical_probability",  # how likely it is a vertical edge and not another line that points at the nadir point
+    "length_px",  # visible length
+    "polarity",  # 1 dark to light from left to right, -1 light to dark, 0 unknown
+    "bottom_u_px",  # lower end in the image as taken, to the right of the top-left pixel's centre
+    "bottom_v_px",  # and below it
+    "top_u_px",  # upper end
+    "top_v_px",  # and below the top-left pixel's centre
+    "foot_range_m",  # floor distance of the lower end from the camera, if it stands on the floor; empty if not seen
+    "foot_range_sigma_m",  # its standard deviation, the mount's error left out
+    "foot_probability",  # how likely the lower end stands on the floor
+    "foot",  # floor: likely; hidden: likelier something else, such as what stands in front; outside: not in the image
+    "foot_right_m",  # that floor point to the right of the camera
+    "foot_back_m",  # and behind it, so negative ahead
 )
 
 

@@ -58,7 +58,7 @@ def edges(
     overrides: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
-    """Find the vertical edges in images; write them as CSV and JSON, and a picture of each image."""
+    """Find the vertical edges in images; write them as CSV, and a picture of each image."""
     from dataclasses import replace
 
     from localiser.commands.edge_search import EdgeSearch, inputs_of
@@ -79,8 +79,7 @@ def edges(
     if quiet:
         return
     _show(search)
-    pictures_too = ", a picture" if pictures else ""
-    typer.echo(f"Results in {search.folder}: edges.csv; of each image JSON{pictures_too}.")
+    typer.echo(f"Results in {search.folder}: edges.csv{'; a picture of each image' if pictures else ''}.")
     if warning := search.mount_warning():
         typer.secho(warning, fg="yellow", err=True)
 

@@ -118,7 +118,7 @@ def main() -> None:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()
         with suppress(OSError):
-            typer.secho(f"Error: {_text_of(error)}", fg="red", err=True)
+            typer.secho(f"Error: {_message_of(error)}", fg="red", err=True)
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
 
 
@@ -142,7 +142,7 @@ def _flush() -> None:
             raise
 
 
-def _text_of(error: LocaliserError | OSError) -> str:
+def _message_of(error: LocaliserError | OSError) -> str:
     """Return what is wrong; of the system's errors, with the path that it is about."""
     if isinstance(error, LocaliserError):
         return str(error)

@@ -48,7 +48,7 @@ NewLog = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
 
-def opened(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
+def open_with_settings(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
     """Return a log, and the configuration in force: what the log asks for is weaker than `config` and `settings`.
 
     how: see `storage.open_log`.

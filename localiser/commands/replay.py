@@ -15,7 +15,7 @@ from localiser.commands.options import (
     Quiet,
     Seed,
     Topics,
-    opened,
+    open_with_settings,
     paced,
     progress,
     show,
@@ -91,7 +91,7 @@ def replay(
 
     settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
     how: dict[str, Any] = {"format": log_format, "topics": topics_by_role(topics), "camera": camera}
-    recorded, effective = opened(log, config, settings, up_to_fault=True, **how)
+    recorded, effective = open_with_settings(log, config, settings, up_to_fault=True, **how)
     with working("Getting ready; the first run compiles …", quiet):
         ready = prepare(recorded, effective, start, map_file=map_file)
         ready.localiser.warm_up(images=recorded.has_images)

@@ -13,12 +13,9 @@ from localiser.mapping.build import (
 from localiser.mapping.check import (
     ENOUGH,
     Coverage,
-    LogFit,
     coverage,
     doubtful,
-    fit_to_log,
     in_view,
-    log_fit,
     update_map,
 )
 from localiser.mapping.factors import Prior, Wheels
@@ -36,7 +33,7 @@ from localiser.mapping.merge import (
     matches,
     merge_duplicates,
 )
-from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells, plan_landmarks
+from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, map_from_cells, plan_landmarks
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.recorded import cache_folder, edges_of_log, known_poses, wheels_of
 from localiser.mapping.sightings import Index, Sightings, direction_of, parallax

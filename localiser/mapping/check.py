@@ -1,57 +1,26 @@
-"""Check a finished map, and bring it up to date: doubtful landmarks, those that a log contradicts, too few in view."""
+"""Check a finished map, and bring it up to date: doubtful landmarks, places with too few in view."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges import EdgeParameters
 from localiser.errors import InputError
-from localiser.geometry import Array, Trajectory
+from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality, Sight, SightParameters, sight
 from localiser.mapping.build import MapBuilt
 from localiser.mapping.landmarks import Built
 from localiser.mapping.merge import common_landmarks, fuse_maps
-from localiser.mapping.recorded import RecordedLog, edges_of_log
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 
 # -- check ------------------------------------------------------------------------------------------------------------
 
 ENOUGH = 3
 """Landmarks in view that fix a pose: two leave an arc of places."""
-_MATCH_RAD = np.deg2rad(1.5)  # an edge farther from where a landmark should be seen is another's
 _STEP_M, _MOST_STEPS = 0.25, 60  # between places; along the longer side of the building
 _AT_ONCE = 4096  # poses whose views are worked out together
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LogFit:
-    """How a map's landmarks (L) fit the edges of a log with known poses.
-
-    expected: (L,) frames that have them in view; a wall may hide them from it. found: (L,) frames with an edge there.
-    rms_rad: (L,) root mean square of the edges' distance from where they should be, nan where none was found.
-    explained: share of all edges that have a landmark.
-    """
-
-    expected: Index
-    found: Index
-    rms_rad: Array
-    explained: float
-
-    def text(self) -> str:
-        """Return how well the whole map fits a log."""
-        found = self.found > 0
-        rms = np.rad2deg(np.median(self.rms_rad[found])) if found.any() else np.nan
-        return (
-            f"{found.sum()} of {len(found)} landmarks were seen; "
-            f"{100 * self.explained:.0f} % of the log's edges are theirs, "
-            f"{rms:.2f}° (median) from where they should be"
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,43 +65,6 @@ def in_view(landmark_map: LandmarkMap, camera: Camera, places: Array, headings: 
     return count.reshape(len(places), headings)
 
 
-def log_fit(landmark_map: LandmarkMap, sightings: Sightings, camera: Camera, robot_poses: Array) -> LogFit:
-    """Return how the landmarks fit edges that were seen from robots at (T, 3): each to the nearest, mutually."""
-    limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
-    views = sight(camera, camera.pose_in_map(robot_poses), landmark_map, limits)
-    first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
-    squares, found = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=np.int64)
-    for frame in range(sightings.frames):
-        seen = slice(sightings.first[frame], sightings.first[frame + 1])
-        expected = slice(first[frame], first[frame + 1])
-        landmark = views.landmark[expected]
-        row, apart = _nearest(
-            np.arctan(views.tangent[expected]),
-            landmark_map.polarity[landmark],
-            sightings.bearing[seen],
-            sightings.polarity[seen],
-        )
-        found[landmark[row]] += 1
-        squares[landmark[row]] += apart**2
-    expected_count = np.bincount(views.landmark, minlength=len(landmark_map))
-    rms = np.sqrt(np.divide(squares, found, out=np.full(len(found), np.nan), where=found > 0))
-    return LogFit(expected_count, found, rms, float(found.sum()) / max(len(sightings), 1))
-
-
-def _nearest(
-    predicted: Array, polarity: NDArray[np.int8], bearing: Array, seen_polarity: NDArray[np.int8]
-) -> tuple[Index, Array]:
-    """Return the predictions (K,) that an edge lies at, and how far off it is (K,) rad: mutual nearest, alike."""
-    if not len(predicted) or not len(bearing):
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
-    apart = np.abs(predicted[:, None] - bearing[None])
-    apart[polarity[:, None] * seen_polarity[None] < 0] = np.inf
-    column = apart.argmin(axis=1)
-    row = np.flatnonzero(apart.argmin(axis=0)[column] == np.arange(len(predicted)))
-    distance = apart[row, column[row]]
-    return row[distance < _MATCH_RAD], distance[distance < _MATCH_RAD]
-
-
 def coverage(landmark_map: LandmarkMap, camera: Camera) -> Coverage:
     """Return from where, all over the building, fewer than three landmarks are in view."""
     low, high = landmark_map.points.min(axis=0), landmark_map.points.max(axis=0)
@@ -143,24 +75,6 @@ def coverage(landmark_map: LandmarkMap, camera: Camera) -> Coverage:
     places = np.stack([part.ravel() for part in np.meshgrid(x, z)], axis=-1)
     few = in_view(landmark_map, camera, places) < ENOUGH
     return Coverage(x, z, step, few.mean(axis=1).reshape(len(z), len(x)))
-
-
-def fit_to_log(
-    landmark_map: LandmarkMap,
-    log: RecordedLog,
-    trajectory: Trajectory,
-    parameters: EdgeParameters,
-    progress: Callable[[], None],
-    cache: Path | None = None,
-) -> LogFit:
-    """Return how the map fits the edges of a log with known poses, see `edges_of_log`. Raises InputError for none."""
-    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
-    inside = np.flatnonzero((t_ns >= trajectory.t_ns[0]) & (t_ns <= trajectory.t_ns[-1]))
-    if not len(inside):
-        raise InputError("expected poses at the times of images, found none", path=log.path, field="--poses")
-    edges = edges_of_log(log, parameters, lambda *_: progress(), cache)
-    sightings = Sightings.from_edges([edges[k] for k in inside], log.camera)
-    return log_fit(landmark_map, sightings, log.camera, trajectory.sampled(t_ns[inside]).poses)
 
 
 # -- update -----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, pose_from_ros, ros_from_pose
+from localiser.geometry import Array, pose_from_ros
 from localiser.landmarks import LandmarkMap
 
 # -- the grid ---------------------------------------------------------------------------------------------------------
@@ -50,16 +50,6 @@ def map_from_cells(plan: FloorPlan, cells: Array) -> Array:
     ros_x = x + np.cos(yaw) * right - np.sin(yaw) * up
     ros_y = y + np.sin(yaw) * right + np.cos(yaw) * up
     return np.asarray(pose_from_ros(np.stack([ros_x, ros_y, np.zeros(len(cells))], axis=-1))[:, :2])
-
-
-def cells_from_map(plan: FloorPlan, points: Array) -> Array:
-    """Return (K, 2) column, row of the grid at points (K, 2) x, z of the map; the inverse of `map_from_cells`."""
-    x, y, yaw = plan.origin_ros
-    ros = ros_from_pose(np.concatenate([points, np.zeros((len(points), 1))], axis=1))
-    east, north = ros[:, 0] - x, ros[:, 1] - y
-    right = np.cos(yaw) * east + np.sin(yaw) * north
-    up = -np.sin(yaw) * east + np.cos(yaw) * north
-    return np.asarray(np.stack([right, up], axis=-1) / plan.resolution_m)
 
 
 # -- corners ----------------------------------------------------------------------------------------------------------

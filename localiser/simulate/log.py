@@ -11,11 +11,10 @@ from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.simulate.drive import Drive, drive_of
-from localiser.simulate.mount_motion import stated_mount
+from localiser.simulate.drive import Drive, drive_of, stated_mount
 from localiser.simulate.render import Scene, expose, scene_of
 from localiser.simulate.solids import clearance_m
-from localiser.simulate.visible import Visible, visible_landmarks
+from localiser.simulate.structure import Visible, visible_landmarks
 from localiser.simulate.world import World
 
 FEWEST_SIGHTINGS = 5  # images that must show a landmark for it to be on the map of the log

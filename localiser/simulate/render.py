@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
+from localiser.simulate.drive import mount_at
 from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead, strip_view_of
-from localiser.simulate.light import Lighting, lighting_of
-from localiser.simulate.mount_motion import mount_at
 from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
 from localiser.simulate.robot import ImageSpec
 from localiser.simulate.structure import Structure, structure_of
-from localiser.simulate.textures import Atlas, Image, atlas_of
+from localiser.simulate.surfaces import Atlas, Image, Lighting, atlas_of, lighting_of
 from localiser.simulate.world import World
 
 _BLUR_STEP_PX = 1.5  # motion blur averages sharp images no further apart than this

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import shutil
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from localiser.calibration import MountCheck
 from localiser.camera import Camera
 from localiser.commands.edge_search import EdgeSearch
 from localiser.config import Config
-from localiser.edges import PROFILE_OFFSETS_PX
 from localiser.storage import read_camera, write_camera
 
 BEARINGS_DEG = np.array([-21.0, -6.0, 4.0, 19.0])
@@ -85,35 +83,6 @@ def test_the_table_holds_the_true_edges_from_left_to_right(localiser: Localiser,
     assert CAMERA.bearing_of_segments(ends.reshape(-1, 2, 2)) == pytest.approx(bearing, abs=2e-3)
 
 
-def test_json_and_csv_hold_the_same_edges(localiser: Localiser, folder: Path) -> None:
-    out = run(localiser, folder, folder / "0.png", folder / "1.png", "--detector", "lsd")
-    rows = table(out / "edges.csv")
-    assert {row["detector"] for row in rows} == {"lsd"}
-    for index in range(2):
-        data = json.loads((out / f"{index}.json").read_text())
-        assert (data["format"], data["width"], data["height"]) == ("localiser-edges/1", 320, 240)
-        own = [row for row in rows if Path(row["image"]).name == f"{index}.png"]
-        assert len(own) == len(data["edges"]) >= 4
-        assert np.array(data["rejected_px"]).size == data["rejected"] * 4
-        for row, edge in zip(own, data["edges"], strict=True):
-            assert set(edge) == set(data["columns"])
-            profile = edge.pop("profile")
-            assert len(profile) == len(PROFILE_OFFSETS_PX)
-            assert np.sign(profile[-1] - profile[0]) == edge["polarity"]
-            for name, value in edge.items():
-                assert row[name] == ("" if value is None else str(value))
-
-
-def test_tilt_and_roll_by_the_edges_stand_beside_what_is_stated(localiser: Localiser, folder: Path) -> None:
-    write_camera(CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(0.8)), folder / "camera.yaml")
-    wide = ("--set", "edges.tilt_sigma_deg=3", "--set", "edges.plumb_sigma_deg=0.05")
-    found = json.loads((run(localiser, folder, folder / "0.png", *wide) / "0.json").read_text())
-    mount = found["mount_by_edges"]
-    assert mount["tilt_sigma_deg"] < 0.5
-    assert mount["tilt_deg"] == pytest.approx(20.0, abs=3 * mount["tilt_sigma_deg"])
-    assert mount["roll_deg"] == pytest.approx(0.0, abs=3 * mount["roll_sigma_deg"])
-
-
 def test_the_picture_shows_what_was_found(localiser: Localiser, folder: Path) -> None:
     one = cv2.imread(str(run(localiser, folder, folder / "0.png", pictures=True) / "0.png"))
     assert one.shape[1] >= 1000  # a small image is drawn larger
@@ -132,16 +101,13 @@ def test_the_picture_shows_what_was_found(localiser: Localiser, folder: Path) ->
 
 def test_pictures_can_be_left_out(localiser: Localiser, folder: Path) -> None:
     out = run(localiser, folder, folder / "0.png")
-    assert sorted(file.name for file in out.iterdir()) == [
-        "0.json", "camera.yaml", "config.yaml", "edges.csv",
-    ]  # fmt: skip
+    assert sorted(file.name for file in out.iterdir()) == ["camera.yaml", "config.yaml", "edges.csv"]
 
 
 def test_settings_are_those_of_the_configuration(localiser: Localiser, folder: Path) -> None:
     out = run(localiser, folder, folder / "0.png", "--set", "edges.min_length_px=900", "--set", "edges.detector=lsd")
     assert table(out / "edges.csv") == []
     assert "min_length_px: 900" in (out / "config.yaml").read_text()
-    assert json.loads((out / "0.json").read_text())["detector"] == "lsd"
 
 
 def test_camera_and_configuration_beside_the_results_read_back(localiser: Localiser, folder: Path) -> None:
@@ -184,8 +150,8 @@ def test_images_of_the_same_name_keep_outputs_each(localiser: Localiser, folder:
     for name in ("left", "right"):
         (folder / name).mkdir()
         shutil.copy(folder / "0.png", folder / name / "a.png")
-    out = run(localiser, folder, folder / "left" / "a.png", folder / "right" / "a.png")
-    assert {file.name for file in out.glob("*.json")} == {"left_a.png.json", "right_a.png.json"}
+    out = run(localiser, folder, folder / "left" / "a.png", folder / "right" / "a.png", pictures=True)
+    assert {file.name for file in out.glob("*.png")} == {"left_a.png.png", "right_a.png.png"}
 
 
 # -- logs -------------------------------------------------------------------------------------------------------------
@@ -198,7 +164,6 @@ def test_a_log_brings_its_camera_and_its_times(localiser: Localiser, tmp_path: P
     rows = table(tmp_path / "out" / "edges.csv")
     times = [line.split(",")[0] for line in (log / "images.csv").read_text().splitlines()[1:]]
     assert list(dict.fromkeys(row["t_ns"] for row in rows)) == times
-    assert json.loads((tmp_path / "out" / "000002.json").read_text())["t_ns"] == int(times[2])
     camera = read_camera(log / "camera.yaml")
     assert read_camera(tmp_path / "out" / "camera.yaml").mount == camera.mount
     direct = localiser("edges", *sorted((log / "images").iterdir()), "--camera", log / "camera.yaml",
@@ -301,7 +266,7 @@ def test_a_bad_image_ends_the_run_and_keeps_what_was_done(localiser: Localiser, 
     assert f"ended after 1 of 3 images; what was done is in {out}" in result.err
     assert "Traceback" not in result.err
     assert table(out / "edges.csv") == expected
-    assert {file.name for file in out.glob("[0-9]*")} == {"0.json", "0.png"}
+    assert {file.name for file in out.glob("[0-9]*")} == {"0.png"}
 
 
 def test_a_bad_first_image_leaves_no_folder(localiser: Localiser, folder: Path) -> None:

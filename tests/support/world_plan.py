@@ -8,7 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from localiser.mapping import FloorPlan, cells_from_map, map_from_cells
+from localiser.geometry import Array, ros_from_pose
+from localiser.mapping import FloorPlan, map_from_cells
 from localiser.simulate import Solids, World, solids_of
 
 CUT_M = 1.2
@@ -69,3 +70,13 @@ def write_plan(plan: FloorPlan, path: Path) -> None:
         f"image: {picture.name}\nresolution: {plan.resolution_m}\norigin: [{x}, {y}, {yaw}]\nnegate: 0\n"
         "occupied_thresh: 0.65\nfree_thresh: 0.196\nmode: trinary\n"
     )
+
+
+def cells_from_map(plan: FloorPlan, points: Array) -> Array:
+    """Return (K, 2) column, row of the grid at points (K, 2) x, z of the map; the inverse of `map_from_cells`."""
+    x, y, yaw = plan.origin_ros
+    ros = ros_from_pose(np.concatenate([points, np.zeros((len(points), 1))], axis=1))
+    east, north = ros[:, 0] - x, ros[:, 1] - y
+    right = np.cos(yaw) * east + np.sin(yaw) * north
+    up = -np.sin(yaw) * east + np.cos(yaw) * north
+    return np.asarray(np.stack([right, up], axis=-1) / plan.resolution_m)

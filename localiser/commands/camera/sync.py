@@ -16,7 +16,7 @@ from localiser.commands.options import (
     Overrides,
     Quiet,
     Topics,
-    opened,
+    open_with_settings,
     progress,
     topics_by_role,
 )
@@ -60,7 +60,7 @@ def sync(
 
     if out is not None:
         require_new(out)
-    recorded, settings = opened(
+    recorded, settings = open_with_settings(
         log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
     )
     with progress("Looking", MOST_PAIRS, quiet) as advance:

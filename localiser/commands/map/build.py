@@ -17,7 +17,7 @@ from localiser.commands.options import (
     Overrides,
     Quiet,
     Topics,
-    opened,
+    open_with_settings,
     progress,
     show,
     topics_by_role,
@@ -90,7 +90,9 @@ def build(
             if value:
                 raise InputError("expected one log with this option, found several", field=name)
     read = [
-        opened(log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera)
+        open_with_settings(
+            log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+        )
         for log in logs
     ]
     recorded, settings = [log for log, _ in read], read[0][1]

@@ -36,7 +36,7 @@ def show(
     from localiser.storage import read_map, read_plan
 
     landmark_map = read_map(map_file)
-    surroundings = Surroundings(_driven(log, poses), read_plan(plan) if plan else None)
+    surroundings = Surroundings(path_of(log, poses), read_plan(plan) if plan else None)
     picture = out or map_file.with_suffix(".png")
     require_writable(picture, overwrite=force)
     draw_map(landmark_map, picture, surroundings)
@@ -45,7 +45,7 @@ def show(
         typer.echo(f"Picture in {picture}")
 
 
-def _driven(log: Path | None, poses: str) -> Array | None:
+def path_of(log: Path | None, poses: str) -> Array | None:
     """Return the poses (T, 3) of a drive, None where none is named. Raises InputError."""
     from localiser.geometry import Trajectory
     from localiser.mapping import known_poses

@@ -9,7 +9,16 @@ import typer
 
 from localiser.commands.map.build import poses_named
 from localiser.commands.map.options import Force, MapFile, MapOut, Within, require_writable
-from localiser.commands.options import BagCamera, ConfigFile, Overrides, Quiet, Topics, opened, progress, topics_by_role
+from localiser.commands.options import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Quiet,
+    Topics,
+    open_with_settings,
+    progress,
+    topics_by_role,
+)
 
 
 def update(
@@ -33,7 +42,9 @@ def update(
 
     require_writable(out, overwrite=force)
     old = read_map(map_file)
-    recorded, effective = opened(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
+    recorded, effective = open_with_settings(
+        log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
+    )
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         track, source = poses_named(poses)
         built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
