@@ -1,4 +1,4 @@
-"""Put the example drive, its map, worlds and configurations into the wheel, for `localiser example` and `demo`."""
+"""Put the example drive, its map, worlds and configurations into the wheel, for `localiser demo`."""
 
 from __future__ import annotations
 

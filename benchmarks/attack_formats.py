@@ -361,30 +361,6 @@ def zlib_sha(body: bytes) -> str:
     return sha256(body).hexdigest()
 
 
-def _parquet(data: bytes, rng: random.Random) -> bytes:
-    """Change the type or the values of a column, drop it or rename it."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(io.BytesIO(data))
-    at = rng.randrange(table.num_columns)
-    name, rows = table.column_names[at], table.num_rows
-    kind = rng.randrange(5)
-    made = (
-        pa.array([rng.choice(values.TEXTS) for _ in range(rows)]),
-        pa.array([float(values.number(rng)) for _ in range(rows)]),
-        pa.array([[1, 2]] * rows),
-        pa.nulls(rows),
-    )
-    if kind == 4:
-        table = table.drop_columns([name])
-    else:
-        table = table.set_column(at, name if rng.random() < 0.8 else rng.choice(values.TEXTS), made[kind])
-    file = io.BytesIO()
-    pq.write_table(table, file)
-    return file.getvalue()
-
-
 FORMS: dict[str, Mutation] = {
     ".yaml": _yaml,
     ".json": _json,
@@ -398,5 +374,4 @@ FORMS: dict[str, Mutation] = {
     ".mcap": _mcap,
     ".bag": _ros1,
     ".state": _checkpoint,
-    ".parquet": _parquet,
 }

@@ -24,6 +24,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FEW = ["--set", "mcl.particles=200", "--set", "mcl.start_particles=200", "--set", "search.particles_most=1000"]
 FRAMES = 4
 
+PLAN = "image: plan.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+
 
 def make(folder: Path) -> Path:
     """Write the samples into a new folder, which is returned."""
@@ -42,13 +44,11 @@ def make(folder: Path) -> Path:
     _write_pictures(folder, log)
     _write_worlds(folder)
     _write_video(folder / "video.avi", log)
-    _write_mrclam(folder / "mrclam")
     (folder / "saved.state").write_bytes(_state(log))
-    run("map", "draw", folder / "world.yaml", "--out", folder / "plan.yaml", "--resolution", 0.1, "--quiet")
     plan = folder / "plan"
     plan.mkdir()
-    for part in ("plan.yaml", "plan.pgm"):
-        (folder / part).rename(plan / part)
+    plan.joinpath("plan.yaml").write_text(PLAN)
+    plan.joinpath("plan.pgm").write_bytes(b"P5\n50 60\n255\n" + bytes([0] * 12 + [254] * 26 + [0] * 12) * 60)
     run("replay", folder / "edges", "--out", folder / "results", "--quiet", "--no-rrd", *FEW)
     found = next((folder / "results").rglob("trajectory.csv")).parent
     shutil.copytree(found, folder / "run", ignore=shutil.ignore_patterns("report.*"))
@@ -132,23 +132,6 @@ def _write_video(path: Path, log: Log) -> None:
     writer.release()
 
 
-def _write_mrclam(folder: Path) -> None:
-    folder.mkdir()
-    times = np.arange(0, 4, 0.1)
-    moves = [f"{t:.3f} 0.1 0.05" for t in times]
-    truth = [f"{t:.3f} {0.1 * t:.4f} 0.0 {0.05 * t:.4f}" for t in times]
-    seen = [f"{t:.3f} {code} 2.0 {bearing}" for t in times[2:-2:4] for code, bearing in ((63, 0.3), (81, -0.4), (5, 0))]
-    files = {
-        "Robot1_Odometry.dat": moves,
-        "Robot1_Groundtruth.dat": truth,
-        "Robot1_Measurement.dat": seen,
-        "Landmark_Groundtruth.dat": ["6 2.0 1.0 0.01 0.02", "7 3.0 -1.0 0.03 0.04"],
-        "Barcodes.dat": ["1 5", "6 63", "7 81"],
-    }
-    for name, lines in files.items():
-        (folder / name).write_text("\n".join(lines) + "\n")
-
-
 def _state(log: Log) -> bytes:
     localiser = localiser_of(log)
     start = log.start
@@ -178,7 +161,7 @@ def write_others(folder: Path) -> None:
 
     from attack_targets import OPTIONS
 
-    from localiser.mapping.log_edges import edges_of_log
+    from localiser.mapping.recorded import edges_of_log
 
     sys.path[:0] = [str(ROOT / "tests" / "support")]
     import live_feed

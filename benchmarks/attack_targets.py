@@ -183,7 +183,7 @@ def _state(path: Path, out: Path) -> None:
 
 
 def _cache(path: Path, out: Path) -> None:
-    from localiser.mapping.log_edges import _load
+    from localiser.mapping.recorded import _load
 
     _load(path, 2)
 
@@ -253,11 +253,6 @@ def _command(line: str) -> Run:
     return run
 
 
-def _of_robot(run: Run) -> Run:
-    """Return what does the same with the first robot of a folder of MRCLAM."""
-    return lambda path, out: run(Path(f"{path}:1"), out)
-
-
 def in_places(word: str, places: dict[str, str]) -> str:
     for name, place in places.items():
         if word == name or word.startswith(f"{name}/"):
@@ -303,7 +298,6 @@ READERS: dict[str, Target] = {
     "edges": Target("edges/edges.csv", _table_of_edges),
     "json": Target("run/metrics.json", _reader("read_json")),
     "runs-csv": Target("batch/runs.csv", _reader("read_runs")),
-    "runs-parquet": Target("batch/runs.parquet", _reader("read_runs")),
     "jpeg": Target("small.jpg", _image),
     "png": Target("image.png", _image),
     "plan": Target("plan", lambda path, out: _reader("read_plan")(path / "plan.yaml", out)),
@@ -312,7 +306,6 @@ READERS: dict[str, Target] = {
     "cache": Target("edges.npz", _cache),
     "log": Target("log", all_of_log),
     "log-edges": Target("edges", all_of_log),
-    "mrclam": Target("mrclam", _of_robot(all_of_log)),
     "bag-ros1": Target("bag.bag", all_of_log),
     "bag-mcap": Target("file.mcap", all_of_log),
     "bag-sqlite": Target("file.db3", all_of_log),
@@ -325,7 +318,6 @@ LINES = {
     "replay": ("edges", "replay IN --no-rrd --out OUT --quiet"),
     "replay-images": ("log", "replay IN --out OUT --quiet"),
     "replay-bag": ("file.mcap", "replay IN --no-rrd --out OUT --quiet"),
-    "replay-mrclam": ("mrclam", "replay IN --no-rrd --out OUT --quiet"),
     "evaluate": ("run", "evaluate IN"),
     "batch-again": ("batch", "batch SAMPLES/edges --seeds 0-2 --jobs 1 --against IN/runs.csv --out IN --quiet"),
     "convert-folder": ("log", "convert IN OUT/made.mcap --quiet"),
@@ -334,12 +326,9 @@ LINES = {
     "edges-of-log": ("log", "edges IN --out OUT/made --no-pictures --quiet"),
     "map-show": ("map.yaml", "map show IN --out OUT/map.png"),
     "map-check": ("edges", "map check IN/map.yaml --log IN --out OUT/map.png"),
-    "map-export": ("map.yaml", "map export IN"),
-    "map-add": ("map.yaml", "map add IN --at 1,2 --out OUT/new.yaml"),
     "map-align": ("map.yaml", "map align IN SAMPLES/map.yaml --out OUT/new.yaml"),
     "map-merge": ("map.yaml", "map merge IN SAMPLES/map.yaml --align --out OUT/new.yaml"),
     "map-plan": ("plan", "map plan IN/plan.yaml --out OUT/new.yaml"),
-    "map-draw": ("world.yaml", "map draw IN --out OUT/plan.yaml"),
     "map-build": ("edges", "map build IN --poses odometry --out OUT/new.yaml"),
     "map-update": ("edges", "map update SAMPLES/map.yaml IN --poses truth --out OUT/new.yaml"),
     "camera-tilt": ("log", "camera tilt IN --quiet"),
@@ -351,7 +340,7 @@ TARGETS = READERS | {"options": Target("options", _options, LONG_S, change=_chan
 for _name, (_sample, _line) in LINES.items():
     _run = _command(_line)
     _files = (".csv", ".tum", ".json", ".yaml") if _sample == "run" else ()  # not the pictures of a report
-    TARGETS[_name] = Target(_sample, _of_robot(_run) if _sample == "mrclam" else _run, LONG_S, _files)
+    TARGETS[_name] = Target(_sample, _run, LONG_S, _files)
 
 OPTIONS = """
 replay {samples}/edges --out out --no-rrd --start 1,2,3 --seed 1 --speed 100 --set mcl.particles=100 --observation line
@@ -362,17 +351,13 @@ convert {samples}/video.avi out/made --camera {samples}/camera.yaml --every 0.2s
 convert {samples}/file.db3 out/made.mcap --topic odometry=/odom --camera {samples}/camera.yaml
 edges {samples}/image.jpg --camera {samples}/camera.yaml --detector columns --out out --set edges.min_contrast=0.1
 map show {samples}/map.yaml --out map.png
-map add {samples}/map.yaml --at 1,2 --out new.yaml --id x --bottom 0 --top 1
-map move {samples}/map.yaml 2 --to 1,2 --out new.yaml
-map remove {samples}/map.yaml 2 3 --out new.yaml
 map align {samples}/map.yaml {samples}/map.yaml --within 0.3 --out new.yaml
 map plan {samples}/plan/plan.yaml --out new.yaml
-map draw {samples}/world.yaml --out plan.yaml --resolution 0.1 --yaw-deg 10
 map check {samples}/map.yaml --camera {samples}/camera.yaml --out map.png --set mcl.particles=100
 map build {samples}/edges --out new.yaml --poses {samples}/poses.csv --trajectory t.tum
-camera board board.png --board charuco --squares 8x6 --square-m 0.03 --marker-m 0.02 --dictionary 4X4_50
+camera calibrate --draw-board board.png --board charuco --squares 8x6 --square-m 0.03 --marker-m 0.02
 camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m 0.03 --out cam.yaml --name x
-camera tilt {samples}/log --plot tilt.png --images 3 --set edges.min_contrast=0.1
+camera tilt {samples}/log --out levelled --images 3 --set edges.min_contrast=0.1
 config show --config {samples}/config.yaml --set mcl.particles=100 --set motion.alpha1=0.1
 doctor --map {samples}/map.yaml --camera {samples}/camera.yaml --at 1,2 --seconds 0.5 --picture x.png
 pose set 1,2,3 --sigma 0.1,3 --set live.connect=tcp/127.0.0.1:1

@@ -1,4 +1,4 @@
-"""What a rolling shutter, automatic exposure, compression and flare cost, each by itself: one drive, replayed.
+"""What a rolling shutter and compression cost, each by itself: one drive, replayed.
 
 The robot zigzags down the corridor of `configs/worlds/corridor.yaml`. It turns at 1 rad/s in every bend, and on the
 spot at its end. Each camera sees the same drive with the same errors of the wheels; the map is that of the world.
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,24 +38,11 @@ DRIVE = {
     "turn_deg_s": 57.3,
     "end_turn_deg": -180.0,
 }
-WINDOWS = [(1, 1.7), (1, 5.0), (2, 3.4), (2, 6.7)]
-"""On which wall, and where along it (m)."""
-WINDOW_AHEAD = {
-    "x": 0.0,
-    "z": -10.9,
-    "width_m": 1.4,
-    "depth_m": 0.05,
-    "bottom_m": 0.4,
-    "top_m": 1.9,
-    "material": "window",
-}
-"""At the end of the corridor; it fills half of the image before the robot turns away from it."""
 PLACES = [np.array([0.1, 0.3, 0.1]), np.array([0.1, -3.0, -0.2]), np.array([-0.2, -6.0, 0.3])]
 MOTIONS = [(1.0, 0.5), (1.0, 0.0), (0.0, 0.5)]
 """Turn rate (rad/s) and speed (m/s) while a single image is taken, at each place."""
 MIDDLE_NS = 100_000_000
 SAME_RAD, SAME_LENGTH = 0.02, 0.3
-AUTOMATIC = {"mean_grey": 110.0, "delay_s": 0.5, "exposure_max_s": 0.02}
 FIGURES = {
     "position RMSE (mm)": ("position_rmse_m", 1e3, ".1f"),
     "heading RMSE (°)": ("heading_rmse_deg", 1.0, ".2f"),
@@ -77,28 +63,11 @@ def worlds() -> dict[str, dict[str, Any]]:
     """Return the world of each camera, by name."""
     plain = yaml.safe_load(WORLD.read_text())
     plain["drive"] |= DRIVE
-    lit = deepcopy(plain)
-    lit["materials"]["window"] = {"texture": "plain", "colour": [235, 240, 255], "glow": 4.0}
-    for wall, at_m in WINDOWS:
-        pane = {"at_m": at_m, "width_m": 0.9, "bottom_m": 0.8, "top_m": 2.0, "side": "right", "material": "window"}
-        lit["walls"][wall].setdefault("posters", []).append(pane)
-    ahead = deepcopy(lit)
-    ahead["furniture"].append(WINDOW_AHEAD)
     rolling = {name: {"rolling_shutter": spec} for name, spec in _shutters().items()}
     return {
         "plain": plain,
         **{name: _with(plain, camera=camera) for name, camera in rolling.items()},
         "JPEG 50": _with(plain, image={"jpeg_quality": 50}),
-        "windows": lit,
-        "windows, auto-exposure": _with(lit, image={"auto_exposure": AUTOMATIC}),
-        "window ahead": ahead,
-        "window ahead, auto-exposure": _with(ahead, image={"auto_exposure": AUTOMATIC}),
-        "window ahead, glare 5 %, ghost 2 %": _with(ahead, image={"glare": 0.05, "ghost": 0.02}),
-        "all together": _with(
-            ahead,
-            camera={"rolling_shutter": shutter(stated=True)},
-            image={"auto_exposure": AUTOMATIC, "glare": 0.05, "ghost": 0.02, "jpeg_quality": 50},
-        ),
     }
 
 

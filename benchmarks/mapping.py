@@ -20,6 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
 
+import mrclam
 import numpy as np
 
 from localiser import documents, mapping, simulate
@@ -39,8 +40,8 @@ from localiser.mapping import (
     turn_drift,
     wheels_of,
 )
-from localiser.mapping.landmarks import fitted
-from localiser.mapping.log_edges import edges_of_log
+from localiser.mapping.landmarks import fit_landmarks
+from localiser.mapping.recorded import edges_of_log
 from localiser.motion import MotionParameters
 from localiser.storage import Log, open_log
 
@@ -268,7 +269,7 @@ def nees_from_start(built: mapping.MapBuilt, log: Log, path: Path) -> str:
         return "– | –"
     truth = log.groundtruth.sampled(built.trajectory.t_ns).poses
     true_cameras = built.sightings.camera_poses(log.camera, truth)
-    met = fitted(built.sightings, built.built.of, true_cameras, built.sightings.sigma).fit.points
+    met = fit_landmarks(built.sightings, built.built.of, true_cameras, built.sightings.sigma).fit.points
     kept = built.landmark_map.points[:, None] - built.built.fit.points[None]
     apart = np.linalg.norm(met[np.linalg.norm(kept, axis=-1).argmin(axis=1)][:, None] - exact[None], axis=-1)
     known = apart.min(axis=1) < _NEAR_M
@@ -340,6 +341,7 @@ def rigid(found: Array, truth: Array, *, scaled: bool = False) -> Callable[[Arra
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    mrclam.register()  # and the builder for coarse bearings
     parser.add_argument("what", choices=("known", "laps", "long", "nees", "slam", "coarse", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)

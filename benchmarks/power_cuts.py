@@ -142,7 +142,6 @@ class Works:
             "metrics.json": read_json,
             "trajectory.csv": read_track,
             "runs.csv": read_runs,
-            "runs.parquet": read_runs,
         }
         for path in sorted((folder / "out").rglob("*")):
             if path.name in readers and not (path.name == "trajectory.csv" and len(path.read_text().splitlines()) < 2):

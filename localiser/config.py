@@ -168,11 +168,6 @@ def in_force(config: Config) -> Config:
     return config.model_copy(update={"versions": found})
 
 
-def schema() -> dict[str, Any]:
-    """Return the JSON schema of a configuration file, for editors."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema()}
-
-
 def to_yaml(config: Config, without: Iterable[str] = ()) -> str:
     """Return the configuration as YAML that `read_config` reads, each value with its meaning, unit and range.
 

@@ -1,1 +1,1 @@
-"""The founding paper, reproduced: `localiser paper` in a clone of the project."""
+"""The founding paper, reproduced: `python -m paper` in a clone of the project."""

@@ -13,7 +13,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 def main() -> None:
     """Replace what stands between the marks of each table."""
-    reproduction = reproduce(PLACES, SEED, _unseen)
+    reproduction = reproduce(PLACES, SEED)
     (DOCS / "figures" / "paper.png").write_bytes(figure_png(reproduction.found))
     page = (DOCS / "paper.md").read_text()
     for sheet in reproduction.sheets:
@@ -25,10 +25,6 @@ def main() -> None:
         if not (old and end):
             raise SystemExit(f"expected a place for the table {sheet.name} in docs/paper.md, found none")
     (DOCS / "paper.md").write_text(page)
-
-
-def _unseen() -> None:
-    """Show no progress."""
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from localiser.evaluate import picture_style
 from paper.equations import TABLE_2
 from paper.motions import VIEWS, Measured
 from paper.results import METHODS, drive_errors, track, turn_errors
@@ -21,19 +22,11 @@ _SIZE_IN = (14.0, 9.6)
 _INK, _MUTED, _FAINT = "#1f2933", "#6b7785", "#e3e8ed"
 _COLOURS = ("#d55e00", "#56b4e9", "#0072b2")  # Okabe and Ito, one for each method
 _LINES, _MARKERS = ("--", "-"), ("o", "D")  # one for each size, the small one hollow
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans", "font.size": 10.5, "text.color": _INK, "axes.labelcolor": _MUTED,
-    "axes.edgecolor": "#9aa5b1", "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
-    "axes.titleweight": "bold", "axes.titlesize": 11.5, "xtick.color": _MUTED, "ytick.color": _MUTED,
-    "legend.frameon": False, "legend.fontsize": 9.5,
-}  # fmt: skip
 
 
 def figure_png(found: Measured) -> bytes:
     """Return the figure as a PNG; the same measurements give the same bytes."""
-    from matplotlib import style
-
-    with style.context(["default", _STYLE]):
+    with picture_style():
         figure = _draw(found)
         figure.canvas.draw()
         pixels = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]

@@ -6,7 +6,7 @@ how well an edge is measured, not whether it is recognised.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,11 +64,8 @@ Measured = dict[tuple[Size, str], list[Place]]
 """Places by the size of the image and the detector."""
 
 
-def measure(places: int, seed: int, progress: Callable[[], None]) -> Measured:
-    """Return what each detector saw at each size of the image, at the same places in the room.
-
-    `progress` is called once for each place and size.
-    """
+def measure(places: int, seed: int) -> Measured:
+    """Return what each detector saw at each size of the image, at the same places in the room."""
     poses = draw_places(places, DRIVE_M, np.random.default_rng([seed, 0]))
     found: Measured = {(size, detector): [] for size in SIZES for detector in DETECTORS}
     for size in SIZES:
@@ -76,7 +73,6 @@ def measure(places: int, seed: int, progress: Callable[[], None]) -> Measured:
         for index, pose in enumerate(poses):
             for detector, place in _at_place(scene, pose, np.random.default_rng([seed, size[0], index])):
                 found[size, detector].append(place)
-            progress()
     return found
 
 

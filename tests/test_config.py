@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localiser import __version__
-from localiser.config import Config, in_force, read_config, schema, to_yaml
+from localiser.config import Config, in_force, read_config, to_yaml
 from localiser.errors import InputError
 
 CONFIGS = ROOT / "configs"
@@ -139,17 +138,6 @@ def test_every_parameter_has_a_meaning_and_is_refused_as_nan() -> None:
         assert text[line - 1].strip().startswith("# "), f"{key} has no description"
         with pytest.raises(InputError):
             read_config(None, [f"{'.'.join(key)}=.nan"])
-
-
-def test_schema_knows_every_parameter() -> None:
-    found = json.loads(json.dumps(schema()))
-    for key in parameters():
-        part = found
-        for name in key:
-            part = part["properties"][name]
-            part = found["$defs"][part["$ref"].rsplit("/", 1)[-1]] if "$ref" in part else part
-        assert part["description"], key
-    assert found["additionalProperties"] is False
 
 
 def test_default_yaml_is_what_config_show_prints() -> None:

@@ -14,7 +14,7 @@ from folders import ROOT
 from short_log import CORRIDOR, Localiser, cut_log
 from typer.core import TyperGroup
 
-from localiser.commands import app, example
+from localiser.commands import app, demo
 
 
 def parsed(words: list[str]) -> None:
@@ -64,13 +64,13 @@ def test_a_tutorial_runs_as_it_is_written(
     """From top to bottom, on the first images of the example."""
     shipped = tmp_path / "localiser" / "example"
     (shipped / "logs").mkdir(parents=True)
-    cut_log(CORRIDOR, shipped / example.LOG, FEW_FRAMES.get(page.stem, FRAMES))
+    cut_log(CORRIDOR, shipped / demo.LOG, FEW_FRAMES.get(page.stem, FRAMES))
     for part in ("configs", "maps"):
         shutil.copytree(ROOT / part, shipped / part)
-    monkeypatch.setattr(example, "PACKAGE", shipped.parent)
+    monkeypatch.setattr(demo, "PACKAGE", shipped.parent)
     monkeypatch.chdir(tmp_path)
-    if "localiser example ." not in "".join(block.text for block in blocks(page)):
-        assert localiser("example", ".").exit_code == 0
+    if "localiser demo --keep ." not in "".join(block.text for block in blocks(page)):
+        shutil.copytree(shipped, tmp_path, dirs_exist_ok=True)
     ran = 0
     for block in blocks(page):
         if block.language == "python":
@@ -95,6 +95,9 @@ def test_programs_beside_the_package_have_the_options_that_are_documented() -> N
     """They take minutes to hours, so they are not run here; tests/benchmarks runs their parts."""
     for page in PAGES:
         for program, arguments in PROGRAM.findall(page.read_text(encoding="utf-8")):
+            if program.endswith("mrclam.py"):  # the program itself, with another format
+                parsed(arguments.split())
+                continue
             code = (ROOT / program).read_text(encoding="utf-8")
             for option in re.findall(r"--[a-z-]+", arguments):
                 assert f'"{option}"' in code, f"{page}: {program} has no option {option}"

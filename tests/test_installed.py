@@ -18,7 +18,7 @@ from short_log import CORRIDOR
 
 from localiser.storage import ImageEvent, open_log, write_camera
 
-pytestmark = pytest.mark.slow  # quick: tests/commands/test_example.py and test_distributions.py hold the parts
+pytestmark = pytest.mark.slow  # quick: tests/commands/test_demo.py and test_distributions.py hold the parts
 
 
 AHEAD_S = 0.3
@@ -33,14 +33,14 @@ def localiser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
 
 
 def test_the_first_quarter_of_an_hour(localiser: Installed, tmp_path: Path) -> None:
-    """Demo, live demo, example, and the first command that is documented for it."""
+    """Demo with its files, live demo, and the first command that is documented for it."""
     where = [localiser.bin / "python", "-c", "import localiser; print(localiser.__file__)"]
     package = subprocess.run(
         where, cwd=tmp_path, env=localiser.environment(), capture_output=True, text=True, check=True
     )
     assert package.stdout.startswith(str(localiser.bin.parent))
 
-    said = localiser("demo", cwd=tmp_path)
+    said = localiser("demo", "--keep", ".", cwd=tmp_path)
     assert "Next: `localiser view results/corridor/latest`" in said
     run = tmp_path / "results" / "corridor" / "1"
     assert json.loads((run / "metrics.json").read_text())["position_rmse_m"] < 0.02
@@ -49,7 +49,6 @@ def test_the_first_quarter_of_an_hour(localiser: Installed, tmp_path: Path) -> N
     poses = localiser("live", "demo", "--json", "--seconds", "8", cwd=tmp_path).splitlines()
     assert json.loads(poses[-1])["p_correct"] > 0.9
 
-    localiser("example", ".", cwd=tmp_path)
     tilt = localiser("camera", "tilt", "logs/corridor", cwd=tmp_path)
     assert re.search(r"20\.0", tilt)
 
@@ -63,9 +62,9 @@ def test_a_video_of_ones_own(source: str, localiser: Installed, tmp_path: Path, 
     folder = CORRIDOR if source == "corridor" else request.getfixturevalue("data_dir") / source
     start_ns = film(folder, tmp_path)
     given = ("--camera", "camera.yaml", "--odometry", "odometry.csv", "--start-ns", start_ns)
-    localiser("convert", "phone.mp4", "logs/phone", *given, cwd=tmp_path)
+    localiser("convert", "phone.mp4", "logs/filmed", *given, cwd=tmp_path)
 
-    said = " ".join(localiser("camera", "sync", "logs/phone", "--write", cwd=tmp_path).split())
+    said = " ".join(localiser("camera", "sync", "logs/filmed", "-o", "logs/phone", cwd=tmp_path).split())
     offset_s, sigma_s = map(float, re.findall(r"(\d+\.\d+) s", said)[:2])
     assert abs(offset_s - AHEAD_S) < max(3 * sigma_s, 0.01) and "earlier than wheels" in said
 

@@ -17,13 +17,15 @@ import numpy as np
 import yaml
 from edge_light import Light
 from figures.program import fingerprint
+from mrclam import MrclamReader
 
 from board import racks
 from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log
-from localiser.mapping import build_map_together, edges_of_log
+from localiser.mapping import build_map, edges_of_log
 from localiser.simulate import odometry_of
 from localiser.simulate.robot import OdometrySpec
 from localiser.storage import Log, write_log
+from localiser.storage.log import ReadOptions
 
 from board.run import Drive  # isort: skip
 
@@ -52,8 +54,9 @@ def log_of(name: str) -> Log:
     if name == "corridor":
         return open_log(ROOT / "logs" / "corridor")
     if name not in RENDERED:
-        sensor = read_config(MRCLAM).sensor if name.startswith("mrclam") else None
-        return open_log(f"{DATA / name}", format="mrclam", sensor=sensor) if sensor else open_log(DATA / name)
+        if name.startswith("mrclam"):
+            return MrclamReader().read(DATA / name, ReadOptions(read_config(MRCLAM).sensor))
+        return open_log(DATA / name)
     world = yaml.safe_load(RENDERED[name].read_text(encoding="utf-8")) if RENDERED[name] else racks.world_of(0)
     text = yaml.safe_dump(world)
     made_by = hashlib.sha256((fingerprint("localiser/simulate") + text).encode()).hexdigest()[:12]
@@ -106,7 +109,7 @@ def _lit(frame, light: Light, seed: int):
 def map_of(name: str) -> LandmarkMap:
     """Return a map that is made of one or two logs with their true poses."""
     logs = [log_of(part) for part in REAL_MAPS[name]]
-    return build_map_together(logs, read_config(None, [], logs[0].settings), cache=KEPT / "edges").landmark_map
+    return build_map(logs, config=read_config(None, [], logs[0].settings), cache=KEPT / "edges").landmark_map
 
 
 def third_of(landmark_map: LandmarkMap) -> LandmarkMap:

@@ -118,9 +118,10 @@ def detectors() -> Values:
     with TemporaryDirectory() as name:
         folder = Path(name)
         log = inputs.first_images(CORRIDOR, folder / "log", 8)
-        asked = [word for detector in ("columns", "lsd", "hough") for word in ("--detector", detector)]
-        run("edges", log, *asked, "--no-pictures", "--quiet", "--out", folder / "out", cache=folder / "cache")
-        return {"edges": _digest(folder / "out" / "edges.csv")}
+        for detector in ("columns", "lsd", "hough"):
+            options = ("--detector", detector, "--no-pictures", "--quiet", "--out", folder / detector)
+            run("edges", log, *options, cache=folder / "cache")
+        return {"edges": _digest(*sorted(folder.glob("*/edges.csv")))}
 
 
 def _digest(*paths: Path) -> str:

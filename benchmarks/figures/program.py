@@ -59,8 +59,11 @@ def begin_process() -> None:
 
 def run(*arguments: object, cache: Path) -> None:
     """Run one command of the program. cache: folder in which it may keep edges. Raises RuntimeError when it fails."""
+    import mrclam
+
     from localiser.__main__ import main
 
+    mrclam.register()
     said = io.StringIO()
     words = ["localiser", *map(str, arguments)]
     with (

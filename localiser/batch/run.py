@@ -1,35 +1,164 @@
-"""The whole batch: read the logs, leave out what is done, run the rest, write the tables."""
+"""Run a batch: every combination of log and choice once, in processes of this computer or on a Dask cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from localiser import __version__
-from localiser.batch.choices import Choice
-from localiser.batch.contents import Contents, Opening, contents_of, map_id, run_id
-from localiser.batch.one_run import Outcome, Task, replayed
+from localiser.batch.choices import Choice, Contents, Opening, contents_of, map_id, run_id
 from localiser.batch.summary import summary_markdown
-from localiser.batch.workers import Workers, each
 from localiser.config import Config
-from localiser.errors import InputError, RunEndedEarlyError
+from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.evaluate import flat_figures, is_time
+from localiser.replay import FolderRun, Outputs, prepare
 from localiser.storage import (
     CHOICE,
+    RunFolder,
     json_text,
     output_errors,
     read_figures,
     read_map,
     safe_name,
     write_runs_csv,
-    write_runs_parquet,
     write_text,
 )
 
+# -- one run ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is replayed into which folder. Paths are absolute: a worker may have another working directory."""
+
+    number: int
+    log: Path
+    opening: Opening
+    config: Config
+    folder: Path
+    report: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The metrics of a task, or why there are none. number: of the task."""
+
+    number: int
+    metrics: dict[str, Any] | None = None
+    error: str | None = None
+
+
+def replayed(task: Task) -> Outcome:
+    """Replay, and return the metrics or the reason why not: a task that fails leaves the others alone."""
+    try:
+        with _one_thread():
+            return Outcome(task.number, _metrics(task))
+    except LocaliserError as error:
+        return Outcome(task.number, error=str(error))
+    except Exception as error:
+        return Outcome(task.number, error=f"{type(error).__name__}: {error}")
+
+
+def _metrics(task: Task) -> dict[str, Any]:
+    opening, folder = task.opening, task.folder
+    log = opening.open(task.log, task.config)
+    run = prepare(log, task.config, opening.start, map_file=opening.map_file)
+    run.localiser.warm_up(images=log.has_images)
+    with output_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    outputs = Outputs(folder.parent, rrd=False, report=task.report)
+    return FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let libraries use one thread: as many runs as cores go on at once, and more would only wait for each other."""
+    import cv2
+    import numba
+
+    before = cv2.getNumThreads(), numba.get_num_threads()
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before[0])
+        numba.set_num_threads(before[1])
+
+
+# -- where runs are done ----------------------------------------------------------------------------------------------
+
+Result = TypeVar("Result")
+
+
+_KILLED = "a worker of the batch was killed, perhaps because memory ran out"
+
+
+class WorkersError(LocaliserError):
+    """Workers that cannot be reached, or that ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """jobs: processes; None for one a core. cluster: the address of a Dask scheduler, in place of processes."""
+
+    jobs: int | None = None
+    cluster: str | None = None
+
+    def ready(self) -> AbstractContextManager[None]:
+        """Have the workers at hand. Raises InputError, or WorkersError also when one of them is killed."""
+        return _processes(self.jobs) if self.cluster is None else _dask(self.cluster)
+
+
+def each(function: Callable[..., Result], tasks: Iterable[tuple[object, ...]]) -> Iterator[Result]:
+    """Yield what the function returns for each task, as they are done. To be called while workers are ready."""
+    from joblib import Parallel, delayed
+
+    # One task at a time: they take seconds, and the last ones should not queue behind each other.
+    parallel = Parallel(batch_size=1, return_as="generator_unordered")
+    yield from parallel(delayed(function)(*task) for task in tasks)
+
+
+@contextmanager
+def _processes(jobs: int | None) -> Iterator[None]:
+    from joblib import parallel_config
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    with parallel_config(backend="loky", n_jobs=jobs or -1, inner_max_num_threads=1):
+        try:
+            yield
+        except BrokenProcessPool:
+            raise WorkersError(f"{_KILLED} (fewer --jobs need less); the same command goes on from there") from None
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[None]:
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise InputError(
+            "a Dask cluster needs the package distributed; pip install '.[dask]' in a clone", field="--cluster"
+        ) from None
+    from joblib import parallel_config
+
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise WorkersError(f"--cluster: no Dask scheduler can be reached at {address}: {error}") from None
+    with client, parallel_config(backend="dask"):
+        try:
+            yield
+        except KilledWorker:
+            raise WorkersError(f"{_KILLED}; the same command goes on from there") from None
+
+
+# -- the batch --------------------------------------------------------------------------------------------------------
+
 Row = dict[str, Any]
-CSV, PARQUET, SUMMARY, ROW = "runs.csv", "runs.parquet", "table.md", "row.json"
+CSV, SUMMARY, ROW = "runs.csv", "table.md", "row.json"
 SIGINT_EXIT_CODE = 130
 FIRST_FIGURES = (
     "frames", "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
@@ -71,7 +200,7 @@ def run_batch(
     """Run every combination that is not done yet, and return a row for each, in the order of logs and choices.
 
     begun: called with the numbers of runs that are done and left; returns what is called after each run. The rows are
-    in `runs.csv` and `runs.parquet` of the folder too, and what they came to in `table.md`; those of an interrupted
+    in `runs.csv` of the folder too, and what they came to in `table.md`; those of an interrupted
     batch as far as it got. A run that fails is a row with its reason, and is tried again by the next batch.
 
     Raises RunEndedEarlyError, OutputError.
@@ -191,7 +320,6 @@ def _write_tables(folder: Path, rows: dict[int, Row]) -> None:
     ordered = [rows[number] for number in sorted(rows)]
     if ordered:
         write_runs_csv(folder / CSV, ordered)
-        write_runs_parquet(folder / PARQUET, ordered)
         write_text(folder / SUMMARY, summary_markdown(ordered))
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from localiser.evaluate import new_table
 from localiser.storage import CHOICE
 
 if TYPE_CHECKING:
@@ -79,13 +80,10 @@ def summary_of(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> Summ
 def summary_table(rows: Sequence[Row]) -> Table:
     """Return the table of a batch for a terminal; see `summary_of`."""
     summary = summary_of(rows)
-    table = plain_table("\n".join(["Median over seeds (worst, where it differs)", *filter(None, [summary.same])]))
+    title = "\n".join(["Median over seeds (worst, where it differs)", *filter(None, [summary.same])])
     told = 1 + summary.choices
-    for title in summary.titles[:told]:
-        table.add_column(title.replace(".", ".\n"), overflow="fold", vertical="bottom")
-    table.add_column(summary.titles[told], justify="right", vertical="bottom")
-    for title in summary.titles[told + 1 :]:
-        table.add_column(title, justify="right", vertical="bottom", no_wrap=True)
+    titles = [name.replace(".", ".\n") for name in summary.titles[:told]]
+    table = new_table(title, *titles, *summary.titles[told:], texts=told)
     for cells in summary.rows:
         table.add_row(*cells)
     return table
@@ -109,14 +107,6 @@ def _markdown_row(cells: Sequence[str]) -> str:
 def failures(rows: Sequence[Row]) -> list[str]:
     """Return a text for each run that failed, with its log, choices and reason."""
     return [f"{row['log']}{_choices(row)}: {row['error']}" for row in rows if row["error"]]
-
-
-def plain_table(title: str) -> Table:
-    """Return an empty table with a title, as all tables of a batch look."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    return Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
 
 
 def _count(runs: Sequence[Row]) -> str:

@@ -1,12 +1,24 @@
 """Calibration: tilt and roll from edges, all of a camera from a board, clocks, and the quality of odometry."""
 
 from localiser.calibration.board import Board, BoardView
-from localiser.calibration.check import MountCheck, check_mount
 from localiser.calibration.clock import MOST_PAIRS, ClockOffset, clock_offset
-from localiser.calibration.intrinsics import FEWEST_VIEWS, FloorMount, Intrinsics, calibrated, mount_over_board
+from localiser.calibration.intrinsics import FEWEST_VIEWS, FloorMount, Intrinsics, calibrate, mount_over_board
 from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
-from localiser.calibration.log_mount import LogMount, mount_of_images, mount_of_lines, spread, views_of
-from localiser.calibration.marks import MARK_SIGMA_M, MARK_SIGMA_RAD, Mark, MarkedDrive, drive_over_marks
-from localiser.calibration.mount_plot import save_mount_plot
-from localiser.calibration.odometry import ALPHAS, SCALES, Drive, OdometryFit, Pieces, fit_odometry, on_one_clock
-from localiser.calibration.smooth_track import smoothed
+from localiser.calibration.log_mount import (
+    LogMount,
+    MountCheck,
+    check_mount,
+    mount_of_images,
+    mount_of_lines,
+    spread,
+)
+from localiser.calibration.odometry import (
+    ALPHAS,
+    SCALES,
+    Drive,
+    OdometryFit,
+    Pieces,
+    fit_odometry,
+    on_one_clock,
+    smooth_path,
+)

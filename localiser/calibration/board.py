@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
@@ -79,23 +79,6 @@ class Board:
         """Return the board's corners in a grey image (H, W), or None when there are too few to be of use."""
         corners_m, corners_px = self._charuco(image) if self.kind == "charuco" else self._chessboard(image)
         return BoardView(name, corners_m, corners_px) if len(corners_px) >= FEWEST_CORNERS else None
-
-    def mistaken_for(self, image: NDArray[np.uint8]) -> Board | None:
-        """Return the board in a grey image (H, W) that this one is easily mistaken for, or None when there is none.
-
-        Its corners counted in place of its squares, columns for rows, or a ChArUco pattern of before or after 4.6.
-        """
-        columns, rows = self.columns, self.rows
-        sizes = ((columns + 1, rows + 1), (rows + 1, columns + 1), (rows, columns), (columns, rows))
-        for legacy in (False, True) if self.kind == "charuco" else (False,):
-            for across, down in sizes:
-                try:
-                    board = replace(self, columns=across, rows=down, legacy=legacy)
-                except InputError:  # more markers than there are
-                    continue
-                if board != self and (view := board.find(image)) and len(view.corners_px) > board.corner_count / 2:
-                    return board
-        return None
 
     def picture(self, square_px: int) -> NDArray[np.uint8]:
         """Return the board as a picture with a white margin of half a square around it."""

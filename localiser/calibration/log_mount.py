@@ -1,58 +1,58 @@
-"""Tilt and roll over a log: all lines of all images together, with a sigma that counts what leans together once."""
+"""Tilt and roll over a log: all lines of all images together, with a sigma that counts what stands together once.
+
+Things that stand together lean together: books on a shelf, posts of a rack. However many images show them, their lean
+is one error. So lines are put into clusters by the place where what they show stands, and the covariance is that of
+the cluster-robust (sandwich) estimator in the form of the delete-a-cluster jackknife [Cameron, Miller 2015], plus the
+covariance of the lines themselves with each cluster counted as one image of it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.calibration.lean import mount_with_leans
-from localiser.calibration.lines import Lines, lines_of
-from localiser.calibration.plumb import PRIOR_SIGMA_RAD, REACH_SIGMA, fitted, voted
+from localiser.calibration.lines import PRIOR_SIGMA_RAD, REACH_SIGMA, Lines, Plumb, fit_mount, lines_of, vote_mount
 from localiser.camera import Camera
-from localiser.edges import EdgeParameters, find_edges
-from localiser.geometry import Array, Twist, wrap_angle
+from localiser.edges import EdgeParameters, Edges, find_edges
+from localiser.geometry import Array, Twist
 
 _COARSE_IMAGES = 60
 _COARSE_PASSES = 4
 _SETTLED_RAD = np.deg2rad(0.1)
 """A mount this near shows the edge detector the same lines."""
-_NEW_VIEW_M, _NEW_VIEW_RAD = 1.0, np.deg2rad(30.0)
-"""After moving or turning this far most edges in view are other ones, or are seen elsewhere in the image."""
-_FEWEST_VIEWS = 5
+_RANGE_M = 2.5
+"""How far away things are that a camera which looks at the floor sees."""
+_CLUSTER_M = 3.0
+"""Things within cells of this size lean together: longer than a shelf, so that neighbours hardly share their lean."""
 _VAGUE_RAD = np.deg2rad(0.5)
 """A mount measured by hand is as certain as this."""
 _BORDER_SHARE = 0.9
-_TELLS = 0.5
-"""An image whose sigma is this share of the prior's tells little but the prior."""
-_WILD = 5.0
-"""An image that is off by more than this many sigmas took something else for vertical, and speaks for no other."""
+_MOST_CHECKED = 500
+_SURE = 13.8  # squared Mahalanobis distance in two dimensions that chance exceeds in 0.1 % of the cases
+_BELIEVED = 1.0  # within one sigma of what is believed the filter reckons with the error
 
 LoadImage = Callable[[int], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogMount:
-    """Tilt and roll over F images: (2,) rad each.
+    """Tilt and roll over F images: (2,) rad each, cov: (2, 2).
 
-    cov: (2, 2). image_mount, image_cov: (F, 2), (F, 2, 2) what each image says by itself, as certain as images prove to
-    be; where it says nothing, the mean over all with the sigma of the prior. lines, vertical: how many lines there
-    were, and how many of them are vertical edges. plumb_sigma: rad, how far edges are from plumb. row_sigma: rad, how
-    far all that stands in one row is, one sigma for each direction. views: number of different views.
+    lines, vertical: how many lines there were, and how many of them are vertical edges. plumb_sigma: rad, how far
+    edges are from plumb. places: number of clusters that count as independent.
     """
 
     stated: Array
     mount: Array
     cov: Array
-    image_mount: Array
-    image_cov: Array
     lines: int
     vertical: float
     plumb_sigma: float
-    row_sigma: float
-    views: int
+    places: int
 
     @property
     def sigma(self) -> Array:
@@ -83,7 +83,7 @@ def mount_of_images(
 ) -> LogMount:
     """Return tilt and roll of `camera` over images 0 … F - 1, starting from a stated mount that may be degrees off.
 
-    poses: (F, 3) of the robot, as odometry has them: what is seen from one place shares its lean. The detector looks
+    poses: (F, 3) of the robot, as odometry has them: what stands at one place shares its lean. The detector looks
     along the columns of an image from which the stated mount is undone, so that is brought up to date on a few images
     first. `progress` is called once per image of the last pass. twist_of: how the robot moved at an image, see
     `find_edges`.
@@ -95,7 +95,7 @@ def mount_of_images(
     present = stated
     for _ in range(_COARSE_PASSES):
         lines = _lines_at(present, load, few, camera, searching, twist_of=twist_of)
-        before, present = present, fitted(lines, stated, voted(lines, stated)).mount
+        before, present = present, fit_mount(lines, stated, vote_mount(lines, stated)).mount
         if np.abs(present - before).max() < _SETTLED_RAD:
             break
     lines = _lines_at(present, load, range(len(poses)), camera, parameters, progress, twist_of)
@@ -126,55 +126,102 @@ def mount_of_lines(lines: Lines, poses: Array, camera: Camera, stated: Array) ->
     poses: (F, 3) of the robot, as odometry has them. camera: where it sits on the robot counts, and not its mount's
     tilt and roll.
     """
-    whole = fitted(lines, stated, voted(lines, stated))
-    leaning = mount_with_leans(lines, whole, poses, camera, stated)
-    views, count = views_of(poses), len(poses)
-    each = [fitted(lines.take(lines.frame == i), leaning.mount, leaning.mount, whole.plumb_sigma) for i in range(count)]
-    image_mount = np.array([image.mount for image in each]).reshape(-1, 2)
-    image_cov = np.array([image.cov for image in each]).reshape(-1, 2, 2)
+    plumb = fit_mount(lines, stated, vote_mount(lines, stated))
+    cluster = _cluster_of(
+        lines, poses, camera.with_mount(tilt_rad=float(plumb.mount[0]), roll_rad=float(plumb.mount[1]))
+    )
+    mount, cov = _robust(lines, plumb, cluster)
     return LogMount(
         stated=stated,
-        mount=leaning.mount,
-        cov=leaning.cov,
-        image_mount=image_mount,
-        image_cov=as_scattered(image_mount - leaning.mount, image_cov, views),
+        mount=mount,
+        cov=cov,
         lines=len(lines),
-        vertical=float(whole.vertical.sum()),
-        plumb_sigma=whole.plumb_sigma,
-        row_sigma=leaning.row,
-        views=len(np.unique(views)),
+        vertical=float(plumb.vertical.sum()),
+        plumb_sigma=plumb.plumb_sigma,
+        places=int(cluster.max(initial=-1)) + 1,
     )
 
 
-def as_scattered(off: Array, cov: Array, views: NDArray[np.int64]) -> Array:
-    """Return the covariances (F, 2, 2) of images, grown alike until they cover how far images are off (F, 2) the mean.
+def _cluster_of(lines: Lines, poses: Array, camera: Camera) -> NDArray[np.int64]:
+    """Return the cluster (K,) of each line: the cell of the floor, `_RANGE_M` along its ray, where its edge stands."""
+    if not len(lines):
+        return np.zeros(0, dtype=np.int64)
+    eyes = camera.pose_in_map(poses)[lines.frame]
+    right, _, back = (lines.normal @ camera.level_from_camera.T).T
+    cos, sin = np.cos(eyes[:, 2]), np.sin(eyes[:, 2])
+    ahead = np.stack([cos * back - sin * right, -cos * right - sin * back], axis=-1)
+    ahead *= np.where(right < 0, -1.0, 1.0)[:, None] / np.maximum(np.hypot(right, back), 1e-12)[:, None]
+    cell = np.floor((eyes[:, :2] + _RANGE_M * ahead) / _CLUSTER_M).astype(np.int64)
+    return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
 
-    Both sides of a post or a door's frame err alike, and furniture tapers, so that the few long lines that decide in
-    one image err by more than each by itself. How much more is the building's: it is seen where there are views enough.
+
+def _robust(lines: Lines, plumb: Plumb, cluster: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return tilt and roll (2,) with each cluster counted as one image of it, and their covariance (2, 2).
+
+    With c a cluster, G of them, J the derivative of the misses, w their weights: I = prior + Σ w J Jᵀ, and δ_c the
+    step of tilt and roll when c is left out; cov = (G - 1) / G Σ δ_c δ_cᵀ + I⁻¹.
     """
-    sigma = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    tells = np.asarray(np.all(sigma < _TELLS * PRIOR_SIGMA_RAD, axis=1))
-    if len(np.unique(views[tells])) < _FEWEST_VIEWS:
-        return cov
-    squared = np.minimum((off[tells] / sigma[tells]) ** 2, _WILD**2)
-    growth = np.sqrt(np.maximum(squared.mean(axis=0), 1.0))
-    return np.asarray(np.where(tells[:, None, None], cov * np.outer(growth, growth), cov))
-
-
-def views_of(poses: Array) -> NDArray[np.int64]:
-    """Return which view (F,) images belong to that were taken at poses (F, 3): a new one begins after moving on."""
-    views = np.zeros(len(poses), dtype=np.int64)
-    since = 0
-    for i in range(1, len(poses)):
-        moved = np.hypot(*(poses[i, :2] - poses[since, :2]))
-        turned = abs(float(wrap_angle(poses[i, 2] - poses[since, 2])))
-        views[i] = views[i - 1]
-        if moved > _NEW_VIEW_M or turned > _NEW_VIEW_RAD:
-            views[i] += 1
-            since = i
-    return views
+    count = int(cluster.max(initial=-1)) + 1
+    images = np.bincount(np.unique(np.stack([cluster, lines.frame]), axis=1)[0], minlength=count)
+    miss, per_mount, sigma = lines.misses(plumb.mount)
+    weight = plumb.vertical / (sigma**2 + plumb.plumb_sigma**2) / images[cluster]
+    own = np.zeros((count, 2, 2))
+    np.add.at(own, cluster, weight[:, None, None] * per_mount[:, :, None] * per_mount[:, None, :])
+    information = np.diag(PRIOR_SIGMA_RAD**-2) + own.sum(axis=0)
+    cov = np.asarray(np.linalg.inv(information))
+    step = -cov @ per_mount.T @ (weight * miss)
+    left = weight * (miss + per_mount @ step)
+    pull = np.stack([np.bincount(cluster, left * by, count) for by in per_mount.T], axis=-1)
+    without = np.linalg.solve(information - own, pull[:, :, None])[:, :, 0]
+    return plumb.mount + step, cov + without.T @ without * (count - 1) / max(count, 1)
 
 
 def spread(count: int, most: int) -> list[int]:
     """Return at most `most` indices, evenly spread over 0 … count - 1."""
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
+# -- the check of a run -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountCheck:
+    """What the edges of a run say about tilt and roll: stated (2,), found (2,), cov (2, 2), rad.
+
+    disagrees: that stated and found differ is sure, and it is more than the sigma of the stated one.
+    """
+
+    stated: Array
+    found: Array
+    cov: Array
+    disagrees: bool
+
+    @property
+    def sigma(self) -> Array:
+        """The sigma (2,) of what was found."""
+        return np.sqrt(np.diag(self.cov))
+
+    def warning(self, log: Path) -> str | None:
+        """Return what to tell people of the log at a path, None where found and stated agree."""
+        if not self.disagrees:
+            return None
+        stated, found, sigma = (np.rad2deg(values) for values in (self.stated, self.found, self.sigma))
+        return (
+            f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
+            f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log}`."
+        )
+
+
+def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> MountCheck:
+    """Return what the edges of F images, taken at poses (F, 3) of the odometry, say about the mount of `camera`.
+
+    stated_sigma_rad: (2,) how certain the stated tilt and roll are taken to be.
+    """
+    stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
+    used = spread(len(frames), _MOST_CHECKED) if frames else []
+    lines = Lines.together([lines_of(frames[image], camera, index) for index, image in enumerate(used)])
+    found = mount_of_lines(lines, poses[used], camera, stated)
+    off = found.mount - stated
+    sure = off @ np.linalg.solve(found.cov, off) > _SURE
+    beyond = off @ np.linalg.solve(found.cov + np.diag(stated_sigma_rad**2), off) > _BELIEVED
+    return MountCheck(stated, found.mount, found.cov, bool(sure and beyond))

@@ -15,13 +15,3 @@ def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
     from localiser.config import read_config, to_yaml
 
     typer.echo(to_yaml(read_config(config, overrides or [])), nl=False)
-
-
-@config_app.command("schema", epilog="Example: `localiser config schema > config.schema.json`")
-def config_schema() -> None:
-    """Print the JSON schema of configuration files, for editors."""
-    import json
-
-    from localiser.config import schema
-
-    typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))

@@ -117,7 +117,7 @@ def _target_of(out: Path, log: Log, asked: str | None) -> str:
     return asked or by_name or ("mcap" if (log.path / "log.yaml").exists() else FOLDER)
 
 
-def to_folder(log: Log, out: Path, advance: Callable[[], None]) -> None:
+def to_folder(log: Log, out: Path, advance: Callable[[], None] = lambda: None) -> None:
     """Write a log folder; image files are copied as they are."""
     from localiser.filter import Sighting
     from localiser.storage import motion_settings, write_log

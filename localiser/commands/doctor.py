@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, show
+from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from localiser.commands.doctor_checks import Finding
@@ -21,6 +22,7 @@ EPILOG = """Examples:
 `localiser doctor --image 0 --picture camera.png`"""
 
 LONGEST_S = 86400.0
+_FARTHEST_M = 1e6
 _COLOURS = {"ok": "green", "warning": "yellow", "missing": "red"}
 
 
@@ -45,7 +47,6 @@ def doctor(
     live.zenoh_config, live.dds. Exit code 1 when something is missing.
     """
     from localiser.commands import doctor_checks as examination
-    from localiser.commands.map.edit import parse_point
     from localiser.config import read_config
     from localiser.live import input_topics, open_transport, prefix_of
     from localiser.storage import read_camera, read_map, require_new_file
@@ -79,7 +80,7 @@ def doctor(
         landmark_map = read_map(map_file)
         findings.append(examination.Finding("map", "ok", f"{len(landmark_map)} landmarks"))
         if at is not None and known is not None:
-            x, z = parse_point(at, "--at").tolist()
+            x, z = _point(at)
             findings.append(examination.map_check(landmark_map, known, (x, z)))
     if picture is not None and seen is not None:
         examination.save_picture(picture, seen, known, settings)
@@ -87,6 +88,17 @@ def doctor(
     _show(findings)
     if any(finding.state == "missing" for finding in findings):
         raise typer.Exit(1)
+
+
+def _point(text: str) -> tuple[float, float]:
+    """Return the point that `x,z` in metres stands for. Raises InputError."""
+    try:
+        x, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = z = float("nan")
+    if not (abs(x) <= _FARTHEST_M and abs(z) <= _FARTHEST_M):
+        raise InputError(f"expected x,z in metres, found {text!r}", field="--at")
+    return x, z
 
 
 def _show(findings: list[Finding]) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from localiser import __version__, mapping
 from localiser.calibration import check_mount, clock_offset
 from localiser.camera import Camera
-from localiser.commands.edges.overlay import save_overlay
+from localiser.commands.edge_picture import save_picture as save_edge_picture
 from localiser.config import Config
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
@@ -87,7 +87,7 @@ def save_picture(path: Path, image: Image, camera: Camera | None, config: Config
         return
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
     edges = find_edges(grey, camera, config.edges, with_probabilities=True)
-    save_overlay(path, grey, camera, {config.edges.detector: edges}, title="what the camera sees")
+    save_edge_picture(path, grey, camera, edges, title="what the camera sees")
 
 
 @dataclass(slots=True, eq=False)

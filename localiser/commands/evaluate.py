@@ -33,7 +33,7 @@ def evaluate(
 
     Of runs that differ by their seed alone, median and worst too; identical runs count once.
     """
-    from localiser.evaluate import RunTables, flat_figures, without_twins
+    from localiser.evaluate import flat_figures, run_tables, without_twins
     from localiser.replay import evaluate_run
     from localiser.storage import csv_text, json_text
 
@@ -47,7 +47,8 @@ def evaluate(
     elif as_csv:
         typer.echo(csv_text([{"run": name} | flat_figures(found) for name, found in figures.items()]), nl=False)
     else:
-        show(RunTables(figures))
+        for part in run_tables(figures):
+            show(part)
     for name, twin in twins.items():
         typer.secho(f"{name} is identical to {twin} and is counted once.", fg="yellow", err=True)
     for name, found in figures.items():

@@ -145,7 +145,7 @@ def demo(
     """Show the live mode with no robot: a stand-in sends a log over zenoh or DDS, as if it were driving now."""
     from tempfile import TemporaryDirectory
 
-    from localiser.commands.example import LOG, example_folder
+    from localiser.commands.demo import LOG, example_folder
     from localiser.commands.simulate import driven as driven_log
     from localiser.config import read_config
     from localiser.errors import InputError

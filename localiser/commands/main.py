@@ -13,13 +13,12 @@ from typing import Annotated
 import typer
 
 from localiser import __version__
-from localiser.commands import batch, convert, doctor, evaluate, example, paper, replay, simulate, view
-from localiser.commands.camera.arguments import camera_app
+from localiser.commands import batch, convert, demo, doctor, edges, evaluate, replay, simulate, view
+from localiser.commands.camera import camera_app
 from localiser.commands.config import config_app
-from localiser.commands.edges import arguments as edges
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
-from localiser.commands.odometry.arguments import odometry_app
+from localiser.commands.odometry import odometry_app
 from localiser.commands.pose import pose_app
 from localiser.errors import InputError, LocaliserError
 
@@ -65,8 +64,7 @@ def _root(
     """Take what holds for all commands."""
 
 
-app.command(epilog=example.DEMO_EPILOG)(example.demo)
-app.command(epilog=example.EXAMPLE_EPILOG)(example.example)
+app.command(epilog=demo.EPILOG)(demo.demo)
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=view.EPILOG)(view.view)
 app.command(epilog=batch.EPILOG)(batch.batch)
@@ -75,7 +73,6 @@ app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=convert.EPILOG)(convert.convert)
 app.command(epilog=doctor.EPILOG)(doctor.doctor)
 app.command(epilog=edges.EPILOG)(edges.edges)
-app.command(epilog=paper.EPILOG)(paper.paper)
 
 
 _NETWORK = ("live", "live demo", "doctor", "simulate", "pose")
@@ -121,7 +118,7 @@ def main() -> None:
         if len(arguments) < len(sys.argv) - 1:
             traceback.print_exc()
         with suppress(OSError):
-            typer.secho(f"Error: {_text_of(error)}", fg="red", err=True)
+            typer.secho(f"Error: {_message_of(error)}", fg="red", err=True)
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
 
 
@@ -145,7 +142,7 @@ def _flush() -> None:
             raise
 
 
-def _text_of(error: LocaliserError | OSError) -> str:
+def _message_of(error: LocaliserError | OSError) -> str:
     """Return what is wrong; of the system's errors, with the path that it is about."""
     if isinstance(error, LocaliserError):
         return str(error)

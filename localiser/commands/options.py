@@ -35,17 +35,20 @@ Topics = Annotated[
     ),
 ]
 LogFormat = Annotated[
-    str | None, typer.Option("--format", metavar="FORMAT", help="folder, bag or mrclam; by default found out.")
+    str | None, typer.Option("--format", metavar="FORMAT", help="folder or bag; by default found out.")
 ]
 BagCamera = Annotated[
     Path | None,
     typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),
 ]
 LONGEST_WAIT_S = 60.0
+NewLog = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="LOG", help="Write the log with what was found to a new folder.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
 
 
-def opened(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
+def open_with_settings(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
     """Return a log, and the configuration in force: what the log asks for is weaker than `config` and `settings`.
 
     how: see `storage.open_log`.
@@ -69,11 +72,11 @@ def show(renderable: object) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from localiser.commands.tables import split_to_width
+    from localiser.evaluate import fit_width
 
     # A pipe has no width: then a table is as wide as it wants.
     console = Console(width=None if sys.stdout.isatty() else 160)
-    for part in split_to_width(renderable, console) if isinstance(renderable, Table) else (renderable,):
+    for part in fit_width(renderable, console) if isinstance(renderable, Table) else (renderable,):
         console.print(part)
 
 

@@ -15,7 +15,7 @@ from localiser.commands.options import (
     Quiet,
     Seed,
     Topics,
-    opened,
+    open_with_settings,
     paced,
     progress,
     show,
@@ -39,9 +39,7 @@ EPILOG = """Examples:
 
 `localiser replay logs/corridor --bag corridor.mcap`
 
-`localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`
-
-`localiser replay ../data/mrclam:1 --format mrclam --start truth --no-rrd`"""
+`localiser replay drive.bag --map maps/house.yaml --topic odometry=/wheel/odom`"""
 
 
 Kind = Literal["line", "slope"]
@@ -50,9 +48,7 @@ View = Literal["native", "web", "none"]
 
 
 def replay(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set.")
-    ],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder or ROS bag.")],
     map_file: Annotated[
         Path | None, typer.Option("--map", metavar="MAP", help="Landmark map; by default the log's own.")
     ] = None,
@@ -95,7 +91,7 @@ def replay(
 
     settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
     how: dict[str, Any] = {"format": log_format, "topics": topics_by_role(topics), "camera": camera}
-    recorded, effective = opened(log, config, settings, up_to_fault=True, **how)
+    recorded, effective = open_with_settings(log, config, settings, up_to_fault=True, **how)
     with working("Getting ready; the first run compiles …", quiet):
         ready = prepare(recorded, effective, start, map_file=map_file)
         ready.localiser.warm_up(images=recorded.has_images)
@@ -136,9 +132,10 @@ def _wait_for(viewer: LiveView) -> None:
 def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
     from rich.text import Text
 
-    from localiser.evaluate import RunTables, learnt_constants
+    from localiser.evaluate import learnt_constants, run_tables
 
-    show(RunTables({folder.name: figures}))
+    for part in run_tables({folder.name: figures}):
+        show(part)
     show(Text(_how_sure(figures["confidence"])))
     if constants := learnt_constants(figures):
         show(Text(f"Learnt: {', '.join(constants)}."))

@@ -1,16 +1,18 @@
 """Judge results: errors against truth, consistency, the limit of accuracy, tables and pictures."""
 
-from localiser.evaluate.accuracy import Errors, Track, errors_against
+from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_inside, nees, nees_band, residual_sums
 from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
-from localiser.evaluate.consistency import fraction_inside, nees, nees_band
-from localiser.evaluate.constants import learnt_constants
-from localiser.evaluate.flat import figure_at, flat_figures, is_time
-from localiser.evaluate.metrics import ABOUT, metrics, timing_metrics
-from localiser.evaluate.moments import WorstMoments
-from localiser.evaluate.page import report_page
-from localiser.evaluate.paired import ALL_LOGS, Comparison, compare_pairs
-from localiser.evaluate.report import picture_style, write_report
-from localiser.evaluate.residuals import residual_sums
-from localiser.evaluate.table import COLUMNS, RunTables
-from localiser.evaluate.twins import without_twins
-from localiser.evaluate.wheels import bias_figures, fit_wheels
+from localiser.evaluate.metrics import ABOUT, DECIMALS, bias_figures, fit_wheels, metrics, timing_metrics
+from localiser.evaluate.page import WorstMoments, report_page
+from localiser.evaluate.report import picture_style, save_figure, write_report
+from localiser.evaluate.tables import (
+    COLUMNS,
+    figure_at,
+    fit_width,
+    flat_figures,
+    is_time,
+    learnt_constants,
+    new_table,
+    run_tables,
+    without_twins,
+)

@@ -1,15 +1,62 @@
-"""Errors of an estimated track against the truth at every image. Nothing is aligned: the map fixes the frame."""
+"""Errors of an estimated track against the truth at every image, and whether they are as large as the filter says.
+
+Nothing is aligned: the map fixes the frame. Consistency is told by the normalised estimation error squared (NEES) with
+its χ² bands [Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2], and without a truth by the residuals of matched edges.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.errors import InputError
-from localiser.evaluate.consistency import nees
 from localiser.geometry import Array, Trajectory, between, compose, wrap_angle
+from localiser.observation import Matches
+
+# -- consistency ------------------------------------------------------------------------------------------------------
+
+
+def nees(error: Array, cov: Array) -> Array:
+    """Return eᵀ P⁻¹ e (T,) of errors (T, D), angles wrapped, under covariances (T, D, D).
+
+    About D when the filter is consistent, more when it is overconfident. nan where the error is not known or the
+    covariance is not positive definite: a start that is known exactly, or particles that have become one.
+    """
+    result = np.full(len(error), np.nan)
+    known = np.isfinite(error).all(axis=-1) & np.isfinite(cov).all(axis=(-2, -1))
+    variance, axes = np.linalg.eigh(cov[known])
+    # Positive definite beyond rounding: a collapsed direction would make the figure a matter of the last bit.
+    sound = variance[:, 0] > 1e-12 * variance[:, -1]
+    across = np.einsum("tij,ti->tj", axes[sound], error[known][sound])
+    result[np.flatnonzero(known)[sound]] = (across**2 / variance[sound]).sum(axis=-1)
+    return result
+
+
+def nees_band(runs: int = 1, dimensions: int = 3, probability: float = 0.95) -> tuple[float, float]:
+    """Return the band that the mean NEES of `runs` independent runs lies in with this probability: χ²(D·S) / S."""
+    from scipy.special import gammaincinv
+
+    half_dof = dimensions * runs / 2
+    tails = np.array([(1 - probability) / 2, (1 + probability) / 2])
+    low, high = 2 * gammaincinv(half_dof, tails) / runs
+    return float(low), float(high)
+
+
+def fraction_inside(nees_of_runs: Array, dimensions: int = 3, probability: float = 0.95) -> float:
+    """Return the fraction of frames in which the NEES, averaged over S runs (S, T), is inside its χ² band.
+
+    Frames that any run has no NEES for are left out; nan when none is left.
+    """
+    mean = np.atleast_2d(nees_of_runs).mean(axis=0)
+    mean = mean[np.isfinite(mean)]
+    low, high = nees_band(len(np.atleast_2d(nees_of_runs)), dimensions, probability)
+    return float(((mean >= low) & (mean <= high)).mean()) if len(mean) else float("nan")
+
+
+# -- errors against the truth -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,3 +182,62 @@ def dead_reckoning(odometry: Array, start: Array) -> Array:
 
 def _span(t_ns: NDArray[np.int64]) -> str:
     return f"{t_ns[0] / 1e9:.3f} s to {t_ns[-1] / 1e9:.3f} s" if len(t_ns) else "no time at all"
+
+
+# -- residuals --------------------------------------------------------------------------------------------------------
+
+_LARGEST_GATE, _SMALLEST_GATE = 40.0, 1e-2  # beyond the one nothing is cut off; below the other rounding prevails
+
+
+def residual_sums(matches: Matches) -> Array:
+    """Return Σ z², its expectation and its variance (3,) over the matched edges of one image.
+
+    nan where sigmas are not known, or nothing is matched.
+    """
+    residual, sigma, gate = matches.residual, matches.sigma, matches.gate
+    if sigma is None or gate is None:
+        return np.full(3, np.nan)
+    known = np.isfinite(residual) & (sigma > 0) & (gate > 0)
+    if not known.any():
+        return np.full(3, np.nan)
+    mean, variance = _moments(gate[known])
+    return np.array([np.square(residual[known] / sigma[known]).sum(), mean.sum(), variance.sum()])
+
+
+def consistency(sums: Array) -> Array:
+    """Return Σ z² / Σ E[z²] (T,) of images, from `residual_sums` (T, 3)."""
+    return np.asarray(sums[:, 0] / sums[:, 1])
+
+
+def consistency_band(sums: Array, probability: float = 0.95) -> tuple[Array, Array]:
+    """Return the band (T,), (T,) that the consistency of an image lies in with this probability, errors independent.
+
+    The sum is taken as a gamma variable of its mean and variance, which it is exactly, a χ², where nothing is cut off.
+    """
+    from scipy.special import gammaincinv
+
+    shape = sums[:, 1] ** 2 / sums[:, 2]
+    low, high = (gammaincinv(shape, tail) / shape for tail in ((1 - probability) / 2, (1 + probability) / 2))
+    return np.asarray(low), np.asarray(high)
+
+
+def residual_figures(sums: Array) -> dict[str, Any]:
+    """Return the consistency over all images of `residual_sums` (T, 3), and the fraction of images inside the band."""
+    known = sums[np.isfinite(sums).all(axis=1)]
+    if not len(known):
+        return {"consistency": None, "images_inside_95": None}
+    each, (low, high) = consistency(known), consistency_band(known)
+    return {
+        "consistency": round(float(known[:, 0].sum() / known[:, 1].sum()), 6),
+        "images_inside_95": round(float(((each >= low) & (each <= high)).mean()), 6),
+    }
+
+
+def _moments(gate: Array) -> tuple[Array, Array]:
+    """Return mean and variance (E,) of z², z standard normal and cut off at ±gate (E,)."""
+    from scipy.special import erf
+
+    g = np.clip(gate, _SMALLEST_GATE, _LARGEST_GATE)
+    ratio = 2 * np.exp(-0.5 * g**2) / np.sqrt(2 * np.pi) / erf(g / np.sqrt(2))
+    mean = 1 - g * ratio
+    return np.asarray(mean), np.asarray(np.maximum(3 - (g**3 + 3 * g) * ratio - mean**2, 0.0))

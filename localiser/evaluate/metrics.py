@@ -10,20 +10,188 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.evaluate.accuracy import Errors, Track, errors_against
+from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_inside, residual_figures
 from localiser.evaluate.bound import rms_position
-from localiser.evaluate.consistency import fraction_inside
-from localiser.evaluate.own_figures import found_index, own_figures
-from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
-from localiser.geometry import Array, Trajectory
+from localiser.geometry import Array, Trajectory, between
+from localiser.particles import POSE, Estimate
+
+# -- pauses without a sighting ----------------------------------------------------------------------------------------
+
+# What makes a pause, and how long after it frames are judged apart (the data sets' own convention).
+PAUSE_LONGER_THAN_S = 3.0
+AFTER_PAUSE_S = 10.0
+SEEN_WITHIN_S = 2.0
+# Half the width of a doorway: closer than this a robot knows which side of a door frame it is on.
+RECOVERED_WITHIN_M = 0.45
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """No sighting between these two times: of the last sighting before and of the first after."""
+
+    start_ns: int
+    end_ns: int
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the pause."""
+        return (self.end_ns - self.start_ns) / 1e9
+
+
+def find_pauses(t_ns: NDArray[np.int64], sighted: NDArray[np.bool_]) -> tuple[Pause, ...]:
+    """Return the pauses longer than `PAUSE_LONGER_THAN_S`, from image times (T,) and whether edges were seen (T,).
+
+    A run that begins blind begins with a pause; blindness that lasts until the end is none, for nothing comes after.
+    """
+    times = np.concatenate([t_ns[:1], t_ns[sighted]])
+    long = np.flatnonzero(np.diff(times) > PAUSE_LONGER_THAN_S * 1e9)
+    return tuple(Pause(int(times[i]), int(times[i + 1])) for i in long)
+
+
+def seen_recently(t_ns: NDArray[np.int64], sighted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether (T,) edges were seen at most `SEEN_WITHIN_S` ago at each image."""
+    last = np.maximum.accumulate(np.where(sighted, np.arange(len(t_ns)), -1))
+    return np.asarray((last >= 0) & (t_ns - t_ns[last] <= SEEN_WITHIN_S * 1e9))
+
+
+def after_pauses(t_ns: NDArray[np.int64], pauses: tuple[Pause, ...]) -> NDArray[np.bool_]:
+    """Return whether (T,) a pause ended at most `AFTER_PAUSE_S` ago at each image."""
+    result = np.zeros(len(t_ns), dtype=bool)
+    for pause in pauses:
+        result |= (t_ns >= pause.end_ns) & (t_ns - pause.end_ns <= AFTER_PAUSE_S * 1e9)
+    return result
+
+
+def recovery_s(t_ns: NDArray[np.int64], position_m: Array, pause: Pause, until_ns: int | None = None) -> float:
+    """Return the time from the end of a pause until the position is right within `RECOVERED_WITHIN_M`.
+
+    nan when it is not before `until_ns` (the next pause), or the end.
+    """
+    back = (t_ns >= pause.end_ns) & (position_m <= RECOVERED_WITHIN_M)
+    if until_ns is not None:
+        back &= t_ns <= until_ns
+    return float((t_ns[back][0] - pause.end_ns) / 1e9) if back.any() else float("nan")
+
+
+# -- what a run knows of itself ---------------------------------------------------------------------------------------
 
 DECIMALS = 6
+
+
+def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
+    """Return the figures of a run that need no truth; None where something is not known.
+
+    distance_scale: the learnt error of the odometry's distances, see `fit_wheels`. The 3σ figures are of the images
+    since the run was first sure of its pose, or of all where it never was: position_3sigma_m is three times
+    `Track.position_sigma_m`. edges_matched: fraction of all edges that matched a landmark.
+    """
+    duration_s, distance_m = float(track.seconds[-1]), distance_m_of(track, distance_scale)
+    since = found_index(track) or 0
+    figures = {
+        "duration_s": duration_s,
+        "distance_m": distance_m,
+        "speed_mean_m_s": distance_m / duration_s if duration_s > 0 else np.nan,
+        "edges_matched": _fraction(track.matched, track.edges),
+    }
+    spreads = {
+        "position_3sigma_{}_m": track.position_sigma_m,
+        "heading_3sigma_{}_deg": np.degrees(track.heading_sigma_rad),
+    }
+    for name, sigma in spreads.items():
+        known = 3 * sigma[since:][np.isfinite(sigma[since:])]
+        figures[name.format("median")] = float(np.median(known)) if len(known) else np.nan
+        figures[name.format("max")] = float(known.max()) if len(known) else np.nan
+    rounded = {name: round(value, DECIMALS) if np.isfinite(value) else None for name, value in figures.items()}
+    return rounded | {"residuals": residual_figures(track.residuals)}
+
+
+def found_index(track: Track) -> int | None:
+    """Return the first image at which the run was sure of its pose, None where it never was or that is not known."""
+    sure = track.p_correct > SURE
+    return int(np.argmax(sure)) if sure.any() else None
+
+
+def distance_m_of(track: Track, distance_scale: float = 0.0) -> float:
+    """Return the length of the path: by odometry, corrected by its learnt scale, or of the estimates without it.
+
+    Estimates move a little in each image while the robot stands, and jump when it is found elsewhere.
+    """
+    if np.isfinite(track.odometry).all():
+        return _length(track.odometry) * (1 + distance_scale)
+    return _length(track.poses)
+
+
+def _length(poses: Array) -> float:
+    return float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+
+
+def _fraction(part: Array, whole: Array) -> float:
+    known = np.isfinite(part) & np.isfinite(whole)
+    total = whole[known].sum()
+    return float(part[known].sum() / total) if total > 0 else float("nan")
+
+
+# -- constant errors of the wheels ------------------------------------------------------------------------------------
+
+PIECE_NS = 5_000_000_000
+FEWEST_PIECES = 5
+
+
+def fit_wheels(odometry: Trajectory, truth: Trajectory, from_ns: int, until_ns: int) -> dict[str, float]:
+    """Return what constants of the wheels make odometry fit the truth best between two times, shares and rad/m.
+
+    Empty where the two have less than some pieces in common, or the robot stood.
+    """
+    for track in (odometry, truth):
+        from_ns, until_ns = max(from_ns, int(track.t_ns[0])), min(until_ns, int(track.t_ns[-1]))
+    begins_ns = from_ns + PIECE_NS * np.unique((odometry.t_ns - from_ns) // PIECE_NS)
+    begins_ns = begins_ns[(begins_ns >= from_ns) & (begins_ns + PIECE_NS < until_ns)]
+    begins_ns = begins_ns[_is_covered(odometry, begins_ns) & _is_covered(truth, begins_ns)]
+    if len(begins_ns) < FEWEST_PIECES:
+        return {}
+    wheels, true = (_pieces(track, begins_ns) for track in (odometry, truth))
+    if np.linalg.matrix_rank(wheels) < 2:
+        return {}
+    distance = wheels[:, 0] @ true[:, 0] / (wheels[:, 0] @ wheels[:, 0])
+    veer, turn = np.linalg.lstsq(wheels, true[:, 1], rcond=None)[0]
+    return {"distance_scale": float(distance - 1), "turn_scale": float(turn - 1), "veer": float(veer)}
+
+
+def bias_figures(estimate: Estimate, fit: dict[str, float]) -> dict[str, Any]:
+    """Return value and sigma of every constant that is estimated, and by `least_squares` where `fit_wheels` has it."""
+    sigma = np.sqrt(np.diag(estimate.cov))
+    learnt = zip(estimate.names[len(POSE) :], estimate.mean[len(POSE) :], sigma[len(POSE) :], strict=True)
+    return {
+        name: {"value": _figure(value), "sigma": _figure(sigma)}
+        | ({"least_squares": _figure(fit[name])} if name in fit else {})
+        for name, value, sigma in learnt
+        if sigma > 1e-9  # of what can be wrong
+    }
+
+
+def _is_covered(track: Trajectory, begins_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether (P,) the poses around and inside each piece are never further apart than a piece is long."""
+    pauses = np.concatenate([[0], np.cumsum(np.diff(track.t_ns) > PIECE_NS)])
+    before = np.searchsorted(track.t_ns, begins_ns, side="right") - 1
+    after = np.searchsorted(track.t_ns, begins_ns + PIECE_NS, side="left")
+    return np.asarray(pauses[after] == pauses[before])
+
+
+def _pieces(track: Trajectory, begins_ns: NDArray[np.int64]) -> Array:
+    """Return chord, backward counted negative, and turn (P, 2) of the motions in pieces that begin at times (P,)."""
+    motion = between(*(track.sampled(times_ns).poses for times_ns in (begins_ns, begins_ns + PIECE_NS)))
+    return np.stack([-np.sign(motion[:, 1]) * np.hypot(*motion[:, :2].T), motion[:, 2]], axis=1)
+
+
+# -- all figures ------------------------------------------------------------------------------------------------------
+
 ABOUT = ("observation", "association", "odometry", "start", "map", "inputs", "particles", "seed")
 """What a run was made from, apart from its log: only runs that differ by nothing but the seed may be summed up."""
 

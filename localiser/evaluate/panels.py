@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from localiser.evaluate.accuracy import Errors, Track, dead_reckoning
+from localiser.evaluate.accuracy import Errors, Track, consistency, consistency_band, dead_reckoning
 from localiser.evaluate.bound import position_bound
-from localiser.evaluate.pauses import find_pauses
-from localiser.evaluate.residuals import consistency, consistency_band
+from localiser.evaluate.metrics import find_pauses
 from localiser.filter import SURE
 from localiser.geometry import Array, Trajectory, forward
 from localiser.landmarks import LandmarkMap

@@ -16,9 +16,8 @@ import numpy as np
 from localiser.documents import drafted
 from localiser.evaluate import panels
 from localiser.evaluate.accuracy import Track, errors_against
-from localiser.evaluate.constants import learnt_constants
-from localiser.evaluate.flat import figure_at
-from localiser.evaluate.pauses import PAUSE_LONGER_THAN_S
+from localiser.evaluate.metrics import PAUSE_LONGER_THAN_S
+from localiser.evaluate.tables import figure_at, learnt_constants
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 
@@ -102,10 +101,7 @@ def write_report(path: Path, track: Track, figures: Mapping[str, Any], **known: 
     known: see `draw_report`. Raises InputError when truth and run share no time, OutputError.
     """
     with picture_style():  # fonts are looked up on drawing
-        figure = draw_report(track, figures, **known)
-        # Without "Software", which names matplotlib's version.
-        with drafted(path) as draft:
-            figure.savefig(draft, format="png", dpi=DPI, metadata={"Software": None})
+        save_figure(draw_report(track, figures, **known), path)
 
 
 def draw_report(
@@ -148,11 +144,20 @@ def draw_report(
     return figure
 
 
-def picture_style() -> Any:
-    """Return the context of this style, from the defaults and not the user's: the picture is the same everywhere."""
+def picture_style(changes: Mapping[str, Any] | None = None) -> Any:
+    """Return the context of the one style of all pictures, from the defaults and not the user's.
+
+    So a picture is the same everywhere. changes: to the style, by the names of matplotlib.
+    """
     from matplotlib import style
 
-    return style.context(["default", STYLE])
+    return style.context(["default", STYLE | dict(changes or {})])
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whole or not at all, without what differs from run to run. Raises OutputError."""
+    with drafted(path) as draft:
+        figure.savefig(draft, format="png", metadata={"Software": None})  # which names matplotlib's version
 
 
 def _odometry_label(figures: Mapping[str, Any]) -> str:

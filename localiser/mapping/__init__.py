@@ -1,37 +1,41 @@
 """Build landmark maps: from logs with known poses, from logs alone, and from floor plans."""
 
-from localiser.mapping.aliasing import Aliasing, find_aliasing
-from localiser.mapping.alignment import Alignment, align, matches
-from localiser.mapping.ambiguity import ALIKE, Ambiguity, best_spots, find_ambiguity
-from localiser.mapping.build import BuildWatch, MapBuilt, build_map
-from localiser.mapping.build_together import build_map_together
+from localiser.mapping.build import (
+    BUILDERS,
+    COARSE_RAD,
+    Builder,
+    BuildWatch,
+    MapBuilt,
+    build_map,
+    require_association,
+    turn_drift,
+)
 from localiser.mapping.check import (
     ENOUGH,
     Coverage,
-    LogFit,
     coverage,
     doubtful,
-    duplicates,
-    fit_to_log,
     in_view,
-    log_fit,
+    update_map,
 )
-from localiser.mapping.coarse_bearings import landmarks_of_coarse_bearings
-from localiser.mapping.deduplicate import deduplicated
-from localiser.mapping.edit import added, moved, removed
 from localiser.mapping.factors import Prior, Wheels
-from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
-from localiser.mapping.landmarks import Built, measured_sigma
+from localiser.mapping.known_poses import build_from_poses
+from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, renumber
 from localiser.mapping.live_map import LiveMap
-from localiser.mapping.log_edges import cache_folder, edges_of_log
-from localiser.mapping.mappable import require_association, turn_drift
-from localiser.mapping.merge import agreeing, fused, joined_maps, same_in_both
-from localiser.mapping.parameters import MappingParameters
-from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, cells_from_map, map_from_cells
-from localiser.mapping.plan_corners import plan_landmarks
+from localiser.mapping.merge import (
+    Alignment,
+    agreeing,
+    align,
+    common_landmarks,
+    duplicates,
+    fuse_maps,
+    join_maps,
+    matches,
+    merge_duplicates,
+)
+from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, map_from_cells, plan_landmarks
 from localiser.mapping.quality import landmark_map_of
-from localiser.mapping.recorded import known_poses, wheels_of
-from localiser.mapping.sightings import Sightings, direction_of, parallax
+from localiser.mapping.recorded import cache_folder, edges_of_log, known_poses, wheels_of
+from localiser.mapping.sightings import Index, Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
-from localiser.mapping.tracks import follow
-from localiser.mapping.update import updated
+from localiser.mapping.tracks import MappingParameters, follow

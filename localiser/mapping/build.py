@@ -1,13 +1,13 @@
-"""Build a landmark map from a recorded log: edges, poses, landmarks, and the quality of each landmark.
+"""Build a landmark map from recorded logs: edges, poses, landmarks, and the quality of each landmark.
 
 Robot poses are known (a truth, a trajectory, unchanged odometry), or they are found together with the map (SLAM).
-Errors say why no map can be built: the robot does not move, there is too little parallax, there is only clutter, or the
-wheels are too inaccurate for the bearings.
+Errors say why no map can be built, and how to get one: the robot does not move, there is too little parallax, there is
+only clutter, or the wheels are too inaccurate for the bearings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -19,14 +19,9 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.mapping.coarse_bearings import COARSE_RAD
-from localiser.mapping.factors import Prior
-from localiser.mapping.far_images import are_far, build_from_far_images
-from localiser.mapping.from_known_poses import build_from_coarse, build_from_poses
+from localiser.mapping.factors import Prior, Wheels
+from localiser.mapping.known_poses import are_far, build_from_far_images, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
-from localiser.mapping.log_edges import edges_of_log
-from localiser.mapping.mappable import require_association, require_landmarks, require_motion
-from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.recorded import (
     KNOWN_TURN_RAD,
@@ -34,14 +29,118 @@ from localiser.mapping.recorded import (
     SLAM,
     TRUTH,
     RecordedLog,
+    edges_of_log,
     known_poses,
     turn_sigmas,
     wheels_of,
 )
 from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.slam import Slam, build_from_log
-from localiser.mapping.tracks import follow
+from localiser.mapping.tracks import MappingParameters, follow
 from localiser.motion import MotionParameters
+
+# -- what can be mapped -----------------------------------------------------------------------------------------------
+
+COARSE_RAD = np.deg2rad(0.5)
+"""Bearings worse than this are off by 4 cm five metres away: neighbours are mixed from one image to the next."""
+_LEAST_EXPLAINED = 0.1
+"""Share of a log's edges below which its landmarks may be chance: poses that are free bend to fit some clutter."""
+_MOST_DRIFT_RAD = np.deg2rad(8.0)
+"""Heading error of the wheels in a full turn that coarse bearings still tell from the next landmark; see the docs."""
+_STANDING_M = 0.05
+
+
+def require_motion(log: RecordedLog, trajectory: Trajectory) -> None:
+    """Raise InputError when the robot stands still."""
+    moved = trajectory.poses[:, :2] - trajectory.poses[0, :2]
+    farthest = float(np.hypot(moved[:, 0], moved[:, 1]).max())
+    if farthest < _STANDING_M:
+        raise InputError(
+            f"expected a robot that drives, found one that stays within {farthest:.3f} m: without motion an edge is "
+            "seen from one side only, and its distance cannot be told",
+            path=log.path,
+        )
+
+
+def require_association(path: Path, sightings: Sightings, wheels: Wheels) -> None:
+    """Raise InputError when bearings are too coarse, and wheels too bad, to tell which landmark was seen.
+
+    A robot meets its landmarks again when it has turned round. Coarse bearings (median over `COARSE_RAD`) are
+    not followed from image to image reliably, so that wheels must say by then which landmark is which.
+    """
+    sigma = float(np.median(sightings.sigma))
+    drift = turn_drift(wheels)
+    if sigma > COARSE_RAD and drift > _MOST_DRIFT_RAD:
+        raise InputError(
+            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, or wheels whose heading is good to "
+            f"{np.rad2deg(_MOST_DRIFT_RAD):g}° after a full turn; found {np.rad2deg(sigma):.1f}° and "
+            f"{np.rad2deg(drift):.0f}° (motion.alpha1, motion.alpha2): nothing tells which landmark was seen, and the "
+            f"map would be wrong; --poses {TRUTH} or the trajectory of another program makes one",
+            path=path,
+            field="--poses",
+        )
+
+
+def turn_drift(wheels: Wheels) -> float:
+    """Return how far (rad, one sigma) the wheels' heading is off after a full turn, or at the end if that is sooner."""
+    turned = float(np.abs(wheels.motion[:, 2]).sum())
+    return float(np.sqrt(wheels.cov[:, 2, 2].sum() * min(1.0, 2 * np.pi / max(turned, 1e-9))))
+
+
+def require_landmarks(
+    log: RecordedLog,
+    landmark_map: LandmarkMap,
+    sightings: Sightings,
+    built: Built,
+    parameters: MappingParameters,
+) -> None:
+    """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
+    if not len(landmark_map):
+        raise _nothing_built(log, built, parameters)
+    assert landmark_map.quality is not None
+    explained = float(landmark_map.quality.sightings.sum()) / len(sightings)
+    if explained >= _LEAST_EXPLAINED:
+        return
+    narrow = (built.count >= parameters.sightings_min) & (np.rad2deg(built.parallax) < parameters.parallax_min_deg)
+    one_sided = float(built.count[narrow].sum()) / len(sightings)
+    if one_sided > 0.5:
+        raise _too_little_parallax(log, parameters, f"that {100 * one_sided:.0f} % of the edges are not")
+    raise InputError(
+        f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
+        "of the edges: what the images show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
+
+
+def _nothing_built(log: RecordedLog, built: Built, parameters: MappingParameters) -> InputError:
+    """Return the error that says why no landmark came out."""
+    followed = built.count >= parameters.sightings_min
+    if not followed.any():
+        most = int(built.count.max(initial=0))
+        return InputError(
+            f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
+            f"(at most {most}): what the images show is clutter, or too few of them overlap",
+            path=log.path,
+        )
+    widest = float(np.rad2deg(built.parallax[followed].max()))
+    if widest < parameters.parallax_min_deg:
+        return _too_little_parallax(log, parameters, f"at most {widest:.1f}°")
+    return InputError(
+        "expected edges that are found again where they should be, found none likely enough to exist: what the images "
+        "show is clutter, or the poses do not fit them",
+        path=log.path,
+    )
+
+
+def _too_little_parallax(log: RecordedLog, parameters: MappingParameters, found: str) -> InputError:
+    return InputError(
+        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found {found}: "
+        "too little parallax to tell distances; drive past things, not only towards them",
+        path=log.path,
+    )
+
+
+# -- the whole way ----------------------------------------------------------------------------------------------------
 
 _FEWEST_FRAMES = 2
 
@@ -71,13 +170,15 @@ class MapBuilt:
     """A map, and how it came about.
 
     trajectory: robot poses at the frames used. sightings: the edges of these. built: all landmarks that were tried; the
-    map holds those worth keeping. slam: what else was found out where poses were not known.
+    map holds those worth keeping. edges: of all images of each log. slam: what else was found out where poses were not
+    known.
     """
 
     landmark_map: LandmarkMap
     trajectory: Trajectory
     sightings: Sightings
     built: Built
+    edges: Sequence[Sequence[Edges]]
     slam: Slam | None = None
 
 
@@ -94,8 +195,41 @@ class BuildWatch(Protocol):
         """Take what came out."""
 
 
+class Builder(Protocol):
+    """Makes landmarks of edges that are seen from poses which are known exactly."""
+
+    def suits(self, paths: Sequence[Array], sigma: Array) -> bool:
+        """Whether it is for these logs: camera poses (T, 3) of each, and the sigma (S,) rad of all bearings."""
+
+    def build(
+        self, sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
+    ) -> tuple[Built, Array | None]:
+        """Return the landmarks (L), and how likely each exists (L,) where that is known. cameras: (T, 3)."""
+
+
+class FarImages:
+    """For images too far apart to follow an edge from one to the next: crossings of rays."""
+
+    def suits(self, paths: Sequence[Array], sigma: Array) -> bool:
+        """Whether images of any log are that far apart."""
+        return any(are_far(path) for path in paths)
+
+    def build(
+        self, sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
+    ) -> tuple[Built, Array | None]:
+        """Return the landmarks (L) and how likely each exists (L,)."""
+        return build_from_far_images(sightings, cameras, sigma, parameters)
+
+
+BUILDERS: list[Builder] = [FarImages()]
+"""For poses that are known exactly: the first that suits is used, else edges are followed from image to image.
+
+Insert a `Builder` for others.
+"""
+
+
 def build_map(
-    log: RecordedLog,
+    log: RecordedLog | Sequence[RecordedLog],
     poses: str | Trajectory = TRUTH,
     config: BuildSettings | None = None,
     *,
@@ -104,14 +238,75 @@ def build_map(
     cache: Path | None = None,
     source: str = "a trajectory",
 ) -> MapBuilt:
-    """Return the landmark map of a log. Nothing is written but the cache, where there is one.
+    """Return the landmark map of a log, or of several by their truth. Nothing is written but the cache, if any.
 
     poses: `truth`, `odometry`, `slam`, or the robot's poses in the map; source: what these are called in the map.
-    progress: is called after each image. cache: folder in which edges are kept for the next build; see `edges_of_log`.
-    Raises InputError when poses are missing, the robot stands still, or nothing is seen from two sides.
+    Several logs share one frame; the trajectory of the result is that of the first. progress: is called after each
+    image. cache: folder in which edges are kept for the next build; see `edges_of_log`. Raises InputError when poses
+    are missing, the robot stands still, or nothing is seen from two sides.
     """
     config = config or BuildParameters()
+    logs = list(log) if isinstance(log, Sequence) else [log]
     name = poses if isinstance(poses, str) else source
+    if len(logs) > 1 and poses != TRUTH:
+        problem = f"expected {TRUTH} for several logs, which must share one frame, found {name!r}"
+        raise InputError(problem, field="--poses")
+    seen = [_seen(each, poses, name, config, progress, watch, cache) for each in logs]
+    first, parameters, slam, probability = seen[0], config.mapping, None, None
+    trajectory = first.trajectory
+    if name == SLAM:
+        slam = _slam(first, config)
+        trajectory = Trajectory(trajectory.t_ns, slam.poses)
+        sightings, cameras, sigma, built = first.sightings, slam.cameras, slam.sigma, slam.built
+    else:
+        sightings, cameras, sigma, built, probability = _along(seen, parameters, exact=name != ODOMETRY)
+    names = " + ".join(each.name for each in logs)
+    landmark_map = landmark_map_of(
+        sightings,
+        built,
+        cameras,
+        sigma,
+        logs[0].camera,
+        parameters,
+        names,
+        f"{names}, poses: {name}",
+        probability=probability,
+    )
+    require_landmarks(logs[0], landmark_map, sightings, built, parameters)
+    result = MapBuilt(landmark_map, trajectory, sightings, built, [one.edges for one in seen], slam)
+    if watch is not None:
+        watch.finish(result)
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What was seen of one log. trajectory: robot poses at the images used. turn_sigma: (T,) rad, of their turns.
+
+    edges: of all images. sightings: those of the images used.
+    """
+
+    log: RecordedLog
+    trajectory: Trajectory
+    turn_sigma: Array
+    edges: Sequence[Edges]
+    sightings: Sightings
+
+    @property
+    def cameras(self) -> Array:
+        return self.sightings.camera_poses(self.log.camera, self.trajectory.poses)
+
+
+def _seen(
+    log: RecordedLog,
+    poses: str | Trajectory,
+    name: str,
+    config: BuildSettings,
+    progress: Callable[[], None] | None,
+    watch: BuildWatch | None,
+    cache: Path | None,
+) -> _Seen:
+    """Return the edges of the images of a log, and where they were seen from. Raises InputError."""
     known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
     inside, trajectory = sampled_at_images(log, known)
     require_motion(log, trajectory)
@@ -132,34 +327,7 @@ def build_map(
         raise InputError(
             f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
         )
-    parameters, slam, probability = config.mapping, None, None
-    if name == SLAM:
-        slam = _slam(log, sightings, trajectory, config)
-        trajectory = Trajectory(trajectory.t_ns, slam.poses)
-        cameras, sigma, built = slam.cameras, slam.sigma, slam.built
-    else:
-        sigma = measured_sigma(sightings, log.camera.focal_px, parameters)
-        cameras = sightings.camera_poses(log.camera, trajectory.poses)
-        track = follow(sightings, cameras, turn_sigma, parameters.tracks)
-        built, probability = built_along(
-            cameras, sightings, sigma, track, parameters, exact=exact, far=are_far(cameras)
-        )
-    landmark_map = landmark_map_of(
-        sightings,
-        built,
-        cameras,
-        sigma,
-        log.camera,
-        parameters,
-        log.name,
-        f"{log.name}, poses: {name}",
-        probability=probability,
-    )
-    require_landmarks(log, landmark_map, sightings, built, parameters)
-    result = MapBuilt(landmark_map, trajectory, sightings, built, slam)
-    if watch is not None:
-        watch.finish(result)
-    return result
+    return _Seen(log, trajectory, turn_sigma, edges, sightings)
 
 
 def sampled_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
@@ -176,31 +344,39 @@ def sampled_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.i
     return inside, known.sampled(t_ns[inside])
 
 
-def _slam(log: RecordedLog, sightings: Sightings, odometry: Trajectory, config: BuildSettings) -> Slam:
+def _slam(seen: _Seen, config: BuildSettings) -> Slam:
     """Return landmarks and poses, found together from edges and wheels."""
+    log, odometry = seen.log, seen.trajectory
     wheels = wheels_of(log.odometry, odometry.t_ns, config.motion)
-    require_association(log.path, sightings, wheels)
-    return build_from_log(sightings, wheels, Prior.of(config.motion), odometry.poses[0], log.camera, config.mapping)
+    require_association(log.path, seen.sightings, wheels)
+    prior = Prior.of(config.motion)
+    return build_from_log(seen.sightings, wheels, prior, odometry.poses[0], log.camera, config.mapping)
 
 
-def built_along(
-    cameras: Array,
-    sightings: Sightings,
-    sigma: Array,
-    track: Index,
-    parameters: MappingParameters,
-    *,
-    exact: bool,
-    far: bool,
-) -> tuple[Built, Array | None]:
-    """Return the landmarks (L) seen from camera poses (T, 3), and how likely each exists (L,) where that is known.
+def _along(
+    seen: Sequence[_Seen], parameters: MappingParameters, *, exact: bool
+) -> tuple[Sightings, Array, Array, Built, Array | None]:
+    """Return edges, camera poses (T, 3), sigmas (S,), landmarks (L) and their probabilities (L,), by known poses.
 
-    track: (S,) as edges were followed. exact: poses are known and not from odometry. far: see `are_far`. Where bearings
-    are too coarse to follow an edge from image to image, a mixture of landmarks explains all of them; where images are
-    too far apart, crossings of rays do.
+    exact: poses are known and not from odometry.
     """
+    paths = [one.cameras for one in seen]
+    sigma = np.concatenate([measured_sigma(one.sightings, one.log.camera.focal_px, parameters) for one in seen])
+    cameras, sightings = np.concatenate(paths), seen[0].sightings
+    if len(seen) > 1:
+        sightings = Sightings.together([one.sightings for one in seen], [one.log.camera for one in seen])
+    for builder in BUILDERS if exact else []:
+        if builder.suits(paths, sigma):
+            return sightings, cameras, sigma, *builder.build(sightings, cameras, sigma, parameters)
     if exact and np.median(sigma) > COARSE_RAD:
-        return build_from_coarse(sightings, cameras, sigma, parameters), None
-    if exact and far:
-        return build_from_far_images(sightings, cameras, sigma, parameters)
-    return build_from_poses(sightings, track, cameras, sigma, parameters), None
+        raise InputError(
+            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, found {np.rad2deg(np.median(sigma)):.1f}°: they "
+            "do not tell neighbours apart from one image to the next; such logs need a builder in mapping.BUILDERS",
+            path=seen[0].log.path,
+        )
+    tracks: list[Index] = []
+    for one, path in zip(seen, paths, strict=True):
+        count = 1 + max((int(track.max(initial=-1)) for track in tracks), default=-1)
+        tracks.append(count + follow(one.sightings, path, one.turn_sigma, parameters.tracks))
+    built = build_from_poses(sightings, np.concatenate(tracks), cameras, sigma, parameters)
+    return sightings, cameras, sigma, built, None

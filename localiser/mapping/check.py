@@ -1,58 +1,26 @@
-"""Check a map: duplicate or doubtful landmarks, landmarks that a log contradicts, places with too few in view."""
+"""Check a finished map, and bring it up to date: doubtful landmarks, places with too few in view."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges import EdgeParameters
 from localiser.errors import InputError
-from localiser.geometry import Array, Trajectory
-from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
-from localiser.mapping.log_edges import edges_of_log
-from localiser.mapping.merge import agreeing
-from localiser.mapping.recorded import RecordedLog
-from localiser.mapping.sightings import Index, Sightings
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap, Quality, Sight, SightParameters, sight
+from localiser.mapping.build import MapBuilt
+from localiser.mapping.landmarks import Built
+from localiser.mapping.merge import common_landmarks, fuse_maps
+from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 
-TWICE_M = 0.02
-"""Landmarks nearer to each other are one to any camera here."""
+# -- check ------------------------------------------------------------------------------------------------------------
+
 ENOUGH = 3
 """Landmarks in view that fix a pose: two leave an arc of places."""
-_NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
-_SHARED_M = 0.016  # sigma of places that is the most which a build adds to that of every landmark
-_MATCH_RAD = np.deg2rad(1.5)  # an edge farther from where a landmark should be seen is another's
 _STEP_M, _MOST_STEPS = 0.25, 60  # between places; along the longer side of the building
 _AT_ONCE = 4096  # poses whose views are worked out together
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LogFit:
-    """How a map's landmarks (L) fit the edges of a log with known poses.
-
-    expected: (L,) frames that have them in view; a wall may hide them from it. found: (L,) frames with an edge there.
-    rms_rad: (L,) root mean square of the edges' distance from where they should be, nan where none was found.
-    explained: share of all edges that have a landmark.
-    """
-
-    expected: Index
-    found: Index
-    rms_rad: Array
-    explained: float
-
-    def text(self) -> str:
-        """Return how well the whole map fits a log."""
-        found = self.found > 0
-        rms = np.rad2deg(np.median(self.rms_rad[found])) if found.any() else np.nan
-        return (
-            f"{found.sum()} of {len(found)} landmarks were seen; "
-            f"{100 * self.explained:.0f} % of the log's edges are theirs, "
-            f"{rms:.2f}° (median) from where they should be"
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,37 +41,6 @@ class Coverage:
             f"Fewer than {ENOUGH} landmarks in view: {100 * self.share.mean():.0f} % of all places and headings; "
             f"walls, which hide more, are not counted"
         )
-
-
-def duplicates(landmark_map: LandmarkMap) -> Index:
-    """Return the pairs (K, 2) of landmarks that are probably one: as near as two can be told apart, and alike."""
-    from scipy.spatial import cKDTree
-
-    pairs = cKDTree(landmark_map.points).query_pairs(_NEAR_M, output_type="ndarray").astype(np.int64).reshape(-1, 2)
-    one, other = pairs.T
-    apart = np.hypot(*(landmark_map.points[one] - landmark_map.points[other]).T)
-    alike = landmark_map.polarity[one] * landmark_map.polarity[other] >= 0
-    # A covariance that is not known makes nothing likely.
-    own = replace(landmark_map, cov=_own_cov(landmark_map.cov))
-    same = agreeing(own, own, pairs, TWICE_M)
-    return np.asarray(pairs[alike & ((apart < TWICE_M) | same)])
-
-
-def _own_cov(cov: Array) -> Array:
-    """Return covariances (L, 2, 2) without the errors that images and poses share, up to `_SHARED_M`² across.
-
-    No number of images averages these out (`place_cov`), and they say nothing of whether two neighbours, such as the
-    backs of two books, are one. Across the line of sight they are as large as half of all landmarks are certain, and
-    they grow along it as the rest of the error does. So a covariance shrinks as a whole.
-    """
-    known = np.isfinite(cov).all(axis=(1, 2)) & (np.trace(cov, axis1=1, axis2=2) > 0)
-    if not known.any():
-        return cov
-    across = np.maximum(np.linalg.eigvalsh(cov[known])[:, 0], 1e-30)
-    shared = np.clip(np.median(across), 0.0, _SHARED_M**2)
-    own = cov.copy()
-    own[known] *= np.maximum(1.0 - shared / across, 0.0)[:, None, None]
-    return own
 
 
 def doubtful(landmark_map: LandmarkMap, existence_min: float = 0.5, sigma_max_m: float = 0.2) -> Index:
@@ -128,43 +65,6 @@ def in_view(landmark_map: LandmarkMap, camera: Camera, places: Array, headings: 
     return count.reshape(len(places), headings)
 
 
-def log_fit(landmark_map: LandmarkMap, sightings: Sightings, camera: Camera, robot_poses: Array) -> LogFit:
-    """Return how the landmarks fit edges that were seen from robots at (T, 3): each to the nearest, mutually."""
-    limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
-    views = sight(camera, camera.pose_in_map(robot_poses), landmark_map, limits)
-    first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
-    squares, found = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=np.int64)
-    for frame in range(sightings.frames):
-        seen = slice(sightings.first[frame], sightings.first[frame + 1])
-        expected = slice(first[frame], first[frame + 1])
-        landmark = views.landmark[expected]
-        row, apart = _nearest(
-            np.arctan(views.tangent[expected]),
-            landmark_map.polarity[landmark],
-            sightings.bearing[seen],
-            sightings.polarity[seen],
-        )
-        found[landmark[row]] += 1
-        squares[landmark[row]] += apart**2
-    expected_count = np.bincount(views.landmark, minlength=len(landmark_map))
-    rms = np.sqrt(np.divide(squares, found, out=np.full(len(found), np.nan), where=found > 0))
-    return LogFit(expected_count, found, rms, float(found.sum()) / max(len(sightings), 1))
-
-
-def _nearest(
-    predicted: Array, polarity: NDArray[np.int8], bearing: Array, seen_polarity: NDArray[np.int8]
-) -> tuple[Index, Array]:
-    """Return the predictions (K,) that an edge lies at, and how far off it is (K,) rad: mutual nearest, alike."""
-    if not len(predicted) or not len(bearing):
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
-    apart = np.abs(predicted[:, None] - bearing[None])
-    apart[polarity[:, None] * seen_polarity[None] < 0] = np.inf
-    column = apart.argmin(axis=1)
-    row = np.flatnonzero(apart.argmin(axis=0)[column] == np.arange(len(predicted)))
-    distance = apart[row, column[row]]
-    return row[distance < _MATCH_RAD], distance[distance < _MATCH_RAD]
-
-
 def coverage(landmark_map: LandmarkMap, camera: Camera) -> Coverage:
     """Return from where, all over the building, fewer than three landmarks are in view."""
     low, high = landmark_map.points.min(axis=0), landmark_map.points.max(axis=0)
@@ -177,19 +77,109 @@ def coverage(landmark_map: LandmarkMap, camera: Camera) -> Coverage:
     return Coverage(x, z, step, few.mean(axis=1).reshape(len(z), len(x)))
 
 
-def fit_to_log(
-    landmark_map: LandmarkMap,
-    log: RecordedLog,
-    trajectory: Trajectory,
-    parameters: EdgeParameters,
-    progress: Callable[[], None],
-    cache: Path | None = None,
-) -> LogFit:
-    """Return how the map fits the edges of a log with known poses, see `edges_of_log`. Raises InputError for none."""
-    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
-    inside = np.flatnonzero((t_ns >= trajectory.t_ns[0]) & (t_ns <= trajectory.t_ns[-1]))
-    if not len(inside):
-        raise InputError("expected poses at the times of images, found none", path=log.path, field="--poses")
-    edges = edges_of_log(log, parameters, lambda *_: progress(), cache)
-    sightings = Sightings.from_edges([edges[k] for k in inside], log.camera)
-    return log_fit(landmark_map, sightings, log.camera, trajectory.sampled(t_ns[inside]).poses)
+# -- update -----------------------------------------------------------------------------------------------------------
+
+_BESIDE_RAD = np.deg2rad(2.0)  # what was seen so near to a direction,
+_BEHIND_M = 0.2  # and so much farther away, shows that nothing hides what stands before it
+_POSE_RAD = np.deg2rad(0.2)  # error of the camera's direction
+_GATE_SIGMA = 3.0
+_UNKNOWN = 0.95  # existence of a landmark where the map does not state it
+_MOST_ODDS = 12.0
+
+
+_GONE = 0.1
+"""Probability of existence below which a landmark leaves the map: one miss or two only make it less certain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Updated:
+    """A map after an update; gone, new: ids of landmarks that went and came. again: how many were seen again."""
+
+    landmark_map: LandmarkMap
+    gone: tuple[int | str, ...]
+    new: tuple[int | str, ...]
+    again: int
+
+
+def update_map(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, within_m: float) -> Updated:
+    """Return the map with what a build of a log in its frame says: fused, lost, added.
+
+    found: chance that an edge that is there is found in an image. Raises InputError when hardly
+    any landmark is found again: then the poses are not in the map's frame.
+    """
+    new = built.landmark_map
+    pairs = common_landmarks(old, new, within_m)
+    if len(pairs) < max(3, len(new) // 10):
+        raise InputError(
+            f"expected landmarks of the map in the log, found {len(pairs)} of the {len(new)} that it shows: "
+            "are its poses in the map's frame?",
+            field="--poses",
+        )
+    cameras = built.slam.cameras if built.slam else built.sightings.camera_poses(camera, built.trajectory.poses)
+    existence = existence_after(old, built.sightings, built.built, camera, cameras, found)
+    existence[pairs[:, 0]] = np.nan  # what the log says of those it shows counts
+    whole = fuse_maps(with_existence(old, existence), new, pairs)
+    assert whole.quality is not None
+    gone = np.flatnonzero(whole.quality.existence[: len(old)] < _GONE)
+    kept = np.setdiff1d(np.arange(len(whole)), gone)
+    return Updated(whole.take(kept), tuple(old.ids[k] for k in gone), whole.ids[len(old) :], len(pairs))
+
+
+def existence_after(
+    landmark_map: LandmarkMap, sightings: Sightings, built: Built, camera: Camera, cameras: Array, found: float
+) -> Array:
+    """Return the probability (L,) that landmarks exist, after a log from cameras at (T, 3); nan where unknown before.
+
+    For landmarks that the log's own build does not have. A frame counts only if a landmark farther away was seen next
+    to it, because otherwise a wall may hide it, and if none was seen right at its place, because then its own edge may
+    be part of that one's. In each, log-odds grow by ln(p / q) where an edge is at its place and by
+    ln((1 - p) / (1 - q)) where none is; p is the chance `found` that an edge that is there is found, q that some other
+    edge is there.
+    """
+    limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
+    views = sight(camera, cameras, landmark_map, limits)
+    gate = _gates(landmark_map, views, cameras)
+    first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
+    span = 2.0 * np.arctan(camera.width / 2 / camera.focal_px)
+    gain, clear = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=bool)
+    for frame in range(sightings.frames):
+        row = np.arange(first[frame], first[frame + 1])
+        seen = np.arange(sightings.first[frame], sightings.first[frame + 1])
+        bearing = np.arctan(views.tangent[row])
+        row_is_clear = _is_clear(bearing, views.range_m[row], sightings, built, seen, cameras[frame])
+        at_place = np.abs(bearing[:, None] - sightings.bearing[seen][None]) < gate[row][:, None]
+        foreign = built.of[seen] < 0
+        row_is_clear &= ~at_place[:, ~foreign].any(axis=1)
+        hit = at_place[:, foreign].any(axis=1)
+        chance = np.clip(1.0 - np.exp(-foreign.sum() / span * 2 * gate[row]), 0.01, found)
+        step = np.where(hit, np.log(found / chance), np.log((1 - found) / (1 - chance)))
+        landmark = views.landmark[row]
+        gain[landmark] += np.where(row_is_clear, step, 0.0)
+        clear[landmark] |= row_is_clear
+    before = (landmark_map.quality or Quality.unknown(len(landmark_map))).existence
+    known = np.clip(np.where(np.isnan(before), _UNKNOWN, before), 1e-5, 1 - 1e-5)
+    odds = np.clip(np.log(known / (1 - known)) + gain, -_MOST_ODDS, _MOST_ODDS)
+    return np.where(clear, 1.0 / (1.0 + np.exp(-odds)), before)
+
+
+def with_existence(landmark_map: LandmarkMap, existence: Array) -> LandmarkMap:
+    """Return the map with this probability (L,) of each landmark."""
+    quality = landmark_map.quality or Quality.unknown(len(landmark_map))
+    return replace(landmark_map, quality=replace(quality, existence=existence))
+
+
+def _gates(landmark_map: LandmarkMap, views: Sight, cameras: Array) -> Array:
+    """Return how far (P,) rad from where it should be a landmark's edge may lie in each view."""
+    jacobian = per_point(landmark_map.points[views.landmark], cameras[views.pose])
+    cov = np.nan_to_num(landmark_map.cov)[views.landmark]
+    return np.asarray(_GATE_SIGMA * np.sqrt(np.einsum("pi,pij,pj->p", jacobian, cov, jacobian) + _POSE_RAD**2))
+
+
+def _is_clear(
+    bearing: Array, range_m: Array, sightings: Sightings, built: Built, seen: Index, camera: Array
+) -> np.ndarray:
+    """Return which directions (K,) are free as far as `range_m`: a landmark behind shows beside each."""
+    known = seen[built.of[seen] >= 0]
+    _, beyond = direction_of(built.fit.points[built.of[known]], np.tile(camera, (len(known), 1)))
+    beside = np.abs(bearing[:, None] - sightings.bearing[known][None]) < _BESIDE_RAD
+    return np.asarray((beside & (beyond[None] > range_m[:, None] + _BEHIND_M)).any(axis=1))

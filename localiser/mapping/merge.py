@@ -1,25 +1,194 @@
-"""Merge maps: landmarks that are the same are fused, the others are kept."""
+"""Lay maps over each other with unknown correspondences, and merge them: what is the same is fused, the rest kept."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array
+from localiser.geometry import Array, map_from_robot, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping.alignment import matches
+from localiser.mapping.sightings import Index
+
+# -- alignment --------------------------------------------------------------------------------------------------------
+
+_BIN_M = 0.3  # places of votes for a shift
+_MOST_BINS = 2**22  # from which on most are empty, and are not counted
+_TURN_STEP_RAD = np.deg2rad(1.5)
+_SCALES = np.exp(np.arange(-18, 19) * 0.02)  # 0.70 to 1.43, in steps of 2 %
+_MOST_VOTERS, _MOST_VOTERS_OF_SCALE = 200, 60  # landmarks of each map that vote at every turn; with a scale, too
+_BEST = 12  # peaks of votes that are looked at closely
+_GATES_M = (1.0, 0.6, 0.4)  # before the last one: landmarks match within so much
+_ROUNDS = 10
+_FEWEST = 3
+_SAME_M, _SAME_RAD = 0.3, np.deg2rad(3.0)  # poses nearer than this are one and the same alignment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """How a second map lies in a first: point = map_from_robot(pose, scale * second point).
+
+    pose: (3,) x, z, heading. pairs: (K, 2) landmarks of the first and the second that are one. residual_m: (K,).
+    alternative: matches of the next best alignment that is another one, as a fraction of K; near 1 it is unknown which
+    is right.
+    """
+
+    pose: Array
+    scale: float
+    pairs: NDArray[np.int64]
+    residual_m: Array
+    alternative: float
+
+    def apply(self, points: Array) -> Array:
+        """Return points (K, 2) of the second map in the first."""
+        return map_from_robot(self.pose, self.scale * points)
+
+    def moved(self, second: LandmarkMap) -> LandmarkMap:
+        """Return the second map in the frame of the first; heights are left as they are."""
+        turn = map_from_robot(np.array([0.0, 0.0, self.pose[2]]), self.scale * np.eye(2)).T
+        return replace(second, points=self.apply(second.points), cov=turn @ second.cov @ turn.T)
+
+
+def align(first: Array, second: Array, within_m: float, *, similarity: bool = False) -> Alignment:
+    """Return how landmarks `second` (B, 2) lie over `first` (A, 2), matched where they are `within_m` of each other.
+
+    Every pair of landmarks votes for a shift, at every turn (and scale, for a `similarity`); the highest peaks are
+    refined by least squares over mutual nearest neighbours, and the one that matches most landmarks wins, then the one
+    that does so best. Raises ValueError when fewer than three landmarks match.
+    """
+    found = [_refined(first, second, *peak, within_m, similarity) for peak in _peaks(first, second, similarity)]
+    found.sort(key=lambda one: (-len(one.pairs), float(np.square(one.residual_m).sum())))
+    if not found or len(found[0].pairs) < _FEWEST:
+        raise ValueError(f"expected at least {_FEWEST} landmarks that match within {within_m:g} m, found fewer")
+    best = found[0]
+    others = (len(one.pairs) for one in found[1:] if not _same(one, best))
+    return Alignment(best.pose, best.scale, best.pairs, best.residual_m, max(others, default=0) / len(best.pairs))
+
+
+def matches(first: Array, second: Array, within_m: float) -> NDArray[np.int64]:
+    """Return the pairs (K, 2) of points (A, 2) and (B, 2) that are each other's nearest, and no farther than that."""
+    from scipy.spatial import cKDTree
+
+    distance, nearest = cKDTree(first).query(second)
+    _, back = cKDTree(second).query(first)
+    mutual = np.flatnonzero((back[nearest] == np.arange(len(second))) & (distance <= within_m))
+    return np.stack([nearest[mutual], mutual], axis=-1).astype(np.int64)
+
+
+def _peaks(first: Array, second: Array, similarity: bool) -> list[tuple[Array, float]]:
+    """Return the poses and scales that most pairs of landmarks vote for."""
+    most = _MOST_VOTERS_OF_SCALE if similarity else _MOST_VOTERS
+    voters = _thinned(first, most), _thinned(second, most)
+    turns = np.arange(-np.pi, np.pi, _TURN_STEP_RAD)
+    peaks = [
+        (*most_voted(*voters, turn, scale), turn, scale)
+        for scale in (_SCALES if similarity else (1.0,))
+        for turn in turns
+    ]
+    peaks.sort(key=lambda peak: -peak[0])
+    chosen: list[tuple[Array, float]] = []
+    for _, shift, turn, scale in peaks:
+        pose = np.array([*shift, turn])
+        if all(_far(pose, other) or abs(scale / size - 1) > 0.05 for other, size in chosen):
+            chosen.append((pose, float(scale)))
+        if len(chosen) == _BEST:
+            break
+    return chosen
+
+
+def _thinned(points: Array, most: int) -> Array:
+    """Return at most so many of the points, evenly from one end to the other."""
+    if len(points) <= most:
+        return points
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    return np.asarray(points[order[np.linspace(0, len(points) - 1, most).astype(int)]])
+
+
+def most_voted(
+    first: Array, second: Array, turn: float, scale: float, most_bins: int = _MOST_BINS
+) -> tuple[int, Array]:
+    """Return the number of votes for the best shift (m) of `second` (B, 2) over `first` (A, 2), and that shift (2,).
+
+    turn: rad. most_bins: from so many places on only those are counted that have votes.
+    """
+    turned = map_from_robot(np.array([0.0, 0.0, turn]), scale * second)
+    shifts = (first[:, None] - turned[None]).reshape(-1, 2)
+    low = shifts.min(axis=0)
+    cell = ((shifts - low) / _BIN_M).astype(np.int64)
+    size = cell.max(axis=0) + 2
+    if float(size[0]) * float(size[1]) > most_bins:
+        most, place = _most_voted_of_few(cell, int(size[1]))
+        return most, low + _BIN_M * (place + 1.0)
+    votes = np.bincount(cell[:, 0] * size[1] + cell[:, 1], minlength=int(size[0] * size[1])).reshape(size)
+    # A peak on the border of two bins votes in both.
+    around = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
+    row, column = np.unravel_index(int(around.argmax()), around.shape)
+    return int(around[row, column]), low + _BIN_M * np.array([row + 1.0, column + 1.0])
+
+
+def _most_voted_of_few(cell: NDArray[np.int64], columns: int) -> tuple[int, Array]:
+    """Return the most votes and their place (2,), as `most_voted` finds them, of cells (S, 2) that lie far apart."""
+    around = np.concatenate([cell - step for step in ([0, 0], [0, 1], [1, 0], [1, 1])])
+    around = around[(around >= 0).all(axis=1)]
+    key, count = np.unique(around[:, 0] * columns + around[:, 1], return_counts=True)
+    best = int(count.argmax())
+    return int(count[best]), np.array(divmod(int(key[best]), columns), dtype=np.float64)
+
+
+def _refined(first: Array, second: Array, pose: Array, scale: float, within_m: float, similarity: bool) -> Alignment:
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    for gate in (*(gate for gate in _GATES_M if gate > within_m), within_m):
+        for _ in range(_ROUNDS):
+            found = matches(first, map_from_robot(pose, scale * second), gate)
+            if len(found) < _FEWEST:
+                break
+            pose, scale = fitted_motion(first[found[:, 0]], second[found[:, 1]], similarity=similarity)
+            if np.array_equal(found, pairs):
+                break
+            pairs = found
+    placed = map_from_robot(pose, scale * second)
+    pairs = matches(first, placed, within_m)
+    residual = np.hypot(*(placed[pairs[:, 1]] - first[pairs[:, 0]]).T)
+    return Alignment(pose, scale, pairs, residual, 0.0)
+
+
+def fitted_motion(first: Array, second: Array, *, similarity: bool = False) -> tuple[Array, float]:
+    """Return the pose (3,) and scale that lay points `second` (K, 2) over `first` (K, 2) best [Umeyama 1991]."""
+    middle, other = first.mean(axis=0), second.mean(axis=0)
+    a, b = first - middle, second - other
+    # Heading turns x towards -z: the angle of (x, -z) is the usual one.
+    cos, sin = (a * b).sum(), (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
+    heading = float(np.arctan2(sin, cos))
+    scale = float(np.hypot(cos, sin) / np.square(b).sum()) if similarity and np.square(b).sum() > 0 else 1.0
+    turned = map_from_robot(np.array([0.0, 0.0, heading]), scale * other)
+    return np.array([*(middle - turned), heading]), scale
+
+
+def _same(one: Alignment, other: Alignment) -> bool:
+    return not _far(one.pose, other.pose) and abs(one.scale / other.scale - 1) < 0.05
+
+
+def _far(pose: Array, other: Array) -> bool:
+    apart = np.hypot(*(pose - other)[:2]) > _SAME_M
+    return bool(apart or abs(wrap_angle(pose[2] - other[2])) > _SAME_RAD)
+
+
+# -- merging ----------------------------------------------------------------------------------------------------------
 
 Mask = NDArray[np.bool_]
 
 _PLAIN = ("points", "cov", "bottom_m", "top_m", "polarity")
 _QUALITY = ("sightings", "parallax_rad", "existence")
 _CHI2_99 = 9.21  # squared Mahalanobis distance that holds 99 % of a Gaussian in the plane
+TWICE_M = 0.02
+"""Landmarks nearer to each other are one to any camera here."""
+_NEAR_M = 0.1  # farther from each other, two uncertain landmarks may well be two
+_SHARED_M = 0.016  # sigma of places that is the most which a build adds to that of every landmark
 
 
-def joined_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
+def join_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
     """Return the landmarks of both maps, those of the second with new ids where the first has them already."""
     taken = {str(name) for name in first.ids}
     number = 1 + max((name for name in (*first.ids, *second.ids) if isinstance(name, int)), default=-1)
@@ -36,7 +205,7 @@ def joined_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
     return _with_columns(whole, columns, has_quality=first.quality is not None or second.quality is not None)
 
 
-def fused(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> LandmarkMap:
+def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> LandmarkMap:
     """Return both maps with the landmarks `pairs` (K, 2) as one: place by their covariances, the rest by the second.
 
     The first's ids stay. Where a covariance is not known, the other's place counts alone; where neither is, the
@@ -44,7 +213,7 @@ def fused(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> 
     """
     one, other = pairs.T
     seen = second.take(other)
-    whole = joined_maps(first, second.take(np.setdiff1d(np.arange(len(second)), other)))
+    whole = join_maps(first, second.take(np.setdiff1d(np.arange(len(second)), other)))
     columns = _columns(whole, whole.quality.profile.shape[1] if whole.quality else 0)
     for name, values in _columns(seen, columns["profile"].shape[1]).items():
         column = columns[name] = columns[name].copy()
@@ -73,7 +242,7 @@ def _with_columns(one: LandmarkMap, columns: dict[str, Any], *, has_quality: boo
 
 
 def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:
-    """Return points (K, 2) and covariances (K, 2, 2) by the information of both; see `fused` for what is unknown."""
+    """Return points (K, 2) and covariances (K, 2, 2) by the information of both; unknown: see `fuse_maps`."""
     known, other_known = _is_known(cov), _is_known(other_cov)
     both = known & other_known
     points = np.where((known & ~other_known)[:, None], first, second)
@@ -84,7 +253,7 @@ def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> t
     return points, result
 
 
-def same_in_both(first: LandmarkMap, second: LandmarkMap, within_m: float) -> NDArray[np.int64]:
+def common_landmarks(first: LandmarkMap, second: LandmarkMap, within_m: float) -> NDArray[np.int64]:
     """Return the landmarks (K, 2) of two maps in one frame that are one.
 
     They are each other's nearest, within `within_m`, and do not contradict each other.
@@ -104,3 +273,93 @@ def agreeing(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64], 
 
 def _is_known(cov: Array) -> Mask:
     return np.asarray(np.isfinite(cov).all(axis=(1, 2)))
+
+
+# -- within one map ----------------------------------------------------------------------------------------------------
+
+
+def duplicates(landmark_map: LandmarkMap) -> Index:
+    """Return the pairs (K, 2) of landmarks that are probably one: as near as two can be told apart, and alike."""
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(landmark_map.points).query_pairs(_NEAR_M, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+    one, other = pairs.T
+    apart = np.hypot(*(landmark_map.points[one] - landmark_map.points[other]).T)
+    alike = landmark_map.polarity[one] * landmark_map.polarity[other] >= 0
+    # A covariance that is not known makes nothing likely.
+    own = replace(landmark_map, cov=_own_cov(landmark_map.cov))
+    same = agreeing(own, own, pairs, TWICE_M)
+    return np.asarray(pairs[alike & ((apart < TWICE_M) | same)])
+
+
+def _own_cov(cov: Array) -> Array:
+    """Return covariances (L, 2, 2) without the errors that images and poses share, up to `_SHARED_M`² across.
+
+    No number of images averages these out (`place_cov`), and they say nothing of whether two neighbours, such as the
+    backs of two books, are one. Across the line of sight they are as large as half of all landmarks are certain, and
+    they grow along it as the rest of the error does. So a covariance shrinks as a whole.
+    """
+    known = np.isfinite(cov).all(axis=(1, 2)) & (np.trace(cov, axis1=1, axis2=2) > 0)
+    if not known.any():
+        return cov
+    across = np.maximum(np.linalg.eigvalsh(cov[known])[:, 0], 1e-30)
+    shared = np.clip(np.median(across), 0.0, _SHARED_M**2)
+    own = cov.copy()
+    own[known] *= np.maximum(1.0 - shared / across, 0.0)[:, None, None]
+    return own
+
+
+def merge_duplicates(landmark_map: LandmarkMap) -> tuple[LandmarkMap, list[tuple[int | str, int | str]]]:
+    """Return the map with its duplicates merged, and the ids of each pair: which stayed, and which went into it.
+
+    The nearest pairs come first, until none is left. Of a pair that landmark stays which more images show; see
+    `_merge_pairs`.
+    """
+    gone: list[tuple[int | str, int | str]] = []
+    while len(pairs := _disjoint(landmark_map)):
+        gone += [(landmark_map.ids[kept], landmark_map.ids[other]) for kept, other in pairs]
+        landmark_map = _merge_pairs(landmark_map, pairs)
+    return landmark_map, gone
+
+
+def _disjoint(landmark_map: LandmarkMap) -> Index:
+    """Return duplicates (K, 2), each landmark once, the nearest first; which of two stays is the first of them."""
+    pairs = duplicates(landmark_map)
+    apart = np.hypot(*(landmark_map.points[pairs[:, 0]] - landmark_map.points[pairs[:, 1]]).T)
+    shown = np.zeros(len(landmark_map)) if landmark_map.quality is None else landmark_map.quality.sightings
+    taken: set[int] = set()
+    chosen = []
+    for one, other in pairs[np.argsort(apart, kind="stable")].tolist():
+        if taken.isdisjoint((one, other)):
+            taken |= {one, other}
+            chosen.append((one, other) if not shown[other] > shown[one] else (other, one))
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+
+
+def _merge_pairs(landmark_map: LandmarkMap, pairs: Index) -> LandmarkMap:
+    """Return the map with the second of each pair (K, 2) merged into the first.
+
+    Places by their covariances, the middle where none is known. Heights reach as far as either did, and an end is
+    unknown where it is so for either. Sightings add up; existence and parallax are the greater ones.
+    """
+    one, other = pairs.T
+    points, cov = landmark_map.points.copy(), landmark_map.cov.copy()
+    points[one], cov[one] = fused_places(points[one], cov[one], points[other], cov[other])
+    unknown = ~np.isfinite(cov[one]).all(axis=(1, 2))
+    points[one[unknown]] = landmark_map.points[pairs[unknown]].mean(axis=1)
+    bottom, top, polarity = landmark_map.bottom_m.copy(), landmark_map.top_m.copy(), landmark_map.polarity.copy()
+    bottom[one], top[one] = np.minimum(bottom[one], bottom[other]), np.maximum(top[one], top[other])
+    polarity[one] = np.where(polarity[one] == 0, polarity[other], polarity[one])
+    quality = landmark_map.quality
+    if quality is not None:
+        sightings, parallax, existence = (
+            column.copy() for column in (quality.sightings, quality.parallax_rad, quality.existence)
+        )
+        sightings[one] = np.nansum([sightings[one], sightings[other]], axis=0)
+        parallax[one] = np.fmax(parallax[one], parallax[other])
+        existence[one] = np.fmax(existence[one], existence[other])
+        quality = replace(quality, sightings=sightings, parallax_rad=parallax, existence=existence)
+    whole = replace(
+        landmark_map, points=points, cov=cov, bottom_m=bottom, top_m=top, polarity=polarity, quality=quality
+    )
+    return whole.take(np.setdiff1d(np.arange(len(whole)), other))

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
 from localiser.geometry.compiled import checked
-from localiser.mapping.alignment import fitted_motion
-from localiser.mapping.association import looks_alike
 from localiser.mapping.landmarks import Built
+from localiser.mapping.merge import fitted_motion
 from localiser.mapping.place_recognition_kernel import alike_pairs_loop, explained_loop
 from localiser.mapping.sightings import Index
+from localiser.mapping.tracks import looks_alike
 
 _WINDOW, _STEP = 24, 8  # frames whose landmarks make a group, and how far apart groups begin
 _OLDER = 30  # frames that must have passed since an older landmark was last seen

@@ -19,19 +19,14 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.geometry import Array, compose, forward, map_from_robot, wrap_angle
 from localiser.mapping.factors import CONSTANTS, Bearings, Prior, Problem, Wheels
-from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
-from localiser.mapping.from_known_poses import with_leftovers
-from localiser.mapping.landmarks import Built, fitted, long_enough, measured_sigma, numbered, same_groups
+from localiser.mapping.known_poses import reassociate, with_leftovers
+from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, misfit, renumber, same_groups
+from localiser.mapping.loop_checks import contradicting_steps, contradiction, without_contradicting_visits
 from localiser.mapping.loop_closure import same_landmarks, without_outvoted_tracks
-from localiser.mapping.parameters import MappingParameters
 from localiser.mapping.place_recognition import recognised
-from localiser.mapping.reassociate import reassociate
-from localiser.mapping.score_test import without_contradicting_visits
 from localiser.mapping.sightings import Index, Sightings
-from localiser.mapping.smooth import CONVERGED, Smoothed, dead_reckoned, smooth
-from localiser.mapping.tracks import follow
-from localiser.mapping.triangulate import misfit
-from localiser.mapping.wheel_check import contradicting_steps, contradiction
+from localiser.mapping.smooth import CONVERGED, Scale, Smoothed, dead_reckoned, scale_by_floor_contacts, smooth
+from localiser.mapping.tracks import MappingParameters, follow
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
 _CLEAR = 3.0  # log-likelihood by which an association must be better than any other, to be clear
@@ -116,7 +111,7 @@ def _tracked(slam: _Solver) -> _Solver:
     noise = _FIRST_BEARING_RAD
     for narrowing in _NARROWING:
         slam.follow(np.maximum(narrowing * turn, _TRUE_TURN_RAD))
-        slam.solve(numbered(long_enough(slam.track)), noise, converged=_ROUGHLY)
+        slam.solve(renumber(long_enough(slam.track)), noise, converged=_ROUGHLY)
         noise = _POSE_BEARING_RAD
     for _ in range(_PARTING_ROUNDS):
         steps = contradicting_steps(slam.wheels, slam.poses, slam.constants)
@@ -182,7 +177,7 @@ class _Solver:
 
     def solve(self, of: Index, noise_rad: float, loose: float = 1.0, converged: float = CONVERGED) -> None:
         """Smooth, when `of` (S,) says which landmark each sighting is of; bearings taken to be `loose` times as bad."""
-        self.built = fitted(self.sightings, of, self.cameras, np.hypot(self.sigma, noise_rad))
+        self.built = fit_landmarks(self.sightings, of, self.cameras, np.hypot(self.sigma, noise_rad))
         start = self._start()
         self.smoothed = smooth(self._problem(loose), self.poses, start, self.constants, converged=converged)
         self.poses, self.constants = self.smoothed.poses, self.smoothed.constants
@@ -199,13 +194,13 @@ class _Solver:
         after = np.searchsorted(steps, self.sightings.frame, side="left")
         self.track = np.where(self.track >= 0, self.track * (len(steps) + 1) + after, -1)
         of = np.where(self.built.of >= 0, self.built.of * (len(steps) + 1) + after, -1)
-        self.solve(numbered(long_enough(of)), _POSE_BEARING_RAD)
+        self.solve(renumber(long_enough(of)), _POSE_BEARING_RAD)
 
     def joined(self, number: Index) -> Index | None:
         """Return the landmarks (S,) of sightings when each landmark becomes `number` (L,); None if all stay."""
         if (number == np.arange(len(self.built))).all():
             return None
-        return numbered(np.where(self.built.of >= 0, number[self.built.of], -1))
+        return renumber(np.where(self.built.of >= 0, number[self.built.of], -1))
 
     def close_all_loops(self) -> None:
         """Close large loops, then small ones, and associate all edges again, until nothing changes."""
@@ -257,7 +252,7 @@ class _Solver:
                 parted = without_contradicting_visits(self._problem(), self.smoothed, of, used)
             if (parted == of).all():
                 break
-            self.solve(numbered(long_enough(parted)), _POSE_BEARING_RAD, converged=_ROUGHLY)
+            self.solve(renumber(long_enough(parted)), _POSE_BEARING_RAD, converged=_ROUGHLY)
 
     def _problem(self, loose: float = 1.0) -> Problem:
         s, used = self.sightings, self.built.used
@@ -309,7 +304,7 @@ class _Solver:
         points = map_from_robot(first_pose, self.smoothed.points)
         poses = compose(first_pose, self.poses)
         cameras = self.cameras_of(poses)
-        moved = fitted(self.sightings, self.built.of, cameras, self.sigma)
+        moved = fit_landmarks(self.sightings, self.built.of, cameras, self.sigma)
         fit = replace(moved.fit, points=points, information=np.linalg.inv(cov), weight=self.smoothed.weight)
         fit = replace(
             fit,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled, part
-from localiser.mapping.association import GREY_SIGMA, GREY_SPAN, NARROWEST_SPAN_RAD, SAME_SIDE
 from localiser.mapping.sightings import Index
+from localiser.mapping.tracks import GREY_SIGMA, GREY_SPAN, NARROWEST_SPAN_RAD, SAME_SIDE
 
 Signs = NDArray[np.int8]
 
@@ -172,7 +172,7 @@ def _keep_clear(score: Array, edges: int, count: int, margin: float, match: Inde
 
 @part
 def _update(state: Array, expected: Array, k: int, heading: float, sigma: float) -> None:
-    """Update one track by one bearing; see `inverse_depth.updated`."""
+    """Update one track by one bearing; see `update_states`."""
     a, b = expected[k, BY_HEADING], expected[k, BY_INVERSE]
     hh, hi, ii = state[k, HH], state[k, HI], state[k, II]
     by_h, by_i = hh * a + hi * b, hi * a + ii * b

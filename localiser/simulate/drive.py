@@ -1,17 +1,22 @@
-"""The drive: straights, arcs and turns on the spot, exactly; and what odometry makes of them."""
+"""The drive: straights, arcs and turns on the spot, exactly; what odometry makes of them; a camera that moves.
+
+A camera moves on a head that pans and tilts, on a lift, on a robot that balances.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.camera import Mount, MountSigma
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
-from localiser.simulate.robot import DriveSpec, OdometrySpec
+from localiser.simulate.robot import DriveSpec, MountMotionSpec, OdometrySpec, Sway
 from localiser.simulate.world import World
 
 MOST_POSES = 1_000_000
@@ -39,7 +44,7 @@ def drive_of(world: World, rng: np.random.Generator) -> Drive:
     """Return the world's drive and one draw of its odometry's errors."""
     spec = world.drive
     truth = truth_of(spec)
-    half_exposure_ns = round(world.image.longest_exposure_s * 5e8)
+    half_exposure_ns = round(world.image.exposure_s * 5e8)
     before_s, after_s = world.camera.camera().readout_s
     first_ns = max(round(spec.image_offset_s * 1e9), half_exposure_ns + round(-before_s * 1e9))
     last_ns = truth.t_ns[-1] - half_exposure_ns - round(after_s * 1e9)
@@ -132,3 +137,35 @@ def _slow_scale(step_s: Array, spec: OdometrySpec, rng: np.random.Generator) -> 
         value = keep[k] * value + np.sqrt(1 - keep[k] ** 2) * draws[k]
         values[k] = value
     return values
+
+
+# -- a camera that moves on the robot ---------------------------------------------------------------------------------
+
+
+def mount_at(mount: Mount, motion: MountMotionSpec | None, t_ns: int) -> Mount:
+    """Return the true mount at a time: the usual one, plus what each part sways by."""
+    if motion is None:
+        return mount
+    return replace(
+        mount,
+        tilt_rad=mount.tilt_rad + math.radians(_swayed(motion.tilt_deg, t_ns)),
+        roll_rad=mount.roll_rad + math.radians(_swayed(motion.roll_deg, t_ns)),
+        yaw_rad=mount.yaw_rad + math.radians(_swayed(motion.yaw_deg, t_ns)),
+        height_m=mount.height_m + _swayed(motion.height_m, t_ns),
+    )
+
+
+def stated_mount(true: Mount, motion: MountMotionSpec, rng: np.random.Generator) -> Mount:
+    """Return the mount as the robot states it: tilt and roll err by `stated_sigma_deg`, anew in each image."""
+    sigma_rad = math.radians(motion.stated_sigma_deg)
+    if sigma_rad == 0.0:
+        return true
+    tilt, roll = sigma_rad * rng.standard_normal(2)
+    sigma = MountSigma(tilt_rad=sigma_rad, roll_rad=sigma_rad)
+    return replace(true, tilt_rad=true.tilt_rad + float(tilt), roll_rad=true.roll_rad + float(roll), sigma=sigma)
+
+
+def _swayed(sway: Sway | None, t_ns: int) -> float:
+    if sway is None:
+        return 0.0
+    return sway.amplitude * math.sin(2.0 * math.pi * sway.hz * t_ns / 1e9 + math.radians(sway.phase_deg))

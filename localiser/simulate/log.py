@@ -11,12 +11,10 @@ from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.simulate.drive import Drive, drive_of
-from localiser.simulate.exposure import Exposures
-from localiser.simulate.mount_motion import stated_mount
+from localiser.simulate.drive import Drive, drive_of, stated_mount
 from localiser.simulate.render import Scene, expose, scene_of
 from localiser.simulate.solids import clearance_m
-from localiser.simulate.visible import Visible, visible_landmarks
+from localiser.simulate.structure import Visible, visible_landmarks
 from localiser.simulate.world import World
 
 FEWEST_SIGHTINGS = 5  # images that must show a landmark for it to be on the map of the log
@@ -31,7 +29,7 @@ class SimulatedLog:
     landmark_map: landmarks that at least five images show; their ids are their indices in the map of the whole world.
     start, start_cov: stated pose (3,) at the first image, off the truth by a draw from that covariance (3, 3).
     visible: for each image what it truly shows; its landmarks are ids. mounts: of the camera at each image as the robot
-    states them, None where it does not move. exposures: how each image is exposed.
+    states them, None where it does not move.
     """
 
     name: str
@@ -45,7 +43,6 @@ class SimulatedLog:
     jpeg_quality: int
     seed: int
     scene: Scene
-    exposures: Exposures
 
     def __len__(self) -> int:
         return len(self.drive.image_t_ns)
@@ -53,8 +50,7 @@ class SimulatedLog:
     def image(self, index: int) -> NDArray[np.uint8]:
         """Return one image, (H, W) grey or (H, W, 3) BGR; the same whenever it is asked for."""
         rng = np.random.default_rng([self.seed, _IMAGES, index])
-        exposed = self.exposures.of(index)
-        return expose(self.scene, self.drive.truth, int(self.drive.image_t_ns[index]), rng, exposed)
+        return expose(self.scene, self.drive.truth, int(self.drive.image_t_ns[index]), rng)
 
 
 def simulated_log(world: World, seed: int) -> SimulatedLog:
@@ -88,7 +84,6 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
         jpeg_quality=world.image.jpeg_quality,
         seed=seed,
         scene=scene,
-        exposures=Exposures(scene, drive.truth, drive.image_t_ns),
     )
 
 

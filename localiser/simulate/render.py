@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
+from localiser.simulate.drive import mount_at
 from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead, strip_view_of
-from localiser.simulate.light import Lighting, lighting_of
-from localiser.simulate.mount_motion import mount_at
 from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
 from localiser.simulate.robot import ImageSpec
 from localiser.simulate.structure import Structure, structure_of
-from localiser.simulate.textures import Atlas, Image, atlas_of
+from localiser.simulate.surfaces import Atlas, Image, Lighting, atlas_of, lighting_of
 from localiser.simulate.world import World
 
 _BLUR_STEP_PX = 1.5  # motion blur averages sharp images no further apart than this
@@ -43,11 +42,6 @@ class Scene:
     def atlas(self) -> Atlas:
         """The textures of all materials."""
         return atlas_of(self.world.materials)
-
-    @property
-    def glow(self) -> NDArray[np.float32]:
-        """How brightly all materials shine by themselves."""
-        return np.array([material.glow for material in self.world.materials.values()], dtype=np.float32)
 
     @cached_property
     def lighting(self) -> Lighting:
@@ -86,32 +80,19 @@ def render(scene: Scene, robot_pose: Array, rng: np.random.Generator) -> NDArray
     return _developed(radiance(scene, robot_pose), scene.world.image, rng)
 
 
-@dataclass(frozen=True, slots=True)
-class Exposure:
-    """How an image is exposed. amount: of light, gain included, over what the world file states; gain: part of it."""
-
-    exposure_s: float
-    amount: float = 1.0
-    gain: float = 1.0
-
-
-def expose(
-    scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator, exposure: Exposure | None = None
-) -> NDArray[np.uint8]:
+def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return the image with the middle of its exposure at `t_ns`, blurred by the robot's motion.
 
-    Where the shutter rolls, that is the exposure of the row that is taken at the time stamp. exposure: None: as the
-    world says.
+    Where the shutter rolls, that is the exposure of the row that is taken at the time stamp.
     """
-    exposure = exposure or Exposure(scene.world.image.exposure_s)
-    half_ns = round(exposure.exposure_s * 5e8)
+    half_ns = round(scene.world.image.exposure_s * 5e8)
     begin_ns, end_ns = t_ns - half_ns, t_ns + half_ns
     ends = [(truth.at(at_ns), scene.camera_at(at_ns)) for at_ns in (begin_ns, end_ns)]
     steps = _blur_steps(*ends) if half_ns else 1
     times = [t_ns + round((2 * share - 1) * half_ns) for share in (np.arange(steps) + 0.5) / steps]
     sharp = [sharp_image(scene, truth, at_ns) for at_ns in times]
     light = sum(sharp[1:], start=sharp[0]) / np.float32(steps)
-    return _developed(light, scene.world.image, rng, exposure)
+    return _developed(light, scene.world.image, rng)
 
 
 def sharp_image(scene: Scene, truth: Trajectory, t_ns: int) -> Image:
@@ -177,41 +158,19 @@ def _blur_steps(first: tuple[Array, Camera], last: tuple[Array, Camera]) -> int:
     return int(np.clip(np.ceil(moved_px / _BLUR_STEP_PX), 1, _BLUR_STEPS_MOST))
 
 
-def _developed(
-    image: Image, spec: ImageSpec, rng: np.random.Generator, exposure: Exposure | None = None
-) -> NDArray[np.uint8]:
-    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, flare, vignette, gain, noise, rounding."""
-    exposure = exposure or Exposure(spec.exposure_s)
+def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, vignette, gain, noise, rounding."""
     if spec.blur_px > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), spec.blur_px), dtype=np.float32)
-    image = _flared(image, spec)
     height, width = image.shape[:2]
     if spec.vignette > 0:
         u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
         image = image * (1 - spec.vignette * (u**2 + v**2) / 2).astype(np.float32)[..., None]
-    image = image * np.float32(spec.gain * exposure.amount)
+    image = image * np.float32(spec.gain)
     code = cv2.COLOR_RGB2BGR if spec.colour else cv2.COLOR_RGB2GRAY
     image = np.asarray(cv2.cvtColor(image, code), dtype=np.float32)
-    noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma * exposure.gain)
+    noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma)
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
-
-
-def _flared(image: Image, spec: ImageSpec) -> Image:
-    """Return the image (H, W, 3) with the light that the lens scatters widely, and mirrors about its centre."""
-    width = image.shape[1]
-    if spec.glare > 0:
-        image = np.float32(1 - spec.glare) * image + np.float32(spec.glare) * _soft(image, width / 4)
-    if spec.ghost > 0:
-        image = image + np.float32(spec.ghost) * _soft(image, width / 40)[::-1, ::-1]
-    return image
-
-
-def _soft(image: Image, sigma_px: float) -> Image:
-    """Return an image blurred by many pixels, by way of a small one."""
-    step = max(int(sigma_px / 4), 1)
-    size = (max(image.shape[1] // step, 1), max(image.shape[0] // step, 1))
-    small = cv2.GaussianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), (0, 0), sigma_px / step)
-    return np.asarray(cv2.resize(small, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
 # -- colouring the level view ------------------------------------------------------------------------------------------
@@ -236,8 +195,7 @@ def _level_image(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> I
     flat = rays.reshape(-1, 3)
     for colour in (_upright, _level):
         place, brightness, material, across, up, footprint = colour(scene, pose, columns, spans)
-        bright = brightness + scene.glow[material]
-        flat[place] = scene.atlas.sample(material, across, up, footprint) * bright[:, None]
+        flat[place] = scene.atlas.sample(material, across, up, footprint) * brightness[:, None]
     first = np.searchsorted(columns.owner, np.arange(scene.view.columns))
     image = rays[first]
     stop = np.append(first[1:], len(columns.owner))

@@ -190,47 +190,16 @@ class OdometrySpec(Model):
     slow_scale_time_s: Positive = 10.0
 
 
-class AutoExposureSpec(Model):
-    """Exposure and gain follow the mean of the images. mean_grey: what they are to reach.
-
-    delay_s: after which they have followed a change of light by 63 %. exposure_max_s: the longest exposure; beyond it,
-    gain makes up for the lack of light, and amplifies the noise.
-    """
-
-    mean_grey: Annotated[float, Field(ge=10, le=245)] = 110.0
-    delay_s: Positive = 0.5
-    exposure_max_s: Positive = 0.02
-
-
 class ImageSpec(Model):
-    """What lens, sensor and storage do to an image. exposure_s blurs it by the robot's own motion.
-
-    glare: part of the light that the lens scatters widely, so that bright windows veil what is about them. ghost: part
-    that it mirrors about the image's centre, out of focus.
-    """
+    """What lens, sensor and storage do to an image. exposure_s blurs it by the robot's own motion."""
 
     colour: bool = True
     noise_sigma: NotNegative = 1.0
     blur_px: NotNegative = 0.0
     exposure_s: NotNegative = 0.0
     gain: Positive = 1.0
-    auto_exposure: AutoExposureSpec | None = None
     vignette: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    glare: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    ghost: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = 90
-
-    @property
-    def longest_exposure_s(self) -> float:
-        """The longest that an image may be exposed."""
-        automatic = self.auto_exposure
-        return self.exposure_s if automatic is None else max(self.exposure_s, automatic.exposure_max_s)
-
-    @model_validator(mode="after")
-    def _exposure_can_follow(self) -> ImageSpec:
-        if self.auto_exposure is not None and self.exposure_s == 0:
-            raise ValueError("auto_exposure changes exposure_s: expected it above 0")
-        return self
 
 
 class StartSpec(Model):

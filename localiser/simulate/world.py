@@ -35,16 +35,12 @@ Colour = Annotated[
 
 
 class Material(Model):
-    """What a surface looks like. size_m: of one board, tile, brick, stripe or picture; each texture has its own.
-
-    glow: how brightly it shines by itself, as a window or a lamp does, over what it reflects when it is fully lit.
-    """
+    """What a surface looks like. size_m: of one board, tile, brick, stripe or picture; each texture has its own."""
 
     texture: Literal["plain", "plaster", "wallpaper", "brick", "wood", "planks", "tiles", "carpet", "picture"]
     colour: Colour
     size_m: Positive | None = None
     contrast: Annotated[float, Field(ge=0, le=1)] = 0.5
-    glow: Annotated[float, Field(ge=0, le=100)] = 0.0
 
 
 class Leaf(Model):

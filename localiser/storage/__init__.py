@@ -3,7 +3,7 @@
 from localiser.documents import output_errors, write_bytes, write_text
 from localiser.storage.bags import KINDS, check_start, write_bag
 from localiser.storage.bags.label import motion_settings
-from localiser.storage.cameras import camera_error, camera_file, read_camera, update_mount, write_camera
+from localiser.storage.cameras import camera_error, read_camera, write_camera
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.files import require_new, require_new_file
 from localiser.storage.folder import FolderReader, write_log
@@ -18,12 +18,10 @@ from localiser.storage.images import (
 )
 from localiser.storage.log import Event, Log, LogReader, ReadOptions, jump_text, require_odometry, thinned
 from localiser.storage.maps import map_text, read_map, write_map
-from localiser.storage.marks import MarksTable, read_marks
 from localiser.storage.open import FORMATS, open_log
 from localiser.storage.packing import decode, encode, fingerprint
-from localiser.storage.plans import is_plan, plan_picture, read_plan, write_plan
-from localiser.storage.restamp import images_table, move_images
-from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv, write_runs_parquet
+from localiser.storage.plans import is_plan, read_plan
+from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_runs, write_runs_csv
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
 from localiser.storage.tables import csv_of
 from localiser.storage.tracks import TrackWriter, read_track

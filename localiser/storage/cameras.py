@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,14 +13,12 @@ from localiser.documents import (
     Document,
     dump,
     load,
-    parse,
-    read_text,
     shown,
     validate,
     write_text,
 )
 from localiser.errors import InputError
-from localiser.storage.files import inside, keep_beside
+from localiser.storage.files import inside
 
 MOST_PIXELS = 12_500_000  # cameras of robots have fewer; some 100 bytes of memory each while edges are found
 Metres = Annotated[float, Field(ge=-100, le=100)]
@@ -173,16 +168,11 @@ def write_camera(camera: Camera, path: Path | str, *, with_mount: bool = True, c
 
 def camera_file(log: Path) -> Path:
     """Return the path of the camera file that a log folder names. Raises InputError when it is no such folder."""
-    return named_file(log, "camera")
-
-
-def named_file(log: Path, key: str) -> Path:
-    """Return the path of the file that a log folder names at `key`. Raises InputError."""
     document = load(log / "log.yaml")
-    name = document.value.get(key) if isinstance(document.value, dict) else None
+    name = document.value.get("camera") if isinstance(document.value, dict) else None
     if not isinstance(name, str):
-        raise document.error((key,), f"expected the name of a file, found {shown(name)}")
-    return named(document, log, key, name)
+        raise document.error(("camera",), f"expected the name of a file, found {shown(name)}")
+    return named(document, log, "camera", name)
 
 
 def named(document: Document, folder: Path, key: str, name: str) -> Path:
@@ -199,51 +189,6 @@ def camera_error(log: Path, key: tuple[str, ...], problem: str) -> InputError:
         return load(camera_file(log)).error(key, problem)
     except InputError:  # a log of another format has no such file
         return InputError(problem, path=log, field=".".join(key))
-
-
-def update_mount(path: Path, changes: Mapping[str, float]) -> Path:
-    """Change values of the mount in a camera file, by their keys; everything else stays, comments included.
-
-    Returns where the old file is kept: in the same folder, as FILE.bak, FILE.bak2, … Raises InputError, OutputError.
-    """
-    text = read_text(path)
-    document = parse(text, str(path))
-    camera_from_document(document)
-    wanted = copy.deepcopy(document.value)
-    wanted["mount"] |= changes
-    for key, value in changes.items():
-        text = _with_mount_value(text, str(path), key, value)
-    try:
-        changed = parse(text, str(path)).value
-    except InputError:
-        changed = None
-    if changed != wanted:  # written in a way that cannot be changed in place: then comments are lost
-        text = dump(wanted)
-    camera_from_document(parse(text, str(path)))
-    kept = keep_beside(path)
-    write_text(path, text)
-    return kept
-
-
-def _with_mount_value(text: str, source: str, key: str, value: float) -> str:
-    """Return the text of a camera file with one number of its mount replaced, or added after the tilt."""
-    places = parse(text, source).places
-    known = ("mount", key) in places
-    place = places["mount", key if known else "tilt_deg"]
-    lines = text.split("\n")
-    line, column = (place.line or 1) - 1, (place.column or 1) - 1
-    before, after = lines[line][:column], lines[line][column:]
-    entry = re.match(r"([^:]*:\s*)([^\s,}#]+)", after)  # places are those of keys
-    if entry is None:
-        return text
-    rest = after[entry.end() :]
-    if known:
-        lines[line] = f"{before}{entry[1]}{value!r}{rest}"
-    elif before.strip() or rest.lstrip().startswith((",", "}")):  # in braces
-        lines[line] = f"{before}{entry[0]}, {key}: {value!r}{rest}"
-    else:
-        lines.insert(line + 1, f"{before}{key}: {value!r}")
-    return "\n".join(lines)
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

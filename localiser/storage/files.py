@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from itertools import count
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from localiser.documents import output_errors
@@ -37,18 +36,3 @@ def require_new_file(path: Path) -> None:
     with output_errors(path):
         if path.exists():
             raise OutputError(f"{path}: expected a new file, found one that is there already")
-
-
-def keep_beside(path: Path) -> Path:
-    """Copy a file to the first free name of FILE.bak, FILE.bak2, … beside it; return that. Raises OutputError."""
-    with output_errors(path):
-        content = path.read_bytes()
-        for number in count(1):
-            kept = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
-            try:
-                with kept.open("xb") as file:
-                    file.write(content)
-            except FileExistsError:
-                continue
-            return kept
-    raise AssertionError("numbers do not end")

@@ -10,9 +10,8 @@ from localiser.errors import InputError
 from localiser.storage.bags import BagReader
 from localiser.storage.folder import FolderReader
 from localiser.storage.log import Log, LogReader, ReadOptions
-from localiser.storage.mrclam import MrclamReader
 
-FORMATS: list[LogReader] = [FolderReader(), BagReader(), MrclamReader()]
+FORMATS: list[LogReader] = [FolderReader(), BagReader()]
 """The formats of logs, the first that recognises a path comes first. Append a `LogReader` to read another format."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from localiser.documents import dump, load, read_bytes, validate, write_bytes, write_text
+from localiser.documents import load, read_bytes, validate
 from localiser.errors import InputError
 from localiser.image_files import PNG_SIGNATURE, decode, measure
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
@@ -85,22 +85,6 @@ def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
         likely = wall >= (file.occupied_thresh + file.free_thresh) / 2
         occupied, free = occupied | (between & likely), free | (between & ~likely)
     return occupied, free
-
-
-def write_plan(plan: FloorPlan, path: Path) -> Path:
-    """Write the plan as a map_server YAML file and a PGM beside it, whose path is returned. Raises OutputError."""
-    picture = plan_picture(path)
-    grey = np.where(plan.occupied, OCCUPIED_GREY, np.where(plan.free, FREE_GREY, UNKNOWN_GREY)).astype(np.uint8)
-    rows, columns = grey.shape
-    write_bytes(picture, f"P5\n{columns} {rows}\n255\n".encode() + grey[::-1].tobytes())
-    data = {"image": picture.name, "resolution": plan.resolution_m, "origin": plan.origin_ros.tolist()}
-    write_text(path, dump(data | {"negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196, "mode": "trinary"}))
-    return picture
-
-
-def plan_picture(path: Path) -> Path:
-    """Return the path of the picture that goes with the plan's YAML file at `path`."""
-    return path.with_suffix(".pgm")
 
 
 # -- the picture ------------------------------------------------------------------------------------------------------

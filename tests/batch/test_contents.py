@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from small_log import write_edge_log, write_small_log
 
-from localiser.batch import contents
-from localiser.batch.contents import Opening, contents_of, map_id, run_id
+from localiser.batch.choices import Opening, contents_of, map_id, run_id
 from localiser.config import Config, read_config
 from localiser.storage import read_map
 
@@ -75,7 +74,7 @@ def test_settings_start_map_and_version_count(tmp_path: Path, monkeypatch: pytes
         name_of(log, start="truth"),
         run_id(found, Config(), None, map_id(read_map(log / "map.yaml"))),
     }
-    monkeypatch.setattr(contents, "__version__", "another")
+    monkeypatch.setattr("localiser.batch.choices.__version__", "another")
     names.add(name_of(log))
     assert len(names) == 6
 

@@ -17,7 +17,7 @@ from short_log import CORRIDOR, FEW_PARTICLES, Localiser, Result, cut_log
 
 from localiser.batch import run
 from localiser.evaluate import is_time
-from localiser.storage import read_figures, read_runs, write_runs_csv, write_runs_parquet
+from localiser.storage import read_figures, read_runs, write_runs_csv
 
 IMAGES = 4
 
@@ -65,8 +65,6 @@ def test_a_batch_has_the_figures_of_single_replays(localiser: Localiser, log: Pa
     assert found[3]["position_rmse_m"] != found[2]["position_rmse_m"]
     table = (tmp_path / "out" / "table.md").read_text().splitlines()
     assert table[2].startswith("| log | observation.kind | runs | odometry alone (m) |") and len(table) == 6
-    parquet = read_runs(tmp_path / "out" / "runs.parquet")
-    assert parquet == read_runs(tmp_path / "out" / "runs.csv")
 
 
 def test_what_is_done_is_not_done_again(localiser: Localiser, log: Path, tmp_path: Path, began: list[int]) -> None:
@@ -104,12 +102,12 @@ def test_the_same_run_twice_is_refused(localiser: Localiser, log: Path, tmp_path
 
 
 def test_a_comparison_ends_with_1_on_a_loss(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    out, half, double = tmp_path / "out", tmp_path / "half.csv", tmp_path / "double.parquet"
+    out, half, double = tmp_path / "out", tmp_path / "half.csv", tmp_path / "double.csv"
     same = batch(localiser, out, log, "--seeds", "0-1")
     assert same.exit_code == 0
     found = read_runs(out / "runs.csv")
     write_runs_csv(half, [row | {"position_rmse_m": row["position_rmse_m"] / 2} for row in found])
-    write_runs_parquet(double, [row | {"position_rmse_m": row["position_rmse_m"] * 2} for row in found])
+    write_runs_csv(double, [row | {"position_rmse_m": row["position_rmse_m"] * 2} for row in found])
     same = batch(localiser, out, log, "--seeds", "0-1", "--against", out)
     assert same.exit_code == 0 and "2 pairs: no significant loss." in same.out
     worse = batch(localiser, out, log, "--seeds", "0-1", "--against", half)

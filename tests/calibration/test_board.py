@@ -11,7 +11,7 @@ import pytest
 from board_views import board_image, floor_pose, poses_before
 from edge_images import camera_of
 
-from localiser.calibration import Board, BoardView, calibrated, mount_over_board
+from localiser.calibration import Board, BoardView, calibrate, mount_over_board
 from localiser.camera import Camera
 from localiser.errors import InputError
 
@@ -42,7 +42,7 @@ def exact_views(camera: Camera, count=12, sigma_px=0.1, seed=0, turn_rad=0.6) ->
 
 @pytest.mark.parametrize("board", [CHARUCO, pytest.param(CHESSBOARD, marks=pytest.mark.slow)])
 def test_rendered_views_give_the_camera(board):
-    found = calibrated(views_of(board), SIZE)
+    found = calibrate(views_of(board), SIZE)
     truth = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
     assert found.rms_px < 0.2 and found.reach > 0.6
     np.testing.assert_allclose(found.values[:2], truth[:2], rtol=0.01)
@@ -62,22 +62,10 @@ def test_board_on_the_floor_gives_tilt_roll_and_height(board):
     floor = large.find(board_image(CAMERA, large, floor_pose(CAMERA, large, 1.3)), "floor.png")
     assert floor is not None
     views = [replace(view, corners_m=view.corners_m * (0.1 / 0.03)) for view in views_of(board)]
-    mount = mount_over_board(calibrated([*views, floor], SIZE), len(views))
+    mount = mount_over_board(calibrate([*views, floor], SIZE), len(views))
     error = mount.values - [np.deg2rad(35.0), np.deg2rad(-1.5), CAMERA.mount.height_m]
     assert np.all(np.abs(error[:2]) < np.deg2rad(0.5)) and abs(error[2]) < 0.01
     assert np.all(np.abs(error) < 5 * mount.sigma)
-
-
-def test_sigmas_are_those_of_opencv():
-    views = exact_views(CAMERA)
-    found = calibrated(views, SIZE)
-    on_board = [view.corners_m.astype(np.float32) for view in views]
-    in_image = [view.corners_px.astype(np.float32) for view in views]
-    flags = 0 if "k3" in found.parameters else cv2.CALIB_FIX_K3
-    result = cv2.calibrateCameraExtended(on_board, in_image, SIZE, np.eye(3), np.zeros(5), flags=flags)
-    np.testing.assert_allclose(found.sigma, result[5].ravel()[: len(found.sigma)], rtol=0.02)
-    np.testing.assert_allclose(found.view_rms_px, result[7].ravel(), rtol=1e-3)
-    assert found.rms_px == pytest.approx(result[0], rel=1e-4)
 
 
 @pytest.mark.slow
@@ -85,7 +73,7 @@ def test_normalised_errors_have_unit_spread():
     truth = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
     normalised, over = [], []
     for seed in range(25):
-        found = calibrated(exact_views(CAMERA, seed=seed), SIZE)
+        found = calibrate(exact_views(CAMERA, seed=seed), SIZE)
         normalised.append((found.values[:4] - truth) / found.sigma[:4])
         mount = mount_over_board(found, 0)
         over.append((mount.values - _true_mount(seed)) / mount.sigma)
@@ -113,7 +101,7 @@ def _true_mount(seed):
 )
 def test_every_lens_model_gives_the_directions_of_pixels(lens, distortion):
     camera = replace(CAMERA, distortion_model=lens, distortion=distortion)
-    found = calibrated(exact_views(camera, count=15, sigma_px=0.02), SIZE, lens)
+    found = calibrate(exact_views(camera, count=15, sigma_px=0.02), SIZE, lens)
     assert found.camera.distortion_model == lens and len(found.camera.distortion) == len(distortion)
     u, v = np.meshgrid(np.linspace(60, 420, 7), np.linspace(45, 315, 5))
     pixels = np.stack([u, v], axis=-1)
@@ -122,27 +110,27 @@ def test_every_lens_model_gives_the_directions_of_pixels(lens, distortion):
 
 
 def test_a_coefficient_that_the_views_do_not_tell_is_left_out():
-    assert "k3" not in calibrated(exact_views(CAMERA), SIZE).parameters
+    assert "k3" not in calibrate(exact_views(CAMERA), SIZE).parameters
     bent = replace(CAMERA, distortion=(-0.3, 0.1, 0.0, 0.0, -0.5))
-    assert "k3" in calibrated(exact_views(bent, count=15, sigma_px=0.02), SIZE).parameters
+    assert "k3" in calibrate(exact_views(bent, count=15, sigma_px=0.02), SIZE).parameters
 
 
 def test_a_view_that_does_not_fit_is_named():
     views = exact_views(CAMERA)
     rng = np.random.default_rng(1)
     views[3] = replace(views[3], corners_px=views[3].corners_px + rng.normal(0, 1.5, views[3].corners_px.shape))
-    assert calibrated(views, SIZE).outliers == ["3"]
-    assert calibrated(exact_views(CAMERA), SIZE).outliers == []
+    assert calibrate(views, SIZE).outliers == ["3"]
+    assert calibrate(exact_views(CAMERA), SIZE).outliers == []
 
 
 def test_too_few_views_are_refused():
     with pytest.raises(InputError, match="at least 3 images, found it in 2"):
-        calibrated(exact_views(CAMERA, count=2), SIZE)
+        calibrate(exact_views(CAMERA, count=2), SIZE)
 
 
 def test_views_from_straight_ahead_do_not_tell_the_focal_length():
     with pytest.raises(InputError, match="do not tell"):
-        calibrated(exact_views(CAMERA, count=6, turn_rad=1e-3), SIZE)
+        calibrate(exact_views(CAMERA, count=6, turn_rad=1e-3), SIZE)
 
 
 def test_an_image_without_the_board_shows_none():

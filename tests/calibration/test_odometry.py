@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localiser.calibration import ALPHAS, Drive, Pieces, fit_odometry, on_one_clock, smoothed
+from localiser.calibration import ALPHAS, Drive, Pieces, fit_odometry, on_one_clock, smooth_path
 from localiser.geometry import Increment, Trajectory, between, compose
 from localiser.motion import EXACT, MotionParameters, linearised
 
@@ -120,7 +120,7 @@ def test_a_smoothed_path_is_nearer_to_the_truth_and_knows_it():
         gain = cov @ np.linalg.inv(cov + np.diag([1e-2, 1e-2, 2.5e-3]))
         poses.append(predicted + gain @ (measured - predicted))
         covs.append((np.eye(3) - gain) @ cov)
-    path, spread = smoothed(np.array(poses), np.array(covs), increments, noise)
+    path, spread = smooth_path(np.array(poses), np.array(covs), increments, noise)
     before, after = (np.sqrt(((one - true)[:, :2] ** 2).sum(axis=1).mean()) for one in (np.array(poses), path))
     assert after < 0.85 * before
     assert (np.trace(spread, axis1=1, axis2=2) <= np.trace(np.array(covs), axis1=1, axis2=2) + 1e-12).all()

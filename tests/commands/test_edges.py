@@ -1,12 +1,10 @@
-"""The command `edges`: what it writes of images and logs, how detectors compare, what is wrong with bad input."""
+"""The command `edges`: what it writes of images and logs, what is wrong with bad input."""
 
 from __future__ import annotations
 
 import csv
-import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,15 +15,13 @@ from small_log import write_edge_log
 
 from localiser.calibration import MountCheck
 from localiser.camera import Camera
-from localiser.commands.edges.mount import mount_warnings
+from localiser.commands.edge_search import EdgeSearch
 from localiser.config import Config
-from localiser.edges import PROFILE_OFFSETS_PX
 from localiser.storage import read_camera, write_camera
 
 BEARINGS_DEG = np.array([-21.0, -6.0, 4.0, 19.0])
 GREYS = [60, 170, 90, 200, 110]
 CAMERA = camera_of(320, 240, tilt_deg=20.0, k1=-0.2)
-DETECTORS = ("columns", "lsd", "hough")
 
 
 @pytest.fixture
@@ -87,35 +83,6 @@ def test_the_table_holds_the_true_edges_from_left_to_right(localiser: Localiser,
     assert CAMERA.bearing_of_segments(ends.reshape(-1, 2, 2)) == pytest.approx(bearing, abs=2e-3)
 
 
-def test_json_and_csv_hold_the_same_edges(localiser: Localiser, folder: Path) -> None:
-    out = run(localiser, folder, folder / "0.png", folder / "1.png", "--detector", "lsd", "--detector", "columns")
-    rows = table(out / "edges.csv")
-    for index in range(2):
-        data = json.loads((out / f"{index}.json").read_text())
-        assert (data["format"], data["width"], data["height"]) == ("localiser-edges/1", 320, 240)
-        for detector, found in data["detectors"].items():
-            own = [row for row in rows if row["detector"] == detector and Path(row["image"]).name == f"{index}.png"]
-            assert len(own) == len(found["edges"]) >= 4
-            assert np.array(found["rejected_px"]).size == found["rejected"] * 4
-            for row, edge in zip(own, found["edges"], strict=True):
-                assert set(edge) == set(data["columns"])
-                profile = edge.pop("profile")
-                assert len(profile) == len(PROFILE_OFFSETS_PX)
-                assert np.sign(profile[-1] - profile[0]) == edge["polarity"]
-                for name, value in edge.items():
-                    assert row[name] == ("" if value is None else str(value))
-
-
-def test_tilt_and_roll_by_the_edges_stand_beside_what_is_stated(localiser: Localiser, folder: Path) -> None:
-    write_camera(CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(0.8)), folder / "camera.yaml")
-    wide = ("--set", "edges.tilt_sigma_deg=3", "--set", "edges.plumb_sigma_deg=0.05")
-    found = json.loads((run(localiser, folder, folder / "0.png", *wide) / "0.json").read_text())
-    mount = found["detectors"]["columns"]["mount_by_edges"]
-    assert mount["tilt_sigma_deg"] < 0.5
-    assert mount["tilt_deg"] == pytest.approx(20.0, abs=3 * mount["tilt_sigma_deg"])
-    assert mount["roll_deg"] == pytest.approx(0.0, abs=3 * mount["roll_sigma_deg"])
-
-
 def test_the_picture_shows_what_was_found(localiser: Localiser, folder: Path) -> None:
     one = cv2.imread(str(run(localiser, folder, folder / "0.png", pictures=True) / "0.png"))
     assert one.shape[1] >= 1000  # a small image is drawn larger
@@ -134,16 +101,13 @@ def test_the_picture_shows_what_was_found(localiser: Localiser, folder: Path) ->
 
 def test_pictures_can_be_left_out(localiser: Localiser, folder: Path) -> None:
     out = run(localiser, folder, folder / "0.png")
-    assert sorted(file.name for file in out.iterdir()) == [
-        "0.json", "camera.yaml", "config.yaml", "detectors.csv", "edges.csv",
-    ]  # fmt: skip
+    assert sorted(file.name for file in out.iterdir()) == ["camera.yaml", "config.yaml", "edges.csv"]
 
 
 def test_settings_are_those_of_the_configuration(localiser: Localiser, folder: Path) -> None:
     out = run(localiser, folder, folder / "0.png", "--set", "edges.min_length_px=900", "--set", "edges.detector=lsd")
     assert table(out / "edges.csv") == []
     assert "min_length_px: 900" in (out / "config.yaml").read_text()
-    assert [row["detector"] for row in table(out / "detectors.csv")] == ["lsd"]
 
 
 def test_camera_and_configuration_beside_the_results_read_back(localiser: Localiser, folder: Path) -> None:
@@ -156,23 +120,6 @@ def test_camera_and_configuration_beside_the_results_read_back(localiser: Locali
     assert (folder / "again" / "0.png").read_bytes() == (out / "0.png").read_bytes()
 
 
-def test_detectors_are_compared_with_each_other(localiser: Localiser, folder: Path) -> None:
-    arguments = [part for name in DETECTORS for part in ("--detector", name)]
-    out = run(localiser, folder, *(folder / f"{index}.png" for index in range(3)), *arguments, pictures=True)
-    rows = {row["detector"]: row for row in table(out / "detectors.csv")}
-    assert tuple(rows) == DETECTORS
-    found = table(out / "edges.csv")
-    for name, row in rows.items():
-        assert int(row["images"]) == 3
-        assert int(row["edges"]) == sum(edge["detector"] == name for edge in found)
-        assert float(row[f"share_also_{name}"]) == 1.0
-        assert float(row["ms_median"]) > 0
-    # The four strong edges of the wall are found by all of them.
-    assert float(rows["lsd"]["share_also_columns"]) >= 0.9
-    assert float(rows["columns"]["apart_median_lsd_deg"]) < 0.05
-    assert cv2.imread(str(out / "0.png")).shape[1] > 1900  # a panel each
-
-
 def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, folder: Path) -> None:
     one = localiser(
         "edges", folder / "0.png", "--camera", folder / "camera.yaml", "--out", folder / "one", "--no-pictures"
@@ -183,7 +130,7 @@ def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, 
     assert "Finding" not in one.err
     many = localiser("edges", folder / "0.png", folder / "1.png", "--camera", folder / "camera.yaml",
                      "--out", folder / "many", "--no-pictures")  # fmt: skip
-    assert "Vertical edges in 2 images" in many.out
+    assert "vertical edges in 2 images, 4 in an image" in many.out
     assert "2/2" in many.err
     silent = localiser("edges", folder / "0.png", folder / "1.png", "--camera", folder / "camera.yaml",
                        "--out", folder / "silent", "--no-pictures", "--quiet")  # fmt: skip
@@ -203,8 +150,8 @@ def test_images_of_the_same_name_keep_outputs_each(localiser: Localiser, folder:
     for name in ("left", "right"):
         (folder / name).mkdir()
         shutil.copy(folder / "0.png", folder / name / "a.png")
-    out = run(localiser, folder, folder / "left" / "a.png", folder / "right" / "a.png")
-    assert {file.name for file in out.glob("*.json")} == {"left_a.png.json", "right_a.png.json"}
+    out = run(localiser, folder, folder / "left" / "a.png", folder / "right" / "a.png", pictures=True)
+    assert {file.name for file in out.glob("*.png")} == {"left_a.png.png", "right_a.png.png"}
 
 
 # -- logs -------------------------------------------------------------------------------------------------------------
@@ -217,7 +164,6 @@ def test_a_log_brings_its_camera_and_its_times(localiser: Localiser, tmp_path: P
     rows = table(tmp_path / "out" / "edges.csv")
     times = [line.split(",")[0] for line in (log / "images.csv").read_text().splitlines()[1:]]
     assert list(dict.fromkeys(row["t_ns"] for row in rows)) == times
-    assert json.loads((tmp_path / "out" / "000002.json").read_text())["t_ns"] == int(times[2])
     camera = read_camera(log / "camera.yaml")
     assert read_camera(tmp_path / "out" / "camera.yaml").mount == camera.mount
     direct = localiser("edges", *sorted((log / "images").iterdir()), "--camera", log / "camera.yaml",
@@ -265,10 +211,9 @@ def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, f
 def test_a_roll_a_little_below_zero_is_told_without_a_sign(monkeypatch: pytest.MonkeyPatch) -> None:
     stated, found = np.deg2rad([15.0, 0.0]), np.deg2rad([18.0, -0.01])
     check = MountCheck(stated, found, np.diag(np.deg2rad([0.1, 0.1]) ** 2), disagrees=True)
-    monkeypatch.setattr("localiser.calibration.check_mount", lambda *_: check)
-    run = SimpleNamespace(config=Config(), camera=CAMERA, kept={"columns": []})
-    (warning,) = mount_warnings(run)
-    assert "roll 0.0° ± 0.1°" in warning
+    monkeypatch.setattr("localiser.commands.edge_search.check_mount", lambda *_: check)
+    warning = EdgeSearch(CAMERA, [], Config()).mount_warning()
+    assert warning is not None and "roll 0.0° ± 0.1°" in warning
 
 
 def test_an_image_without_edges_is_told_in_a_line(localiser: Localiser, folder: Path) -> None:
@@ -277,26 +222,8 @@ def test_an_image_without_edges_is_told_in_a_line(localiser: Localiser, folder: 
     one = localiser("edges", folder / "black.png", *camera, "--out", folder / "one")
     assert one.out.splitlines()[0].startswith("No vertical edges in")
     assert "bearing" not in one.out
-    two = localiser("edges", folder / "black.png", *camera, "--detector", "lsd", "--detector", "columns",
-                    "--out", folder / "two")  # fmt: skip
-    assert two.exit_code == 0
-    assert "nan" not in two.out
-    assert "0%" not in two.out
-
-
-def test_the_last_line_says_what_the_table_of_detectors_is_for(localiser: Localiser, folder: Path) -> None:
-    camera = ("--camera", folder / "camera.yaml", "--no-pictures")
-    assert "detectors.csv sums up." in localiser("edges", folder / "0.png", *camera, "--out", folder / "one").out
-    two = localiser("edges", folder / "0.png", *camera, "--detector", "lsd", "--detector", "columns",
-                    "--out", folder / "two")  # fmt: skip
-    assert "detectors.csv compares them." in two.out
-
-
-def test_a_detector_named_twice(localiser: Localiser, folder: Path) -> None:
-    result = localiser("edges", folder / "0.png", "--camera", folder / "camera.yaml",
-                       "--detector", "lsd", "--detector", "lsd")  # fmt: skip
-    assert result.exit_code == 2
-    assert "--detector: expected each detector once, found lsd 2 times" in result.err
+    two = localiser("edges", folder / "black.png", folder / "0.png", *camera, "--out", folder / "two")
+    assert "4 vertical edges in 2 images" in two.out
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------
@@ -339,8 +266,7 @@ def test_a_bad_image_ends_the_run_and_keeps_what_was_done(localiser: Localiser, 
     assert f"ended after 1 of 3 images; what was done is in {out}" in result.err
     assert "Traceback" not in result.err
     assert table(out / "edges.csv") == expected
-    assert {file.name for file in out.glob("[0-9]*")} == {"0.json", "0.png"}
-    assert table(out / "detectors.csv")[0]["images"] == "1"
+    assert {file.name for file in out.glob("[0-9]*")} == {"0.png"}
 
 
 def test_a_bad_first_image_leaves_no_folder(localiser: Localiser, folder: Path) -> None:

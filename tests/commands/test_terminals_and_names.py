@@ -39,7 +39,7 @@ class Shell:
         source = self.samples / attack_targets.LINES[name][0]
         folder.mkdir(exist_ok=True)
         (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / source.name)
-        return folder / f"{source.name}{':1' if source.name == 'mrclam' else ''}"
+        return folder / source.name
 
     def __call__(self, name: str, given: Path, out: Path, stdout: Path | None = None) -> tuple[object, str]:
         """Return how a command ended, and what it said; another exception than the program's own is a failure."""

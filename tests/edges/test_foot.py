@@ -92,7 +92,7 @@ def test_any_place_in_any_image_has_a_probability(camera: Camera) -> None:
 
 
 def test_the_flag_is_by_what_is_likelier() -> None:
-    from localiser.commands.edges.records import foot_flag
+    from localiser.commands.edge_picture import foot_flag
 
     unknown = np.full(4, np.nan)
     edges = Edges.from_columns(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from localiser.evaluate import Track, metrics, timing_metrics
-from localiser.evaluate.pauses import Pause, after_pauses, find_pauses, recovery_s, seen_recently
+from localiser.evaluate.metrics import Pause, after_pauses, find_pauses, recovery_s, seen_recently
 from localiser.geometry import Trajectory
 
 SECOND = 1_000_000_000

@@ -16,7 +16,7 @@ import pytest
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.evaluate import Track, WorstMoments, metrics, report_page
-from localiser.evaluate.moment_pictures import image_svg, map_svg
+from localiser.evaluate.page import image_svg, map_svg
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Increment
 from localiser.landmarks import LandmarkMap

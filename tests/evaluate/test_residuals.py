@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, truncnorm
 
-from localiser.evaluate.residuals import consistency, consistency_band, residual_figures, residual_sums
+from localiser.evaluate.accuracy import consistency, consistency_band, residual_figures, residual_sums
 from localiser.observation import Matches
 
 EDGES, IMAGES = 12, 400

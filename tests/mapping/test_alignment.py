@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import agreeing, align, fused, joined_maps, matches
-from localiser.mapping.alignment import fitted_motion, most_voted
+from localiser.mapping import agreeing, align, fuse_maps, join_maps, matches
+from localiser.mapping.merge import fitted_motion, most_voted
 
 
 def hall(seed: int, count: int = 40) -> np.ndarray:
@@ -78,7 +78,7 @@ def test_fusing_weighs_by_covariance_and_keeps_what_is_alone() -> None:
     built = known([[0.04, 0.0], [9.0, 1.0]], 0.01, (0, "b"), polarity=np.array([1, -1], dtype=np.int8), quality=quality)
     pairs = matches(plan.points, built.points, 0.15)
     assert pairs.tolist() == [[0, 0]]
-    whole = fused(plan, built, pairs)
+    whole = fuse_maps(plan, built, pairs)
     assert whole.ids == (0, 1, "b")
     assert whole.points == pytest.approx(np.array([[0.036, 0.0], [5.0, 0.0], [9.0, 1.0]]))
     assert whole.cov[0, 0, 0] == pytest.approx(1 / (1 / 0.03**2 + 1 / 0.01**2))
@@ -94,8 +94,8 @@ def test_an_unknown_covariance_lets_the_other_place_count() -> None:
     surveyed = LandmarkMap.from_points(np.array([[0.0, 0.0]]))
     built = known([[0.1, 0.0]], 0.01, (7,))
     pairs = np.array([[0, 0]])
-    assert fused(surveyed, built, pairs).points[0, 0] == pytest.approx(0.1)
-    assert fused(built, surveyed, pairs).points[0, 0] == pytest.approx(0.1)
+    assert fuse_maps(surveyed, built, pairs).points[0, 0] == pytest.approx(0.1)
+    assert fuse_maps(built, surveyed, pairs).points[0, 0] == pytest.approx(0.1)
 
 
 def test_contradictions_are_not_fused() -> None:
@@ -106,7 +106,7 @@ def test_contradictions_are_not_fused() -> None:
 
 
 def test_ids_stay_unique() -> None:
-    joined = joined_maps(known([[0.0, 0.0]] * 3, 0.1, (0, "7", 9)), known([[1.0, 1.0]] * 3, 0.1, (7, 8, 9)))
+    joined = join_maps(known([[0.0, 0.0]] * 3, 0.1, (0, "7", 9)), known([[1.0, 1.0]] * 3, 0.1, (7, 8, 9)))
     assert joined.ids == (0, "7", 9, 10, 8, 11)
     assert len({str(name) for name in joined.ids}) == 6
     assert map_from_robot(np.zeros(3), joined.points).shape == (6, 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localiser.mapping.association import assign
+from localiser.mapping.tracks import assign
 
 NEVER = -np.inf
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from coarse_worlds import coarse_drive
+from mrclam import MrclamReader
 
 from localiser.config import read_config
 from localiser.errors import InputError
 from localiser.mapping import Wheels, build_map, require_association, turn_drift
-from localiser.storage import open_log
+from localiser.storage.log import ReadOptions
 
 LOG = Path("log")
 
@@ -49,6 +50,6 @@ def test_either_good_wheels_or_good_bearings_will_do() -> None:
 @pytest.mark.data
 @pytest.mark.parametrize("robot", [1, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 3))])
 def test_a_real_robot_of_commanded_velocities_is_refused(data_dir: Path, robot: int) -> None:
-    log = open_log(data_dir / f"mrclam:{robot}")
+    log = MrclamReader().read(data_dir / f"mrclam:{robot}", ReadOptions())
     with pytest.raises(InputError, match="nothing tells which landmark was seen"):
         build_map(log, "slam", read_config(None, [], log.settings))

@@ -7,7 +7,7 @@ import pytest
 from far_room import CAMERA, SIGMA_RAD, far_poses, images, room
 
 from localiser.mapping import MappingParameters, Sightings, landmark_map_of
-from localiser.mapping.far_images import POSE_SIGMA_RAD, are_far, build_from_far_images
+from localiser.mapping.known_poses import POSE_SIGMA_RAD, are_far, build_from_far_images
 
 
 def test_images_apart_are_far_and_those_of_a_drive_are_not() -> None:

@@ -19,9 +19,9 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Sightings
-from localiser.mapping.association import assign, looks_alike
+from localiser.mapping.landmarks import triangulate
 from localiser.mapping.sightings import direction_of, parallax, per_point
-from localiser.mapping.triangulate import triangulate
+from localiser.mapping.tracks import assign, looks_alike
 from localiser.storage import open_log
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9))

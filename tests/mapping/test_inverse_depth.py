@@ -6,8 +6,8 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from localiser.geometry import wrap_angle
-from localiser.mapping.inverse_depth import first_state, predicted, updated
 from localiser.mapping.sightings import direction_of
+from localiser.mapping.tracks import first_state, predicted, update_states
 
 
 def test_many_filters_at_once_are_filterpys_one_by_one() -> None:
@@ -23,7 +23,7 @@ def test_many_filters_at_once_are_filterpys_one_by_one() -> None:
         ekf.x, ekf.P, ekf.R = state[k].copy(), cov[k].copy(), np.array([[sigma[k] ** 2]])
     for camera, heading in zip(cameras[1:], seen[1:], strict=True):
         expected, jacobian = predicted(origin, state, camera)
-        state, cov = updated(state, cov, wrap_angle(heading - expected), jacobian, sigma)
+        state, cov = update_states(state, cov, wrap_angle(heading - expected), jacobian, sigma)
         for k, ekf in enumerate(filters):
             at = origin[k : k + 1]
             ekf.update(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from localiser.geometry import Array
-from localiser.mapping.joint_compatibility import compatible
+from localiser.mapping.loop_closure import compatible
 
 _NOISE_M, _OWN_SIGMA_M, _DRIFT_SIGMA_M = 0.004, 0.01, 0.2
 

@@ -15,7 +15,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import LiveMap, MappingParameters, Sightings
-from localiser.mapping.live_feature import LiveFeature, started
+from localiser.mapping.live_map import LiveFeature, started
 from localiser.mapping.sightings import direction_of
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(tilt_rad=0.35, height_m=1.0))

@@ -15,7 +15,7 @@ from localiser.camera import RollingShutter
 from localiser.config import read_config
 from localiser.geometry import Trajectory
 from localiser.mapping import cache_folder
-from localiser.mapping.log_edges import edges_of_log
+from localiser.mapping.recorded import edges_of_log
 from localiser.storage import open_log
 
 

@@ -11,8 +11,8 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.mapping import Built, Sightings
-from localiser.mapping.landmarks import fitted
-from localiser.mapping.place_error import place_cov
+from localiser.mapping.landmarks import fit_landmarks
+from localiser.mapping.quality import place_cov
 from localiser.mapping.sightings import direction_of, per_point
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.deg2rad(20.0), 0.9))
@@ -51,7 +51,7 @@ def built(cameras: Array, rng: np.random.Generator | None) -> tuple[Sightings, B
         frames.append(Edges.from_columns(bearing, known, np.zeros(len(POINTS)), known))
     sightings = Sightings.from_edges(frames, CAMERA)
     sigma = np.full(len(sightings), SIGMA_RAD)
-    return sightings, fitted(sightings, np.tile(np.arange(len(POINTS)), len(cameras)), cameras, sigma), sigma
+    return sightings, fit_landmarks(sightings, np.tile(np.arange(len(POINTS)), len(cameras)), cameras, sigma), sigma
 
 
 def test_it_is_the_double_sum_over_all_pairs_of_bearings() -> None:

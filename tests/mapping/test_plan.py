@@ -10,11 +10,11 @@ from folders import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from world_plan import cells_from_map, draw_plan, drawn_solids
 
-from localiser.commands.map.world_plan import draw_plan, drawn_solids
 from localiser.geometry import Array
-from localiser.mapping import FloorPlan, cells_from_map, map_from_cells, plan_landmarks
-from localiser.mapping.plan_corners import outlines
+from localiser.mapping import FloorPlan, map_from_cells, plan_landmarks
+from localiser.mapping.plan import outlines
 from localiser.simulate import World, vertical_edges
 from localiser.storage import read_world
 

@@ -11,7 +11,7 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping.landmarks import fitted
+from localiser.mapping.landmarks import fit_landmarks
 from localiser.mapping.quality import is_placed
 from localiser.mapping.sightings import Sightings, direction_of
 from localiser.storage import read_map, write_map
@@ -52,7 +52,7 @@ def test_a_landmark_whose_sigma_is_larger_than_any_distance_to_it_has_no_place()
         heading, _ = direction_of(points, np.tile(camera, (2, 1)))
         frames.append(Edges.from_bearings(wrap_angle(camera[2] - heading), 0.001))
     sightings = Sightings.from_edges(frames, Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(0.35, 0.9)))
-    made = fitted(sightings, np.array([0, 1, 0, 1]), cameras, np.full(4, 0.001))
+    made = fit_landmarks(sightings, np.array([0, 1, 0, 1]), cameras, np.full(4, 0.001))
     assert is_placed(sightings, made, cameras, made.fit.cov).all()
     for sigma_m, expected in ((1.0, [True, True]), (3.0, [False, True]), (5.0, [False, False])):
         cov = np.tile(np.diag([1e-6, sigma_m**2]), (2, 1, 1))

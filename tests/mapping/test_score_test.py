@@ -10,7 +10,7 @@ from ring_world import circle
 
 from localiser.geometry import Array
 from localiser.mapping.factors import Bearings, Problem
-from localiser.mapping.score_test import contradiction, visits, without_contradicting_visits
+from localiser.mapping.loop_checks import visit_contradiction, visits, without_contradicting_visits
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed, dead_reckoned, smooth
 
@@ -37,7 +37,7 @@ def test_a_visit_ends_with_a_long_pause() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_right_joins_do_not_contradict(seed: int) -> None:
     problem, points, visit = two_laps(seed)
-    found = contradiction(problem, solved(problem, points), visit, np.arange(visit.max() + 1))
+    found = visit_contradiction(problem, solved(problem, points), visit, np.arange(visit.max() + 1))
     # Squared sigmas of two coordinates: their median is 1.4 where errors are as stated, less with joins too close.
     assert np.median(found) < 2.0
     assert np.quantile(found, 0.97) < 11.8
@@ -50,7 +50,7 @@ def test_score_is_what_solving_anew_finds(seed: int) -> None:
     several = np.flatnonzero(np.bincount(visit) > 20)
     asked = several[np.bincount(visit)[several].argsort()[-2:]]
     together = solved(problem, points)
-    found = contradiction(problem, together, visit, asked)
+    found = visit_contradiction(problem, together, visit, asked)
     for index, one in enumerate(asked):
         own = np.where(visit == one, len(points), bearings.landmark)
         apart = replace(problem, bearings=replace(bearings, landmark=own))

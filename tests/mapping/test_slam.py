@@ -17,13 +17,11 @@ from localiser.geometry import Array, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.factors import Problem, State, cost_of, linearise
-from localiser.mapping.floor_scale import Scale, scale_by_floor_contacts
-from localiser.mapping.landmarks import fitted
+from localiser.mapping.landmarks import fit_landmarks, triangulate
 from localiser.mapping.loop_closure import same_landmarks
 from localiser.mapping.place_recognition import Recognised, recognised
 from localiser.mapping.sightings import Index
-from localiser.mapping.smooth import dead_reckoned, smooth
-from localiser.mapping.triangulate import triangulate
+from localiser.mapping.smooth import Scale, dead_reckoned, scale_by_floor_contacts, smooth
 from localiser.motion import MotionParameters
 
 
@@ -165,7 +163,7 @@ def test_landmarks_of_a_second_visit_join_those_of_the_first_despite_drift() -> 
     sightings = Sightings.from_edges(seen, CAMERA)
     of = np.concatenate([np.tile(np.arange(4), frames), np.tile(np.arange(4, 8), frames)])
     believed = np.concatenate([cameras, cameras + np.array([*drift, 0.0])])
-    built = fitted(sightings, of, believed, np.full(len(of), 1e-3))
+    built = fit_landmarks(sightings, of, believed, np.full(len(of), 1e-3))
     # The second visit is off as a whole by about 0.15 m; each place within a visit is good to 5 mm.
     joint = 0.005**2 * np.eye(16)
     common = np.kron(np.ones((4, 4)), 0.15**2 * np.eye(2))

@@ -8,9 +8,16 @@ from mapping_worlds import with_looks, world
 
 from localiser import mapping
 from localiser.geometry import Array, wrap_angle
-from localiser.mapping.association import TrackParameters, assign, association_scores, looks_alike
-from localiser.mapping.inverse_depth import first_state, predicted, updated
 from localiser.mapping.sightings import Index, Sightings
+from localiser.mapping.tracks import (
+    TrackParameters,
+    assign,
+    association_scores,
+    first_state,
+    looks_alike,
+    predicted,
+    update_states,
+)
 
 
 def followed(
@@ -31,7 +38,7 @@ def followed(
             looks = looks_alike(side[last, None], polarity[last, None], side[seen], polarity[seen])
             row, column = assign(association_scores(expected, own, heading, sigma, looks, parameters), margin)
         innovation = wrap_angle(heading[column] - expected[row])
-        state[row], cov[row] = updated(state[row], cov[row], innovation, jacobian[row], sigma[column])
+        state[row], cov[row] = update_states(state[row], cov[row], innovation, jacobian[row], sigma[column])
         missed = missed + 1
         last[row], missed[row], track[seen[column]] = seen[column], 0, number[row]
         fresh = np.delete(np.arange(len(seen)), column)

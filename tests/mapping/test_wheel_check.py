@@ -8,8 +8,8 @@ import pytest
 from localiser.geometry import Array
 from localiser.mapping import Prior
 from localiser.mapping.factors import Wheels
+from localiser.mapping.loop_checks import contradicting_steps, contradiction
 from localiser.mapping.smooth import dead_reckoned
-from localiser.mapping.wheel_check import contradicting_steps, contradiction
 
 PRIOR = Prior(np.zeros(4), np.array([0.02, 0.03, 0.01, 0.02]))
 SIGMA = np.array([0.01, 0.01, 0.003])

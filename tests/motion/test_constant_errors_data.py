@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mrclam import MrclamReader
 from numpy.typing import NDArray
 
 from localiser import geometry
@@ -15,7 +16,7 @@ from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
 from localiser.observation import observation_of
 from localiser.replay.start import start_of
-from localiser.storage import open_log
+from localiser.storage.log import ReadOptions
 
 KNOWN = ["observation.association=known", "motion.bias.delay_sigma_s=0.2"]
 
@@ -36,7 +37,7 @@ def turns(track: Trajectory, times: NDArray[np.int64]) -> Array:
 @pytest.mark.data
 @pytest.mark.slow
 def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(data_dir: Path) -> None:
-    log = open_log(data_dir / "mrclam:1", format="mrclam")
+    log = MrclamReader().read(data_dir / "mrclam:1", ReadOptions())
     config = read_config(None, KNOWN, log.settings)
     assert log.groundtruth is not None and log.landmark_map is not None
     rng = np.random.default_rng(0)

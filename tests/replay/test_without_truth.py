@@ -10,8 +10,8 @@ import pytest
 from short_log import CORRIDOR
 
 from localiser import open_log, replay_log
-from localiser.evaluate.own_figures import own_figures
-from localiser.evaluate.residuals import residual_figures, residual_sums
+from localiser.evaluate.accuracy import residual_figures, residual_sums
+from localiser.evaluate.metrics import own_figures
 from localiser.filter import SURE, LocatedFrame, Sighting
 from localiser.observation import observation_of
 from localiser.replay import Replay

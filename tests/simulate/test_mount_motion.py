@@ -12,7 +12,7 @@ from plain_room import camera_data, plain_room
 from localiser.camera import MountSigma
 from localiser.geometry import Trajectory
 from localiser.simulate import simulated_log, world_of
-from localiser.simulate.mount_motion import mount_at
+from localiser.simulate.drive import mount_at
 from localiser.simulate.render import expose, radiance, scene_of
 
 MOTION: dict[str, Any] = {"tilt_deg": {"amplitude": 6.0, "hz": 1.0}, "yaw_deg": {"amplitude": 20.0, "hz": 0.5}}

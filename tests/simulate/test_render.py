@@ -11,7 +11,7 @@ import pytest
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
 from localiser.simulate.render import Scene, expose, radiance, render, scene_of
-from localiser.simulate.textures import look_up
+from localiser.simulate.surfaces import look_up
 from localiser.simulate.world import world_of
 
 

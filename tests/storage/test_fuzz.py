@@ -11,7 +11,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from map_texts import NEWER
-from mrclam_files import FILES
 from small_log import CAMERA, write_edge_log, write_small_log
 
 from localiser.config import Config, read_config, to_yaml
@@ -63,9 +62,6 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fuzz")
     write_small_log(folder / "images")
     write_edge_log(folder / "edges")
-    (folder / "mrclam").mkdir()
-    for name, content in FILES.items():
-        (folder / "mrclam" / name).write_text(content)
     return folder
 
 
@@ -126,7 +122,7 @@ def replay(path: Path | str) -> None:
             event.load()
 
 
-@pytest.mark.parametrize("log", [pytest.param("images", marks=pytest.mark.slow), "edges", "mrclam"])
+@pytest.mark.parametrize("log", [pytest.param("images", marks=pytest.mark.slow), "edges"])
 @FUZZ
 @given(data=st.data())
 def test_changed_logs(logs: Path, tmp_path: Path, log: str, data: st.DataObject) -> None:
@@ -137,7 +133,7 @@ def test_changed_logs(logs: Path, tmp_path: Path, log: str, data: st.DataObject)
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(logs / log, copy)
     (copy / name).write_bytes(data.draw(mutated((copy / name).read_bytes())))
-    gives_a_value_or_an_input_error(replay, Path(f"{copy}:2" if log == "mrclam" else copy))  # type: ignore[arg-type]
+    gives_a_value_or_an_input_error(replay, copy)
 
 
 @FUZZ

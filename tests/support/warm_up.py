@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from itertools import takewhile
 
-import numpy as np
 from folders import ROOT
 
 from localiser.config import read_config
 from localiser.filter import Odometry
 from localiser.localiser import Localiser
-from localiser.mapping import find_ambiguity
 from localiser.storage import ImageEvent, open_log
 
 IMAGES = 3
@@ -32,7 +30,6 @@ def main() -> None:
             elif isinstance(event, ImageEvent):
                 localiser.image(event.t_ns, event.encoded())
         localiser.finish()
-    find_ambiguity(log.landmark_map, log.camera, np.array([log.start.mean[:2], log.start.mean[:2] - [0.0, 5.0]]))
 
 
 if __name__ == "__main__":

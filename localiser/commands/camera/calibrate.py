@@ -1,24 +1,127 @@
-"""Calibrate a camera from images of a board, and draw a board to print."""
+"""`localiser camera calibrate`: lens and focal length from images of a board, and a board to print."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import typer
 
-from localiser.calibration import FEWEST_VIEWS, Board, BoardView, FloorMount, Intrinsics, calibrated, mount_over_board
-from localiser.camera import Camera, Mount
-from localiser.documents import drafted, read_bytes
+from localiser.commands.options import Quiet, progress, show
 from localiser.errors import InputError
-from localiser.image_files import measure
-from localiser.storage import MAX_IMAGE_BYTES, read_image, require_new_file, write_camera
 
+if TYPE_CHECKING:
+    from localiser.calibration import Board, BoardView, FloorMount, Intrinsics
+    from localiser.camera import Camera
+
+EPILOG = """Examples:
+
+`localiser camera calibrate --draw-board board.png --board charuco --squares 8x6 --square-m 0.03`
+
+`localiser camera calibrate images/*.png --board charuco --squares 8x6 --square-m 0.03 -o camera.yaml`
+
+`localiser camera calibrate images/*.png --board chessboard --squares 9x7 --square-m 0.025 --floor floor.png`"""
+
+_WELL_REACHED = 0.7
 _DPI = 600
-_MOST_LOOKED_AT = 3
-"""In as many images another board is looked for when the one that was named is not there."""
+
+
+class BoardName(StrEnum):
+    """What is on a board."""
+
+    charuco = "charuco"
+    chessboard = "chessboard"
+
+
+class LensName(StrEnum):
+    """Models of lens distortion."""
+
+    plumb_bob = "plumb_bob"
+    rational_polynomial = "rational_polynomial"
+    equidistant = "equidistant"
+    none = "none"
+
+
+def calibrate(
+    images: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="IMAGE…", help="JPEG or PNG images that show the board; taken in the order of their names."
+        ),
+    ] = None,
+    *,
+    board: Annotated[BoardName, typer.Option(help="What is on the board.")],
+    squares: Annotated[
+        str,
+        typer.Option(
+            metavar="CxR", help="How many squares across and down, such as 8x6: one more than corners between them."
+        ),
+    ],
+    square_m: Annotated[float, typer.Option(metavar="M", help="Side of a square, measured on the print (m).")],
+    marker_m: Annotated[
+        float | None, typer.Option(metavar="M", help="Side of a ChArUco marker (m); by default 0.75 of a square.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option(metavar="NAME", help="Set of ChArUco markers, such as 4X4_50.")
+    ] = "5X5_100",
+    legacy: Annotated[bool, typer.Option("--legacy", help="ChArUco pattern of OpenCV before 4.6.")] = False,
+    draw_board: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Draw the board to print, in place of calibrating; a new file."),
+    ] = None,
+    floor: Annotated[
+        Path | None,
+        typer.Option(metavar="IMAGE", help="The board flat on the floor, camera on the robot: gives the mount too."),
+    ] = None,
+    lens: Annotated[LensName, typer.Option(help="Model of the lens distortion, as ROS names it.")] = LensName.plumb_bob,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="New camera file.")] = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the camera in that file; by default the file's own.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
+    from localiser.storage import require_new_file
+
+    wanted = _board(board, squares, square_m, marker_m, dictionary, legacy)
+    if draw_board is not None:
+        write_board(wanted, draw_board)
+        width, height = wanted.picture_size_m()
+        size = f"{1000 * width:.0f} mm × {1000 * height:.0f} mm"
+        typer.echo(f"{draw_board}: {size}; print without scaling, measure a square, glue it to something flat")
+        return
+    if not images:
+        raise InputError("expected images of the board, or --draw-board FILE", field="IMAGE")
+    if out is not None:
+        require_new_file(out)
+    count = len({*images} if floor is None else {*images, floor})
+    with progress("Looking for the board", count, quiet) as advance:
+        found = calibrate_by(images, floor, wanted, lens.value, advance)
+    if not quiet:
+        _show(found)
+    if out is not None:
+        write_calibration(found, out, name or out.stem)
+        typer.echo(f"Written to {out}")
+        if found.floor is None:
+            typer.echo("It has no mount yet: use --floor, or add tilt_deg, height_m, … by hand.", err=True)
+
+
+def _board(
+    kind: BoardName, squares: str, square_m: float, marker_m: float | None, dictionary: str, legacy: bool
+) -> Board:
+    from localiser.calibration import Board
+
+    try:
+        columns, rows = (int(part) for part in squares.lower().split("x"))
+    except ValueError:
+        problem = f"expected columns x rows of squares, such as 8x6, found {squares!r}"
+        raise InputError(problem, field="--squares") from None
+    marker = 0.75 * square_m if marker_m is None else marker_m
+    return Board(kind.value, columns, rows, square_m, marker, dictionary, legacy)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,38 +135,44 @@ class Calibration:
     @property
     def camera(self) -> Camera:
         """The camera, over the floor where that is known."""
+        from localiser.camera import Mount
+
         if self.floor is None:
             return self.intrinsics.camera
         tilt, roll, height = (float(value) for value in self.floor.values)
         return replace(self.intrinsics.camera, mount=Mount(tilt_rad=tilt, height_m=height, roll_rad=roll))
 
 
-def calibrate(
-    images: Sequence[Path], floor: Path | None, board: Board, lens: str, progress: Callable[[], None]
+def calibrate_by(
+    images: Sequence[Path], floor: Path | None, board: Board, lens: str, advance: Callable[[], None]
 ) -> Calibration:
     """Return what images of a board tell, in the order of their names, and one of the board on the floor.
 
     Raises InputError.
     """
+    from localiser.calibration import FEWEST_VIEWS, calibrate, mount_over_board
+    from localiser.storage import read_image
+
     paths = in_order([*images, *([floor] if floor is not None else [])])
     size = common_size(paths)
     found: dict[Path, BoardView | None] = {}
     for path in paths:
         found[path] = board.find(read_image(path, size), path.name)
-        progress()
+        advance()
     without = [path for path, view in found.items() if view is None]
     wanted = f"expected a {board.kind} of {board.size} squares"
+    whole = "a chessboard must be seen whole" if board.kind == "chessboard" else "--dictionary must be the print's"
+    advice = f"--squares counts squares, not the corners between them, and {whole}"
     if floor in without:
-        raise InputError(f"{wanted}, found none; {_advice(board, [floor], size)}", path=floor)
+        raise InputError(f"{wanted}, found none; {advice}", path=floor)
     views = {path: view for path, view in found.items() if view is not None}
     if not views:
-        problem = f"{wanted} in the images, found it in none of them; {_advice(board, without, size)}"
-        raise InputError(problem, field="--squares")
+        raise InputError(f"{wanted} in the images, found it in none of them; {advice}", field="--squares")
     if without and len(views) < FEWEST_VIEWS:
         names = ", ".join(path.name for path in without)
         problem = f"{wanted} in at least {FEWEST_VIEWS} images, found it in {len(views)} and not in {names}"
-        raise InputError(f"{problem}; {_advice(board, without, size)}")
-    intrinsics = calibrated(list(views.values()), size, lens)
+        raise InputError(f"{problem}; {advice}")
+    intrinsics = calibrate(list(views.values()), size, lens)
     return Calibration(
         intrinsics=intrinsics,
         without_board=tuple(path.name for path in without),
@@ -80,21 +189,12 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
     return sorted(set(paths), key=key)
 
 
-def _advice(board: Board, images: Sequence[Path], size: tuple[int, int]) -> str:
-    """Return what to do about images in which the board was not found, for people."""
-    for path in images[:_MOST_LOOKED_AT]:
-        other = board.mistaken_for(read_image(path, size))
-        if other is not None:
-            option = f"--squares {other.size}" if other.size != board.size else ""
-            pattern = "" if other.legacy == board.legacy else f" {'with' if other.legacy else 'without'} --legacy"
-            found = f"{path.name} shows one {(option + pattern).strip()}"
-            return f"{found}: squares are counted, not the corners between them" if option else found
-    whole = "a chessboard must be seen whole" if board.kind == "chessboard" else "--dictionary must be the print's"
-    return f"--squares counts squares, not the corners between them, and {whole}"
-
-
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """Return the size (width, height) that all images have. Raises InputError."""
+    from localiser.documents import read_bytes
+    from localiser.image_files import measure
+    from localiser.storage import MAX_IMAGE_BYTES
+
     sizes = []
     for path in paths:
         try:
@@ -110,6 +210,10 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
 
 def write_calibration(calibration: Calibration, path: Path, name: str) -> None:
     """Write the file of a camera called `name`, with how good it is as a comment. Raises OutputError."""
+    import numpy as np
+
+    from localiser.storage import write_camera
+
     intrinsics = calibration.intrinsics
     names = zip(intrinsics.parameters, intrinsics.sigma, strict=True)
     comment = (
@@ -117,7 +221,7 @@ def write_calibration(calibration: Calibration, path: Path, name: str) -> None:
         f"1 sigma: {', '.join(f'{name} {sigma:.2g}' for name, sigma in names)}"
     )
     if calibration.floor is not None:
-        tilt, roll, height = calibration.floor.sigma
+        tilt, roll, height = (float(value) for value in calibration.floor.sigma)
         comment += (
             f"\nMount from a board on the floor; 1 sigma: tilt {np.rad2deg(tilt):.2g}°, roll {np.rad2deg(roll):.2g}°, "
             f"height {height:.2g} m. Not measured: right_m, back_m, yaw_deg."
@@ -126,21 +230,53 @@ def write_calibration(calibration: Calibration, path: Path, name: str) -> None:
     write_camera(camera, path, with_mount=calibration.floor is not None, comment=comment)
 
 
-def draw_board(board: Board, path: Path) -> None:
-    """Draw a board to print at its true size, as PDF, PNG or SVG. Raises InputError, OutputError."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def write_board(board: Board, path: Path) -> None:
+    """Draw a board to print at its true size, as PNG. Raises InputError, OutputError."""
+    from matplotlib.image import imsave
 
-    if path.suffix.lower() not in (".pdf", ".png", ".svg"):
-        raise InputError("expected a name that ends in .pdf, .png or .svg", path=path)
+    from localiser.documents import drafted
+    from localiser.storage import require_new_file
+
+    if path.suffix.lower() != ".png":
+        raise InputError("expected a name that ends in .png", path=path)
     require_new_file(path)
-    inches = [metres / 0.0254 for metres in board.picture_size_m()]
-    figure = Figure(figsize=(inches[0], inches[1]), facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_axis_off()
-    square_px = min(round(board.square_m / 0.0254 * _DPI), 6000 // max(board.columns, board.rows))
-    axes.imshow(board.picture(max(square_px, 40)), cmap="gray", vmin=0, vmax=255, aspect="auto", interpolation="none")
-    dpi = _DPI if path.suffix.lower() != ".png" else min(_DPI, 8000 / max(inches))
+    square_in = board.square_m / 0.0254
+    square_px = max(min(round(square_in * _DPI), 6000 // max(board.columns, board.rows)), 40)
     with drafted(path) as draft:
-        figure.savefig(draft, format=path.suffix[1:].lower(), dpi=dpi)
+        picture = board.picture(square_px)
+        imsave(draft, picture, format="png", cmap="gray", vmin=0, vmax=255, dpi=square_px / square_in)
+
+
+def _show(found: Calibration) -> None:
+    import numpy as np
+
+    from localiser.evaluate import new_table
+
+    intrinsics = found.intrinsics
+    outliers = intrinsics.outliers
+    views = new_table("", "image", "corners", "error (px)", "")
+    for view, rms in zip(intrinsics.views, intrinsics.view_rms_px, strict=True):
+        views.add_row(view.name, str(len(view.corners_px)), f"{rms:.3f}", "outlier" if view.name in outliers else "")
+    for name in found.without_board:
+        views.add_row(name, "0", "", "no board found")
+    views.add_row("all", str(sum(len(view.corners_px) for view in intrinsics.views)), f"{intrinsics.rms_px:.3f}", "")
+    show(views)
+    values = new_table("", "", "found", "1σ")
+    for name, value, sigma in zip(intrinsics.parameters, intrinsics.values, intrinsics.sigma, strict=True):
+        digits = 2 if name in ("fx", "fy", "cx", "cy") else 5
+        values.add_row(f"{name} (px)" if digits == 2 else name, f"{value:.{digits}f}", f"{sigma:.{digits}f}")
+    if found.floor is not None:
+        for index, (name, unit) in enumerate((("tilt (°)", 180 / np.pi), ("roll (°)", 180 / np.pi), ("height (m)", 1))):
+            values.add_row(name, *(f"{of[index] * unit:.4f}" for of in (found.floor.values, found.floor.sigma)))
+    show(values)
+    doubts = {
+        f"Look at {', '.join(outliers)}: blurred, bent or not this board? Leave out what is.": outliers,
+        f"No board was found in {', '.join(found.without_board)}: blurred, too small or, a chessboard, cut off?": (
+            found.without_board
+        ),
+        f"Corners were seen up to {intrinsics.reach:.0%} of the way from the centre to the image's corners; "
+        "further out the lens is a guess. Add images with the board there.": intrinsics.reach < _WELL_REACHED,
+    }
+    for text, is_so in doubts.items():
+        if is_so:
+            typer.secho(text, fg="yellow", err=True)

@@ -1,51 +1,107 @@
-"""Find the offset between the clocks of a log's images and wheels, and write the images' times by the wheels' clock."""
+"""`localiser camera sync`: the offset between the clocks of a log's images and wheels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import typer
 
-from localiser.calibration import ClockOffset, clock_offset
-from localiser.config import Config
-from localiser.edges import Edges, find_edges
+from localiser.commands.convert import to_folder
+from localiser.commands.options import (
+    BagCamera,
+    ConfigFile,
+    NewLog,
+    Overrides,
+    Quiet,
+    Topics,
+    open_with_settings,
+    progress,
+    topics_by_role,
+)
 from localiser.errors import InputError
-from localiser.storage import ImageEvent, Log, images_table, move_images, require_odometry
+
+if TYPE_CHECKING:
+    from localiser.calibration import ClockOffset
+    from localiser.config import Config
+    from localiser.edges import Edges
+    from localiser.storage import Log
+
+EPILOG = """Examples:
+
+`localiser camera sync logs/corridor`
+
+`localiser camera sync drive -o drive_by_one_clock`"""
 
 WRITTEN_SIGMA_S = 0.05
 """An offset that is less certain than this is not written."""
 
 
-def images_of(log: Log) -> list[ImageEvent]:
-    """Return the images of a log that has odometry. Raises InputError."""
+def sync(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log with images and odometry, in which the robot turns.")],
+    out: NewLog = None,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    log_format: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="Format of the log; by default found out.")
+    ] = None,
+    topics: Topics = None,
+    camera: BagCamera = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find the offset between the clocks of images and wheels, from the turns that both of them show."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from localiser.calibration import MOST_PAIRS
+    from localiser.storage import require_new
+
+    if out is not None:
+        require_new(out)
+    recorded, settings = open_with_settings(
+        log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+    )
+    with progress("Looking", MOST_PAIRS, quiet) as advance:
+        found = find_offset(recorded, settings, advance)
+    if not quiet:
+        typer.echo(
+            f"Images are stamped {found.text} than wheels (1σ), by {np.rad2deg(found.turned_rad):.0f}° of turning in "
+            f"{found.pairs} pairs of images."
+        )
+        if problem := found.problem:
+            typer.secho(problem, fg="yellow", err=True)
+    if out is None:
+        return
+    if found.sigma_s > WRITTEN_SIGMA_S:
+        raise InputError(
+            f"not written: the images tell the offset to {found.sigma_s:.3f} s only, expected {WRITTEN_SIGMA_S:g} s or "
+            "better; record a drive with some turns",
+            path=recorded.path,
+        )
+    earlier_ns = round(found.offset_s * 1e9)
+    images = [replace(image, t_ns=image.t_ns - earlier_ns) for image in recorded.images]
+    to_folder(replace(recorded, frames=images), out)
+    typer.echo(f"The log with its images by the clock of the wheels is in {out}")
+
+
+def find_offset(log: Log, config: Config, advance: Callable[[], None]) -> ClockOffset:
+    """Return by how much a log's images are stamped later than its wheels. Raises InputError."""
+    import numpy as np
+
+    from localiser.calibration import clock_offset
+    from localiser.edges import find_edges
+    from localiser.storage import require_odometry
+
     require_odometry(log, "comparing the clocks")
     if not log.has_images:
         raise InputError("expected a log with images, found edges that were measured already", path=log.path)
-    return log.images
-
-
-def find_offset(log: Log, images: list[ImageEvent], config: Config, progress: Callable[[], None]) -> ClockOffset:
-    """Return by how much images of a log are stamped later than its wheels. Raises InputError for a bad image."""
+    images = log.images
 
     def edges_of(index: int) -> Edges:
         image = images[index]
         return find_edges(image.load(), log.camera, config.edges, twist=log.twist_at(image.t_ns))
 
     times = np.array([image.t_ns for image in images])
-    return clock_offset(times, edges_of, log.odometry, log.camera, progress=progress)
-
-
-def write_offset(log: Log, found: ClockOffset) -> tuple[Path, Path]:
-    """Move the times of a log's images to the clock of its wheels; return their table, and where the old one is kept.
-
-    Raises InputError when the offset is not certain enough, or the log is no folder; OutputError.
-    """
-    path = images_table(log.path)
-    if found.sigma_s > WRITTEN_SIGMA_S:
-        raise InputError(
-            f"not written: the images tell the offset to {found.sigma_s:.3f} s only, expected {WRITTEN_SIGMA_S:g} s or "
-            "better; record a drive with some turns",
-            path=path,
-        )
-    return path, move_images(path, -round(found.offset_s * 1e9))
+    return clock_offset(times, edges_of, log.odometry, log.camera, progress=advance)

@@ -1,31 +1,70 @@
-"""Find tilt and roll of a log's camera, and write them into its file."""
+"""`localiser camera tilt`: tilt and roll from the vertical edges in a log's images."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import typer
 
-from localiser.calibration import LogMount, mount_of_images, save_mount_plot, spread
-from localiser.config import Config
+from localiser.commands.convert import to_folder
+from localiser.commands.options import ConfigFile, NewLog, Overrides, Quiet, progress, show
 from localiser.errors import InputError
-from localiser.geometry import Array
-from localiser.storage import ImageEvent, Log, camera_file, require_new_file, require_odometry, update_mount
+
+if TYPE_CHECKING:
+    from localiser.calibration import LogMount
+    from localiser.config import Config
+    from localiser.storage import ImageEvent, Log
+
+EPILOG = """Examples:
+
+`localiser camera tilt logs/corridor`
+
+`localiser camera tilt logs/corridor -o logs/levelled`"""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tilt:
-    """What the images of a log say about tilt and roll. seconds: (F,) since the log's start, of the images used."""
+def tilt(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder with images.")],
+    out: NewLog = None,
+    images: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Use at most so many images, evenly spread over the log.")
+    ] = 500,
+    config: ConfigFile = None,
+    overrides: Overrides = None,
+    log_format: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="Format of the log; by default found out.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
+    from dataclasses import replace
 
-    log: Log
-    found: LogMount
-    seconds: Array
+    from localiser.config import read_config
+    from localiser.storage import open_log, require_new
+
+    if out is not None:
+        require_new(out)
+    settings = read_config(config, overrides or [])
+    recorded = open_log(log, format=log_format, sensor=settings.sensor)
+    used = usable_images(recorded, images)
+    with progress("Looking", len(used), quiet) as advance:
+        found = find_tilt(recorded, used, settings, advance)
+    if not quiet:
+        _show(found, len(used))
+    if out is not None:
+        _require_certain(found, settings, recorded)
+        tilt_rad, roll_rad = (float(angle) for angle in found.mount)
+        camera = recorded.camera.with_mount(tilt_rad=tilt_rad, roll_rad=roll_rad)
+        to_folder(replace(recorded, camera=camera), out)
+        typer.echo(f"The log with this tilt and roll is in {out}")
 
 
 def usable_images(log: Log, most: int) -> list[ImageEvent]:
     """Return at most `most` images, evenly spread over the log, taken while there is odometry. Raises InputError."""
+    from localiser.calibration import spread
+    from localiser.storage import require_odometry
+
     require_odometry(log, "finding the tilt")
     images = [image for image in log.images if log.odometry.covers(image.t_ns)]
     if not images:
@@ -36,36 +75,41 @@ def usable_images(log: Log, most: int) -> list[ImageEvent]:
     return [images[i] for i in spread(len(images), most)]
 
 
-def find_tilt(log: Log, images: list[ImageEvent], config: Config, progress: Callable[[], None]) -> Tilt:
+def find_tilt(log: Log, images: list[ImageEvent], config: Config, advance: Callable[[], None]) -> LogMount:
     """Return tilt and roll that images of a log tell. Raises InputError when one of them cannot be read."""
-    times = np.array([image.t_ns for image in images])
-    poses = log.odometry.sampled(times).poses
-    found = mount_of_images(
-        lambda i: images[i].load(), poses, log.camera, config.edges, progress, lambda i: log.twist_at(images[i].t_ns)
+    from localiser.calibration import mount_of_images
+
+    poses = log.odometry.sampled([image.t_ns for image in images]).poses
+    return mount_of_images(
+        lambda i: images[i].load(), poses, log.camera, config.edges, advance, lambda i: log.twist_at(images[i].t_ns)
     )
-    return Tilt(log, found, (times - log.start_ns) / 1e9)
 
 
-def write_plot(tilt: Tilt, path: Path) -> None:
-    """Draw what was found. Raises OutputError when the file is there already."""
-    require_new_file(path)
-    save_mount_plot(path, tilt.found, tilt.seconds, f"{tilt.log.name}: tilt and roll")
+def _show(found: LogMount, images: int) -> None:
+    import numpy as np
+
+    from localiser.evaluate import new_table
+
+    table = new_table("", "", "stated", "found", "1σ", "found - stated")
+    rows = zip(("tilt (°)", "roll (°)"), *np.rad2deg([found.stated, found.mount, found.sigma]), strict=True)
+    for name, stated, mean, sigma in rows:
+        table.add_row(name, f"{stated:.3f}", f"{mean:.3f}", f"{sigma:.3f}", f"{mean - stated:+.3f}")
+    show(table)
+    share = found.vertical / found.lines if found.lines else 0.0
+    typer.echo(f"{found.lines} lines in {images} images, {share:.0%} of them vertical edges, at {found.places} places.")
+    if problem := found.problem:
+        typer.secho(problem, fg="yellow", err=True)
 
 
-def write_tilt(tilt: Tilt, config: Config) -> tuple[Path, Path]:
-    """Write tilt and roll into the log's camera file; return that, and where the old one is kept.
+def _require_certain(found: LogMount, config: Config, log: Log) -> None:
+    """Raise InputError when tilt and roll are less certain than what is stated is taken to be."""
+    import numpy as np
 
-    Raises InputError when they are less certain than what is stated is taken to be, OutputError.
-    """
-    path = camera_file(tilt.log.path)
-    sigma_deg = np.rad2deg(tilt.found.sigma)
     believed_deg = (config.edges.tilt_sigma_deg, config.edges.roll_sigma_deg)
-    for name, sigma, believed in zip(("tilt", "roll"), sigma_deg, believed_deg, strict=True):
+    for name, sigma, believed in zip(("tilt", "roll"), np.rad2deg(found.sigma), believed_deg, strict=True):
         if sigma > believed:
             raise InputError(
                 f"not written: the images tell the {name} to {sigma:.2f}° only, and what is stated is taken to be "
                 f"certain to {believed:g}° (edges.{name}_sigma_deg)",
-                path=path,
+                path=log.path,
             )
-    tilt_deg, roll_deg = (round(float(value), 4) for value in np.rad2deg(tilt.found.mount))
-    return path, update_mount(path, {"tilt_deg": tilt_deg, "roll_deg": roll_deg})

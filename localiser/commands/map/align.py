@@ -39,7 +39,7 @@ def align(
 
     require_writable(out, overwrite=force)
     one, other = map_or_plan(first), read_map(second)
-    alignment = aligned(one, other, within, similarity=scale)
+    alignment = best_fit(one, other, within, similarity=scale)
     (x, z, heading), residual = alignment.pose, alignment.residual_m
     typer.echo(
         f"{len(alignment.pairs)} of {len(one)} and {len(other)} landmarks match: moved by x {x:.3f} m, z {z:.3f} m, "
@@ -52,7 +52,7 @@ def align(
         write_map(alignment.moved(other), out)
 
 
-def aligned(first: LandmarkMap, second: LandmarkMap, within_m: float, *, similarity: bool) -> Alignment:
+def best_fit(first: LandmarkMap, second: LandmarkMap, within_m: float, *, similarity: bool) -> Alignment:
     """Return how the second map lies over the first; warn when another alignment is nearly as good.
 
     Raises InputError when they do not fit.
@@ -76,11 +76,10 @@ def aligned(first: LandmarkMap, second: LandmarkMap, within_m: float, *, similar
 def _fit_table(first: LandmarkMap, second: LandmarkMap, alignment: Alignment) -> Table:
     """Return the landmarks that match and lie farthest apart."""
     import numpy as np
-    from rich.table import Table
 
-    table = Table(title="Farthest apart")
-    for name in ("first", "second", "apart, m"):
-        table.add_column(name, justify="right")
+    from localiser.evaluate import new_table
+
+    table = new_table("Farthest apart", "first", "second", "apart, m", texts=0)
     for k in np.argsort(-alignment.residual_m, kind="stable")[:10]:
         one, other = alignment.pairs[k]
         table.add_row(str(first.ids[one]), str(second.ids[other]), f"{alignment.residual_m[k]:.3f}")

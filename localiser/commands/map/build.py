@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +17,7 @@ from localiser.commands.options import (
     Overrides,
     Quiet,
     Topics,
-    opened,
+    open_with_settings,
     progress,
     show,
     topics_by_role,
@@ -25,6 +26,7 @@ from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from localiser.config import Config
+    from localiser.edges import Edges
     from localiser.geometry import Trajectory
     from localiser.mapping import MapBuilt
     from localiser.storage import Log
@@ -46,7 +48,7 @@ def build(
         list[Path],
         typer.Argument(
             metavar="LOG…",
-            help="Log folder, ROS bag, or FOLDER:N of the UTIAS MRCLAM data set. Several make one map, by their truth.",
+            help="Log folder or ROS bag. Several make one map, by their truth.",
         ),
     ],
     out: NewMap,
@@ -77,37 +79,50 @@ def build(
 ) -> None:
     """Build a map of the vertical edges that a LOG shows, or several, with what is known of each."""
     from dataclasses import replace
-    from functools import partial
 
     from localiser.commands.map.watch import MapWatch
-    from localiser.mapping import build_map, cache_folder
+    from localiser.mapping import build_map, cache_folder, edges_of_log
     from localiser.storage import jump_text, write_map, write_tum
 
     require_writable(out, trajectory, rrd, overwrite=force)
     if len(logs) > 1:
-        _require_truth_only(poses, {"--trajectory": trajectory, "--rrd": rrd, "--view": view != "none"})
-        opening = partial(opened, format=log_format, topics=topics_by_role(topics), camera=camera)
-        _build_together([opening(log, config, [*(overrides or [])]) for log in logs], out, quiet)
-        return
-    recorded, settings = opened(
-        logs[0], config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
-    )
+        for name, value in {"--trajectory": trajectory, "--rrd": rrd, "--view": view != "none"}.items():
+            if value:
+                raise InputError("expected one log with this option, found several", field=name)
+    read = [
+        open_with_settings(
+            log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+        )
+        for log in logs
+    ]
+    recorded, settings = [log for log, _ in read], read[0][1]
     track, source = poses_named(poses)
-    with MapWatch(recorded, settings.mapping, rrd, view) as watch:
-        with progress("Finding edges", len(recorded.frames), quiet) as advance:
+    with MapWatch(recorded[0], settings.mapping, rrd, view) as watch:
+        with progress("Finding edges", sum(len(log.frames) for log in recorded), quiet) as advance:
             try:
                 built = build_map(
-                    recorded, track, settings, progress=advance, watch=watch, cache=cache_folder(), source=source
+                    recorded,
+                    track,
+                    settings,
+                    progress=advance,
+                    watch=watch if len(logs) == 1 else None,
+                    cache=cache_folder(),
+                    source=source,
                 )
             except InputError:
                 with suppress(InputError):  # the images themselves may be at fault
-                    _warn(_clock_warning(recorded, settings))
+                    for log in recorded:
+                        if log.has_images:
+                            _warn(_clock_warning(log, edges_of_log(log, settings.edges, cache=cache_folder())))
                 raise
-        _warn(_mount_warning(recorded, settings, built))
-        _warn(_clock_warning(recorded, settings))
-        if poses != "truth":
-            _warn(jump_text(recorded) or None)
-        header: dict[str, object] = {"built_from_frames": len(built.trajectory)}
+        if len(logs) == 1 and recorded[0].has_images:
+            _warn(_mount_warning(recorded[0], settings, built))
+        for log, edges in zip(recorded, built.edges, strict=True):
+            if log.has_images:
+                _warn(_clock_warning(log, edges))
+            _warn(jump_text(log) if poses != "truth" else None)
+        frames = built.sightings.frames if len(logs) > 1 else len(built.trajectory)
+        header: dict[str, object] = {"built_from_frames": frames}
         write_map(replace(built.landmark_map, header=header), out)
     if trajectory is not None:
         write_tum(built.trajectory, trajectory)
@@ -118,30 +133,22 @@ def build(
 
 
 def _warn(text: str | None) -> None:
-    if text is not None:
+    if text:
         typer.secho(text, fg="yellow", err=True)
 
 
 def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
     """Return the warning that the edges contradict the stated tilt and roll, with which the map was made."""
     from localiser.calibration import check_mount
-    from localiser.mapping import cache_folder, edges_of_log
 
-    if not log.has_images:
-        return None
-    edges = edges_of_log(log, config.edges, cache=cache_folder())  # kept by the build
     poses = built.trajectory.sampled([frame.t_ns for frame in log.frames]).poses
-    return check_mount(edges, poses, log.camera, config.edges.mount_sigma_rad).warning(log.path)
+    return check_mount(built.edges[0], poses, log.camera, config.edges.mount_sigma_rad).warning(log.path)
 
 
-def _clock_warning(log: Log, config: Config) -> str | None:
+def _clock_warning(log: Log, edges: Sequence[Edges]) -> str | None:
     """Return the warning that images and wheels were stamped by clocks that differ, which also explains a failure."""
     from localiser.calibration import clock_offset
-    from localiser.mapping import cache_folder, edges_of_log
 
-    if not log.has_images:
-        return None
-    edges = edges_of_log(log, config.edges, cache=cache_folder())  # kept by the build
     times = [frame.t_ns for frame in log.frames]
     return clock_offset(times, edges.__getitem__, log.odometry, log.camera).warning(log.path)
 
@@ -154,35 +161,6 @@ def poses_named(poses: str) -> tuple[str | Trajectory, str]:
     if poses in ("truth", "odometry", "slam") or not path.exists():
         return poses, poses
     return read_poses(path) if path.suffix == ".csv" else read_tum(path), path.name
-
-
-def _require_truth_only(poses: str, options: dict[str, object]) -> None:
-    """Raise InputError for what several logs cannot be built with."""
-    from localiser.errors import InputError
-
-    if poses != "truth":
-        raise InputError(
-            f"expected truth for several logs, which must share one frame, found {poses!r}", field="--poses"
-        )
-    for name, value in options.items():
-        if value:
-            raise InputError("expected one log with this option, found several", field=name)
-
-
-def _build_together(opened_logs: list[tuple[Log, Config]], out: Path, quiet: bool) -> None:
-    """Build one map of several logs, by their true poses and the settings of the first."""
-    from dataclasses import replace
-
-    from localiser.mapping import build_map_together, cache_folder
-    from localiser.storage import write_map
-
-    logs = [log for log, _ in opened_logs]
-    with progress("Finding edges", sum(len(log.frames) for log in logs), quiet) as advance:
-        built = build_map_together(logs, opened_logs[0][1], progress=advance, cache=cache_folder())
-    header: dict[str, object] = {"built_from_frames": built.sightings.frames}
-    write_map(replace(built.landmark_map, header=header), out)
-    if not quiet:
-        _show_built(built, out)
 
 
 def _stay(viewer: MapView) -> None:

@@ -1,22 +1,20 @@
-"""Maps as pictures: landmarks with their certainty, how many are in view from where, and what looks alike.
+"""Maps as pictures: landmarks with their certainty, and how many are in view from where.
 
 Walls and the path that was driven are drawn where they are known.
 """
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from localiser.evaluate import picture_style
+from localiser.evaluate import picture_style, save_figure
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import ENOUGH, Aliasing, Coverage, FloorPlan, map_from_cells
-from localiser.storage import write_bytes
+from localiser.mapping import ENOUGH, Coverage, FloorPlan, map_from_cells
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +27,7 @@ _POLARITY = {
     -1: ("#d55e00", "light on the left"),
     0: ("#1f2933", "lighter side unknown"),
 }
-_LANDMARK, _HELPS, _ARROW = "#1f2933", "#009e73", "#1f2933"
+_LANDMARK = "#1f2933"
 _PATH, _WALL = "#6b7785", "#c4ccd4"
 _LABELS = {"xlabel": "x (m)", "ylabel": "z (m), heading 0 faces up"}
 
@@ -112,13 +110,6 @@ def _map_figure(landmark_map: LandmarkMap, surroundings: Surroundings, name: str
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG file, whole or not at all; without what differs from run to run."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
-
-
 def _draw_landmarks(axes: Axes, landmark_map: LandmarkMap) -> None:
     quality = landmark_map.quality or Quality.unknown(len(landmark_map))
     opacity = np.where(np.isnan(quality.existence), 1.0, 0.25 + 0.75 * quality.existence)
@@ -154,71 +145,27 @@ def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
     axes.plot([], [], color="#0072b2", linewidth=0.8, label="95 % of its place")
 
 
-def draw_check(
-    landmark_map: LandmarkMap, found: Coverage, look: Aliasing, path: Path, surroundings: Surroundings | None = None
+def draw_coverage(
+    landmark_map: LandmarkMap, found: Coverage, path: Path, surroundings: Surroundings | None = None
 ) -> None:
-    """Draw from where too little is in view, and what looks like another place; map -z up. Raises OutputError."""
-    with picture_style():
-        save_figure(_check_figure(landmark_map, found, look, surroundings or Surroundings(), path.stem), path)
-
-
-def _check_figure(
-    landmark_map: LandmarkMap, found: Coverage, look: Aliasing, surroundings: Surroundings, name: str
-) -> Figure:
+    """Draw from where too few landmarks are in view; map -z up. Raises OutputError."""
     from matplotlib.figure import Figure
 
     width, depth = np.ptp(found.x) + 1.0, np.ptp(found.z) + 1.0
-    scale = 7.0 / max(width, depth)
-    figure = Figure(figsize=(2 * max(4.0, width * scale + 1.6), max(4.0, depth * scale + 1.4)), dpi=120)
-    left, right = figure.subplots(1, 2)
+    scale = 9.0 / max(width, depth)
     half = found.step_m / 2
     extent = (found.x[0] - half, found.x[-1] + half, found.z[-1] + half, found.z[0] - half)
-    all_x, all_z = np.append(look.places[:, 0], extent[:2]), np.append(look.places[:, 1], extent[2:])
-    limits = (all_x.min(), all_x.max(), all_z.max(), all_z.min())
-    few = left.imshow(100 * found.share, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
-    alike = _draw_lookalikes(look, right)
-    for axes, shown, title, label in (
-        (left, few, "coverage", f"headings with fewer than {ENOUGH} landmarks in view, %"),
-        (right, alike, "ambiguity", "headings from which another place (arrows) looks the same, %"),
-    ):
-        surroundings.draw(axes)
-        axes.scatter(*landmark_map.points.T, s=10, color=_LANDMARK, linewidths=0, label="landmark")
-        axes.set(**_LABELS, title=f"{landmark_map.name or name}: {title}")
-        axes.set(xlim=limits[:2], ylim=limits[2:], aspect="equal")
-        figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04).set_label(label)
-    handles, labels = right.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=3)
-    figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
-    return figure
-
-
-def _draw_lookalikes(look: Aliasing, axes: Axes) -> Any:
-    """Draw from which share of headings a place looks like another, where that other is, and the spots that help."""
-    x, z = look.places.T
-    columns = np.round((x - x.min()) / look.step_m).astype(int)
-    rows = np.round((z - z.min()) / look.step_m).astype(int)
-    picture = np.full((rows.max() + 1, columns.max() + 1), np.nan)
-    picture[rows, columns] = 100 * look.share
-    half = look.step_m / 2
-    extent = (x.min() - half, x.max() + half, z.max() + half, z.min() - half)
-    shown = axes.imshow(picture, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
-    for pose, twin in zip(*look.examples(), strict=True):
-        axes.annotate(
-            "",
-            twin[:2],
-            pose[:2],
-            arrowprops={"arrowstyle": "->", "color": _ARROW, "linewidth": 0.9, "connectionstyle": "arc3,rad=0.15"},
-        )
-    if look.spots:
-        axes.scatter(
-            look.spots_at[:, 0],
-            look.spots_at[:, 1],
-            s=90,
-            marker="*",
-            color=_HELPS,
-            edgecolors="white",
-            linewidths=0.8,
-            zorder=5,
-            label="a landmark here would help most",
-        )
-    return shown
+    with picture_style():
+        figure = Figure(figsize=(max(5.0, width * scale + 1.6), max(4.0, depth * scale + 1.4)), dpi=120)
+        axes = figure.add_subplot()
+        few = axes.imshow(100 * found.share, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
+        (surroundings or Surroundings()).draw(axes)
+        x, z = landmark_map.points.T
+        axes.scatter(x, z, s=10, color=_LANDMARK, linewidths=0, label="landmark")
+        axes.set(**_LABELS, title=f"{landmark_map.name or path.stem}: coverage")
+        axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal")
+        bar = figure.colorbar(few, ax=axes, fraction=0.046, pad=0.04)
+        bar.set_label(f"headings with fewer than {ENOUGH} landmarks in view, %")
+        figure.legend(loc="lower center", ncols=3)
+        figure.tight_layout(rect=(0.0, 0.04, 1.0, 1.0))
+        save_figure(figure, path)

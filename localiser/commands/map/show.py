@@ -36,7 +36,7 @@ def show(
     from localiser.storage import read_map, read_plan
 
     landmark_map = read_map(map_file)
-    surroundings = Surroundings(_driven(log, poses), read_plan(plan) if plan else None)
+    surroundings = Surroundings(path_of(log, poses), read_plan(plan) if plan else None)
     picture = out or map_file.with_suffix(".png")
     require_writable(picture, overwrite=force)
     draw_map(landmark_map, picture, surroundings)
@@ -45,7 +45,7 @@ def show(
         typer.echo(f"Picture in {picture}")
 
 
-def _driven(log: Path | None, poses: str) -> Array | None:
+def path_of(log: Path | None, poses: str) -> Array | None:
     """Return the poses (T, 3) of a drive, None where none is named. Raises InputError."""
     from localiser.geometry import Trajectory
     from localiser.mapping import known_poses
@@ -60,8 +60,8 @@ def _driven(log: Path | None, poses: str) -> Array | None:
 def summary_table(landmark_map: LandmarkMap) -> Table:
     """Return what is known of the landmarks: median and the best and worst tenth of each figure."""
     import numpy as np
-    from rich.table import Table
 
+    from localiser.evaluate import new_table
     from localiser.landmarks import Quality
 
     quality = landmark_map.quality or Quality.unknown(len(landmark_map))
@@ -74,9 +74,7 @@ def summary_table(landmark_map: LandmarkMap) -> Table:
         ("bottom, m", landmark_map.bottom_m, "{:.2f}"),
         ("top, m", landmark_map.top_m, "{:.2f}"),
     )
-    table = Table(title=f"{len(landmark_map)} landmarks")
-    for name in ("", "10 % below", "median", "90 % below", "known"):
-        table.add_column(name, justify="left" if not name else "right")
+    table = new_table(f"{len(landmark_map)} landmarks", "", "10 % below", "median", "90 % below", "known")
     for name, values, form in rows:
         known = values[np.isfinite(values)]
         figures = [form.format(value) for value in np.quantile(known, (0.1, 0.5, 0.9))] if len(known) else ["–"] * 3

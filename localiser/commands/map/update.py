@@ -9,7 +9,16 @@ import typer
 
 from localiser.commands.map.build import poses_named
 from localiser.commands.map.options import Force, MapFile, MapOut, Within, require_writable
-from localiser.commands.options import BagCamera, ConfigFile, Overrides, Quiet, Topics, opened, progress, topics_by_role
+from localiser.commands.options import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Quiet,
+    Topics,
+    open_with_settings,
+    progress,
+    topics_by_role,
+)
 
 
 def update(
@@ -28,32 +37,20 @@ def update(
     quiet: Quiet = False,
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
-    from localiser.mapping import build_map, cache_folder, updated
+    from localiser.mapping import build_map, cache_folder, update_map
     from localiser.storage import read_map, write_map
 
     require_writable(out, overwrite=force)
     old = read_map(map_file)
-    recorded, effective = opened(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
+    recorded, effective = open_with_settings(
+        log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
+    )
     with progress("Finding edges", len(recorded.frames), quiet) as advance:
         track, source = poses_named(poses)
         built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
-    changed = updated(old, built, recorded.camera, effective.mapping.tracks.found, within)
-    kept = keep_old(map_file) if out.resolve() == map_file.resolve() else None
+    changed = update_map(old, built, recorded.camera, effective.mapping.tracks.found, within)
     write_map(changed.landmark_map, out)
     if not quiet:
-        if kept is not None:
-            typer.echo(f"The map as it was is {kept}")
         typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")
         typer.echo(f"Gone: {', '.join(map(str, changed.gone)) or 'none'}")
         typer.echo(f"New: {', '.join(map(str, changed.new)) or 'none'}")
-
-
-def keep_old(path: Path) -> Path:
-    """Copy a map file beside itself, under the first free name MAP.1.yaml, MAP.2.yaml, …; return that name."""
-    from localiser.documents import MAX_DOCUMENT_BYTES, read_bytes, write_bytes
-
-    number = 1
-    while (kept := path.with_name(f"{path.stem}.{number}{path.suffix}")).exists():
-        number += 1
-    write_bytes(kept, read_bytes(path, MAX_DOCUMENT_BYTES))
-    return kept

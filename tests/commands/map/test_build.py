@@ -12,7 +12,7 @@ from mapping_worlds import world
 from short_log import cut_log
 
 from localiser.edges import EdgeParameters, Edges
-from localiser.mapping import edges_of_log, log_edges
+from localiser.mapping import edges_of_log
 from localiser.storage import open_log, read_map, read_tum, write_tum
 
 LOG = ROOT / "logs" / "corridor"
@@ -208,7 +208,7 @@ def test_a_second_build_finds_no_edges_anew(cache: Path, monkeypatch: pytest.Mon
     def never(*_: object, **__: object) -> Edges:
         raise AssertionError("edges were found again")
 
-    monkeypatch.setattr(log_edges, "find_edges", never)
+    monkeypatch.setattr("localiser.mapping.recorded.find_edges", never)
     second = edges_of_log(log, EdgeParameters(), lambda *_: steps.append(1), cache)
     assert len(steps) == 8
     assert len(list(cache.iterdir())) == 1

@@ -1,4 +1,4 @@
-"""`localiser map check`: doubles, doubtful landmarks, how a log fits, and coverage."""
+"""`localiser map check`: doubles, doubtful landmarks, and coverage."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from map_commands import edge_log, refused, run
 from mapping_worlds import world
 
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import Sightings, coverage, doubtful, duplicates, in_view, log_fit
+from localiser.mapping import coverage, doubtful, duplicates, in_view
 from localiser.storage import write_camera, write_map
 
 
@@ -70,23 +70,6 @@ def test_what_is_in_view_depends_on_the_heading() -> None:
     assert ((shares > 0.5) & (shares <= 1.0)).all()
 
 
-def test_a_log_tells_landmarks_that_moved_or_are_gone() -> None:
-    drive = world("corridor")
-    edges = drive.edges(seed=0)
-    sightings = Sightings.from_edges(edges, drive.camera)
-    points = drive.landmark_map.points.copy()
-    seen = np.bincount(np.concatenate([frame.landmark_id for frame in edges]) + 1)[1:]
-    most = int(seen.argmax())
-    good = log_fit(drive.landmark_map, sightings, drive.camera, drive.truth.poses)
-    assert good.explained > 0.6
-    assert np.rad2deg(np.nanmedian(good.rms_rad)) < 0.3
-    assert good.found[most] > 0.6 * seen[most]
-    assert (good.found <= good.expected).all()
-    points[most] += 0.05
-    moved = log_fit(replace(drive.landmark_map, points=points), sightings, drive.camera, drive.truth.poses)
-    assert moved.rms_rad[most] > 2 * good.rms_rad[most]
-
-
 @pytest.mark.slow
 def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     drive = world("corridor")
@@ -98,11 +81,9 @@ def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     assert plain.exit_code == 0
     assert f"0={len(twice) - 1}" in plain.output
     assert not picture.exists()
-    checked = run("map", "check", path, "--log", log, "-q")
+    checked = run("map", "check", path, "--log", log)
     assert checked.exit_code == 0
-    assert "of the log's edges are theirs" in checked.output
     assert "Fewer than 3 landmarks" in checked.output
-    assert "Looks like another place" in checked.output
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert "exists already" in refused("map", "check", path, "--log", log)
     write_camera(drive.camera, tmp_path / "camera.yaml")

@@ -1,4 +1,4 @@
-"""`localiser map plan` and `map draw`: floor plans in, maps out, and every bad plan."""
+"""`localiser map plan`: floor plans in, maps out, and every bad plan."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import pytest
 from folders import ROOT
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
+from world_plan import draw_plan, write_plan
 
 from localiser.commands.map.plan import map_of_plan
-from localiser.storage import find_run, read_json, read_map, read_plan
+from localiser.storage import find_run, read_json, read_map, read_plan, read_world
 from localiser.storage.plans import PlanFile, classify
 
 WORLD = ROOT / "configs" / "worlds" / "corridor.yaml"
@@ -27,7 +28,7 @@ def pillar(dark: int = 0, light: int = 254) -> np.ndarray:
     return picture
 
 
-def write_plan(folder: Path, picture: np.ndarray | bytes | None = None, **fields: object) -> Path:
+def plan_file(folder: Path, picture: np.ndarray | bytes | None = None, **fields: object) -> Path:
     """Write a plan; `fields` change or, when None, remove lines of its YAML file."""
     settings = {**HEAD, "occupied_thresh": 0.65, "free_thresh": 0.196, **fields}
     image = folder / str(settings["image"])
@@ -56,7 +57,7 @@ PILLAR = [(2.0, -6.0), (2.0, -4.5), (3.0, -6.0), (3.0, -4.5)]
 
 
 def test_a_plan_becomes_a_map(tmp_path: Path) -> None:
-    assert corners(write_plan(tmp_path)) == PILLAR
+    assert corners(plan_file(tmp_path)) == PILLAR
     made = run("map", "plan", tmp_path / "hall.yaml", "-o", tmp_path / "other.yaml")
     assert "4 landmarks" in made.output
     assert "5.0 m × 6.0 m" in made.output
@@ -65,25 +66,25 @@ def test_a_plan_becomes_a_map(tmp_path: Path) -> None:
 def test_every_kind_of_picture(tmp_path: Path) -> None:
     grey = pillar()
     text = "P2 # text\n50 60\n255\n" + " ".join(str(value) for value in grey.ravel())
-    assert corners(write_plan(tmp_path, text.encode())) == PILLAR
+    assert corners(plan_file(tmp_path, text.encode())) == PILLAR
     deep = b"P5 50 60 65535\n" + (grey.astype(">u2") * 257).tobytes()
-    assert corners(write_plan(tmp_path, deep)) == PILLAR
+    assert corners(plan_file(tmp_path, deep)) == PILLAR
     few = b"P5 50 60 1\n" + (grey > 0).astype(np.uint8).tobytes()
-    assert corners(write_plan(tmp_path, few)) == PILLAR
+    assert corners(plan_file(tmp_path, few)) == PILLAR
     for picture in (grey, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGRA)):
         opaque = picture.copy()
         mode = "scale" if opaque.ndim == 3 and opaque.shape[2] == 4 else "trinary"
-        assert corners(write_plan(tmp_path, opaque, image="hall.png", mode=mode)) == PILLAR
-    assert corners(write_plan(tmp_path, grey.astype(np.uint16) * 257, image="hall.png")) == PILLAR
+        assert corners(plan_file(tmp_path, opaque, image="hall.png", mode=mode)) == PILLAR
+    assert corners(plan_file(tmp_path, grey.astype(np.uint16) * 257, image="hall.png")) == PILLAR
 
 
 def test_negated_and_raw_plans(tmp_path: Path) -> None:
-    assert corners(write_plan(tmp_path, pillar(254, 0), negate=1)) == PILLAR
-    assert corners(write_plan(tmp_path, pillar(100, 0), mode="raw")) == PILLAR
+    assert corners(plan_file(tmp_path, pillar(254, 0), negate=1)) == PILLAR
+    assert corners(plan_file(tmp_path, pillar(100, 0), mode="raw")) == PILLAR
 
 
 def test_the_origin_turns_the_plan(tmp_path: Path) -> None:
-    turned = corners(write_plan(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
+    turned = corners(plan_file(tmp_path, origin="[1.0, 2.0, 1.5707963267948966]"))
     # The picture's right is ROS y: (east, north) of the corner becomes (-north, east).
     assert turned == sorted((round(1 - (-z - 2), 2), round(-(2 + (x - 1)), 2)) for x, z in PILLAR)
 
@@ -112,10 +113,7 @@ def test_map_servers_rules_pixel_by_pixel() -> None:
 @pytest.mark.slow
 def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
     plan, out = tmp_path / "plan.yaml", tmp_path / "map.yaml"
-    drawn = run("map", "draw", WORLD, "-o", plan, "--resolution", 0.05, "--yaw-deg", 20)
-    assert drawn.exit_code == 0
-    assert read_plan(plan).origin_ros[2] == pytest.approx(np.deg2rad(20))
-    assert "exists already" in refused("map", "draw", WORLD, "-o", plan)
+    write_plan(draw_plan(read_world(WORLD), 0.05, np.deg2rad(20)), plan)
     assert run("map", "plan", plan, "-o", out, "-q").exit_code == 0
     drive, frames = world("corridor"), 60
     # Another map has other landmarks: who saw which does not count.
@@ -130,7 +128,7 @@ def test_the_map_of_a_drawn_plan_localises(tmp_path: Path) -> None:
 def test_a_plan_is_refined_by_a_log(tmp_path: Path) -> None:
     """The plan's file itself, merged with a map of the log: corners go to where the log saw them, names stay."""
     plan, built, out = (tmp_path / name for name in ("plan.yaml", "log.yaml", "whole.yaml"))
-    assert run("map", "draw", WORLD, "-o", plan, "--resolution", 0.05, "-q").exit_code == 0
+    write_plan(draw_plan(read_world(WORLD), 0.05), plan)
     drive = world("corridor")
     log = edge_log(tmp_path / "log", drive.edges(seed=0))
     assert run("map", "build", log, "-o", built, "-q").exit_code == 0
@@ -165,7 +163,7 @@ def test_a_plan_is_refined_by_a_log(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_field_is_named(tmp_path: Path, fields: dict[str, object], expected: str) -> None:
-    path = write_plan(tmp_path)
+    path = plan_file(tmp_path)
     kept = {**HEAD, "occupied_thresh": 0.65, "free_thresh": 0.196, **fields}
     path.write_text("".join(f"{name}: {value}\n" for name, value in kept.items() if value is not None))
     assert expected in refused("map", "plan", path, "-o", tmp_path / "map.yaml")
@@ -196,14 +194,14 @@ def test_a_wrong_field_is_named(tmp_path: Path, fields: dict[str, object], expec
     ],
 )
 def test_a_bad_picture_is_refused(tmp_path: Path, picture: np.ndarray | bytes, expected: str) -> None:
-    path = write_plan(tmp_path, picture)
+    path = plan_file(tmp_path, picture)
     out = tmp_path / "map.yaml"
     out.write_text("precious")
     assert expected in refused("map", "plan", path, "-o", out, "--force")
     assert out.read_text() == "precious"
 
 
-def test_worlds_that_cannot_be_drawn(tmp_path: Path) -> None:
-    out = tmp_path / "plan.yaml"
-    assert "cells" in refused("map", "draw", WORLD, "-o", out, "--resolution", 0.001)
-    assert not out.exists()
+def test_the_plan_that_ships_is_that_of_its_world() -> None:
+    shipped, drawn = read_plan(ROOT / "configs" / "plans" / "corridor.yaml"), draw_plan(read_world(WORLD), 0.05)
+    assert np.array_equal(shipped.occupied, drawn.occupied) and np.array_equal(shipped.free, drawn.free)
+    assert shipped.origin_ros == pytest.approx(drawn.origin_ros)

@@ -1,0 +1,266 @@
+"""Compare a batch with the runs of an earlier one: is a figure worse here than there, by more than chance explains?
+
+Each pair is one log with one seed. Errors are compared by their ratio, shares by their difference, so that positive is
+always worse. A figure is compared for each log over its seeds, and for all logs together over the logs' means, because
+runs of one log are not independent of each other. The differences are taken as normal with unknown variance (Student's
+t). Many comparisons are made at once, and Holm's procedure corrects for that: the probability of any false alarm among
+all of them is at most 5 % [Holm 1979].
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from localiser.batch.run import CSV
+from localiser.errors import InputError
+from localiser.evaluate import DECIMALS, new_table
+from localiser.geometry import Array
+from localiser.storage import CHOICE, read_runs
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+ALPHA = 0.05
+ALL_LOGS = "all logs"
+
+Row = Mapping[str, Any]
+Pair = tuple[Row, Row]
+
+
+class Compared(NamedTuple):
+    """A figure that is compared: its name in the row, its title, whether as a ratio, whether more is worse."""
+
+    name: str
+    title: str
+    as_ratio: bool
+    more_is_worse: bool = True
+
+
+COMPARED = (
+    Compared("position_rmse_m", "position RMSE", as_ratio=True),
+    Compared("heading_rmse_deg", "heading RMSE", as_ratio=True),
+    Compared("confidence.sure", "images sure", as_ratio=False, more_is_worse=False),
+    Compared("confidence.sure_and_wrong", "sure and wrong", as_ratio=False),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How much worse a figure is here than there, over P pairs.
+
+    log: its name, or `ALL_LOGS`. loss: the mean over pairs, as the logarithm of the ratio or as a difference; positive
+    is worse. low, high: its interval, corrected so that all intervals hold together with 95 %. p: the probability of
+    such a difference by chance, corrected likewise.
+    """
+
+    figure: Compared
+    log: str
+    pairs: int
+    loss: float
+    low: float
+    high: float
+    p: float
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether it is significantly worse here."""
+        return self.p <= ALPHA and self.loss > 0
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it is significantly better here."""
+        return self.p <= ALPHA and self.loss < 0
+
+
+def compare_pairs(pairs: Sequence[Pair], figures: Iterable[Compared] = COMPARED) -> list[Comparison]:
+    """Return all comparisons of pairs (here, there), by figure, those of all logs first.
+
+    A figure that is known in fewer than two pairs of a log, or two logs, is not compared for that log, or for all.
+    """
+    found: list[tuple[Compared, str, Array]] = []
+    names = _names(pairs)
+    for figure in figures:
+        losses = _by_log(pairs, figure)
+        if len(losses) > 1:
+            found.append((figure, ALL_LOGS, np.array([np.mean(values) for values in losses.values()])))
+        found += [(figure, names[log], np.array(values)) for log, values in losses.items() if len(values) > 1]
+    adjusted, level = holm(np.array([_p_value(losses) for _, _, losses in found]))
+    return [
+        Comparison(figure, log, len(losses), float(losses.mean()), *_interval(losses, level[at]), float(adjusted[at]))
+        for at, (figure, log, losses) in enumerate(found)
+    ]
+
+
+def holm(p: Array, alpha: float = ALPHA) -> tuple[Array, Array]:
+    """Return the adjusted p-values (M,) of M tests, and the level (M,) of an interval that agrees with each.
+
+    The smallest p is compared with alpha / M, the next with alpha / (M - 1), …, until the first that is larger; that
+    one and all after it are not significant. An interval at probability 1 - level leaves 0 out just where Holm's
+    procedure finds a difference.
+    """
+    count, order = len(p), np.argsort(p, kind="stable")
+    weighted = p[order] * (count - np.arange(count))
+    adjusted, level = np.empty(count), np.empty(count)
+    adjusted[order] = np.minimum(np.maximum.accumulate(weighted), 1.0)
+    kept = np.flatnonzero(weighted > alpha)
+    last = kept[0] if kept.size else count
+    level[order] = alpha / (count - np.minimum(np.arange(count), last))
+    return adjusted, level
+
+
+def _by_log(pairs: Sequence[Pair], figure: Compared) -> dict[str, list[float]]:
+    losses: dict[str, list[float]] = {}
+    for here, there in pairs:
+        if here.get(figure.name) is not None and there.get(figure.name) is not None:
+            loss = _loss(float(here[figure.name]), float(there[figure.name]), figure)
+            losses.setdefault(str(here["log_id"]), []).append(loss)
+    return losses
+
+
+def _names(pairs: Sequence[Pair]) -> dict[str, str]:
+    """Return what the logs are called, by `log_id`: their names, with the beginning of the id where two share one."""
+    names = {str(here["log_id"]): str(here["log"]) for here, _ in pairs}
+    shared = {name for name, count in Counter(names.values()).items() if count > 1}
+    return {log_id: f"{name} {log_id[:6]}" if name in shared else name for log_id, name in names.items()}
+
+
+def _loss(here: float, there: float, figure: Compared) -> float:
+    least = 10.0**-DECIMALS  # figures are rounded to it
+    loss = math.log(max(here, least) / max(there, least)) if figure.as_ratio else here - there
+    return loss if figure.more_is_worse else -loss
+
+
+def _p_value(losses: Array) -> float:
+    """Return the two-sided p-value of a mean of 0 by Student's t-test."""
+    from scipy.special import stdtr
+
+    mean, error = float(losses.mean()), _standard_error(losses)
+    if error == 0:
+        return float(mean == 0)
+    return float(2 * stdtr(len(losses) - 1, -abs(mean) / error))
+
+
+def _interval(losses: Array, level: float) -> tuple[float, float]:
+    """Return the interval of the mean with the probability 1 - level."""
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(len(losses) - 1, 1 - level / 2)) * _standard_error(losses)
+    return float(losses.mean()) - half, float(losses.mean()) + half
+
+
+def _standard_error(losses: Array) -> float:
+    return float(losses.std(ddof=1) / math.sqrt(len(losses))) if np.ptp(losses) > 0 else 0.0
+
+
+# -- two batches ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a comparison came to.
+
+    newly_failed: rows of runs that fail here and did not there. pairs: how many were compared. alone, alone_there: how
+    many runs have no counterpart.
+    """
+
+    comparisons: Sequence[Comparison]
+    newly_failed: Sequence[Row]
+    pairs: int
+    alone: int
+    alone_there: int
+
+    @property
+    def is_loss(self) -> bool:
+        """Whether something is significantly worse, or fails that did not."""
+        return bool(self.newly_failed) or any(one.is_worse for one in self.comparisons)
+
+
+def read_table_of(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a batch by its folder or its table. Raises InputError."""
+    if path.is_dir() and not (path / CSV).is_file():
+        raise InputError(f"expected the folder of a batch, with a {CSV}", path=path)
+    return read_runs(path / CSV if path.is_dir() else path)
+
+
+def compare_with(here: Sequence[Row], there: Sequence[Row], path: Path) -> Verdict:
+    """Compare the rows of a batch with those read from `path`, which errors name.
+
+    Pairs have the same measurements (`log_id`) and seed, and the same value of every setting (or configuration) that
+    was varied on one side and has a value in common with the other. Raises InputError when runs there cannot be told
+    apart, or none has a counterpart.
+    """
+    names = ["log_id", "seed", *_varied(here, there)]
+    ours, theirs = (_by_key(rows, names, path) for rows in (here, there))
+    common = [key for key in ours if key in theirs]
+    pairs = [(ours[key], theirs[key]) for key in common]
+    if not pairs:
+        raise InputError("expected runs of the same logs (by content) with the same seeds, found none", path=path)
+    return Verdict(
+        compare_pairs([pair for pair in pairs if not any(row.get("error") for row in pair)]),
+        [row for row, other in pairs if row.get("error") and not other.get("error")],
+        len(pairs),
+        len(ours) - len(pairs),
+        len(theirs) - len(pairs),
+    )
+
+
+def _varied(here: Sequence[Row], there: Sequence[Row]) -> list[str]:
+    """Return the columns of choices that have several values in either table, and one in common."""
+    names = [name for name in here[0] if name == "config" or name.startswith(CHOICE)]
+    values = {name: ({row.get(name) for row in here}, {row.get(name) for row in there}) for name in names}
+    return [name for name, (ours, theirs) in values.items() if max(len(ours), len(theirs)) > 1 and ours & theirs]
+
+
+def _by_key(rows: Sequence[Row], names: Sequence[str], path: Path) -> dict[tuple[Any, ...], Row]:
+    found: dict[tuple[Any, ...], Row] = {}
+    for row in rows:
+        key = tuple(row.get(name) for name in names)
+        if row.get("log_id") is None:
+            continue  # of a log that could not be read
+        if key in found:
+            told = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            problem = f"expected one run for each log and seed on either side, found two with {told}"
+            raise InputError(f"{problem}; compare fewer settings at once", path=path)
+        found[key] = row
+    return found
+
+
+# -- the table --------------------------------------------------------------------------------------------------------
+
+
+def comparison_table(verdict: Verdict) -> Table:
+    """Return the table of the comparisons: those of all logs, then those of single logs that differ significantly."""
+    title = "Compared with the other runs, in pairs of log and seed; all intervals hold together with 95 %"
+    table = new_table(title, "figure", "log", "pairs", "change", "interval", "", texts=2)
+    for one in verdict.comparisons:
+        if one.log == ALL_LOGS or one.is_worse or one.is_better or not _has_total(one, verdict.comparisons):
+            told, style = ("worse", "bold red") if one.is_worse else ("better", "green") if one.is_better else ("", "")
+            change, interval = _change(one)
+            table.add_row(one.figure.title, one.log, str(one.pairs), change, interval, told, style=style)
+    return table
+
+
+def _has_total(one: Comparison, comparisons: Sequence[Comparison]) -> bool:
+    return any(other.figure == one.figure and other.log == ALL_LOGS for other in comparisons)
+
+
+def _change(one: Comparison) -> tuple[str, str]:
+    """Return the mean change of a figure and its interval, in per cent; of shares, in percentage points."""
+    if one.figure.as_ratio:
+        mean, low, high = (_percent(value) for value in (one.loss, one.low, one.high))
+        return f"{mean} %", f"{low} … {high} %"
+    sign = 100.0 if one.figure.more_is_worse else -100.0
+    least, middle, most = sorted(sign * value + 0.0 for value in (one.low, one.loss, one.high))  # no -0.0
+    return f"{middle:+.1f} points", f"{least:+.1f} … {most:+.1f} points"
+
+
+def _percent(logarithm: float) -> str:
+    """Return the logarithm of a ratio as a change in per cent; one of more than a millionfold as such."""
+    return f"{100 * math.expm1(logarithm):+.1f}" if logarithm < math.log(1e6) else "> 10⁸"

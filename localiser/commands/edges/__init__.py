@@ -1,1 +1,0 @@
-"""`localiser edges`: find vertical edges in images, with tables and pictures of what each detector finds."""

@@ -1,0 +1,318 @@
+"""Figures of runs as flat rows, and tables for the terminal: all look alike, columns that do not fit go on below.
+
+No word is broken. The tables of runs tell what runs know of themselves, and their errors.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from localiser.evaluate.metrics import ABOUT
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+# -- flat rows --------------------------------------------------------------------------------------------------------
+
+TIMES = ("frame_ms_median", "frame_ms_p95", "stage_ms")
+"""How the names begin of figures that tell how long something took: alone of all, they differ from run to run."""
+
+
+def figure_at(figures: Mapping[str, Any], name: str) -> Any:
+    """Return the figure of that name, as `flat_figures` has it (`group.figure`), None where it is not there."""
+    value: Any = figures
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def flat_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return metrics as a row of numbers, truth values, texts and None, in the order that they have.
+
+    Why images were not sure (`confidence.reasons`) is one text, `reason (images); …`, since its keys differ from run to
+    run.
+    """
+    return dict(_flat(figures, ""))
+
+
+def is_time(name: str) -> bool:
+    """Whether a figure tells how long something took."""
+    return name.startswith(TIMES)
+
+
+def _flat(figures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in figures.items():
+        name = f"{prefix}{key}"
+        if key == "reasons" and isinstance(value, Mapping):
+            yield name, "; ".join(f"{reason} ({count})" for reason, count in value.items()) or None
+        elif isinstance(value, Mapping):
+            yield from _flat(value, f"{name}.")
+        elif isinstance(value, list):
+            texts = [one for one in value if isinstance(one, str)]
+            yield name, " ".join(texts) or None if texts or key == "warnings" else len(value)
+        else:
+            yield name, value
+
+
+# Name in `biases`: how it reads, unit, and what the value is multiplied by for it.
+LEARNT = {
+    "distance_scale": ("distance", "%", 100.0),
+    "turn_scale": ("turn", "%", 100.0),
+    "veer": ("veer", "°/m", 57.29577951308232),
+    "camera_yaw": ("camera yaw", "°", 57.29577951308232),
+    "delay": ("delay", "ms", 1000.0),
+}
+
+
+def learnt_constants(figures: Mapping[str, Any]) -> list[str]:
+    """Return a text for each constant error that the run has learnt, and for tilt and roll by the edges."""
+    texts = []
+    for name, learnt in (figures.get("biases") or {}).items():
+        label, unit, per = LEARNT.get(name, (name.replace("_", " "), "", 1.0))
+        space = "" if unit.startswith("°") else " "
+        texts.append(f"{label} {per * learnt['value']:+.2f} ± {per * learnt['sigma']:.2f}{space}{unit}".rstrip())
+    for name in ("tilt", "roll"):
+        if figures.get(f"{name}_found_deg") is not None:
+            found, sigma = figures[f"{name}_found_deg"], figures[f"{name}_found_sigma_deg"]
+            texts.append(f"{name} {found:.3f} ± {sigma:.3f}°")
+    return texts
+
+
+# -- identical runs ---------------------------------------------------------------------------------------------------
+
+
+def without_twins(runs: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Mapping[str, Any]], dict[str, str]]:
+    """Return the runs that differ, each by the first of its names, and for each other name the run it is identical to.
+
+    Two runs are identical where all their figures are, but for what a frame took. Seeds are among the figures.
+    """
+    first: dict[str, str] = {}
+    twins: dict[str, str] = {}
+    for name, figures in runs.items():
+        content = json.dumps({key: figures[key] for key in figures if not is_time(key)}, sort_keys=True)
+        if first.setdefault(content, name) != name:
+            twins[name] = first[content]
+    return {name: runs[name] for name in first.values()}, twins
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+Metrics = Mapping[str, Any]
+Value = float | None
+_LONGEST_NAME = 24
+
+
+def new_table(title: str, *columns: str, texts: int = 1) -> Table:
+    """Return an empty table; the first `texts` columns hold texts, the others numbers, which stand right.
+
+    All tables of the program are made by this.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    table.collapse_padding = True
+    for place, column in enumerate(columns):
+        is_text = place < texts
+        table.add_column(column, justify="left" if is_text else "right", vertical="bottom", no_wrap=not is_text)
+    return table
+
+
+def fit_width(table: Table, console: Console) -> list[Table]:
+    """Return the table in pieces that are as wide as the console at most, where its columns can be.
+
+    Each piece begins with the columns that tell the rows apart. Title and caption stand once. A table without a
+    header is a list of texts, whose lines are wrapped instead.
+    """
+    if not table.show_header or _width(table, console) <= console.width:
+        return [table]
+    count = len(table.columns)
+    keys = _keys(table)
+    pieces: list[Table] = []
+    start = keys
+    while start < count:
+        end = start + 1
+        while end < count and _width(_part(table, [*range(keys), *range(start, end + 1)]), console) <= console.width:
+            end += 1
+        pieces.append(_part(table, [*range(keys), *range(start, end)]))
+        start = end
+    pieces = pieces or [table]
+    pieces[0].title, pieces[-1].caption = table.title, table.caption
+    return pieces
+
+
+def _keys(table: Table) -> int:
+    """Return how many columns at the beginning tell the rows apart."""
+    columns = [[str(cell) for cell in column.cells] for column in table.columns]
+    rows = len(table.rows)
+    return next((k for k in range(1, len(columns)) if len(set(zip(*columns[:k], strict=True))) == rows), 1)
+
+
+def _part(table: Table, chosen: Sequence[int]) -> Table:
+    """Return a table with these columns alone."""
+    from copy import copy
+
+    part = copy(table)
+    part.title = part.caption = None
+    part.columns = []
+    part.rows = []
+    columns = [table.columns[index] for index in chosen]
+    for column in columns:
+        part.add_column(column.header, justify=column.justify, vertical=column.vertical, style=column.style)
+    for row, cells in zip(table.rows, zip(*(column.cells for column in columns), strict=True), strict=True):
+        part.add_row(*cells, style=row.style, end_section=row.end_section)
+    return part
+
+
+def _width(table: Table, console: Console) -> int:
+    """Return the width of the columns, which that of title and caption does not change."""
+    from rich.measure import Measurement
+
+    return Measurement.get(console, console.options.update(width=10_000), table).maximum
+
+
+# -- the tables of runs -----------------------------------------------------------------------------------------------
+
+
+class Column(NamedTuple):
+    """A figure: its title, its key in the metrics (dots for groups), how it is written, which of several is the worst.
+
+    per: what the figure is multiplied by.
+    """
+
+    title: str
+    key: str
+    spec: str
+    worst: Callable[[list[float]], float] = max
+    per: float = 1.0
+
+    def of(self, run: Metrics) -> Value:
+        """Return the figure of a run, None where it is not known."""
+        value = figure_at(run, self.key)
+        if isinstance(value, Sequence):  # the pauses
+            value = len(value)
+        return None if value is None else float(value) * self.per
+
+    def text(self, value: Value) -> str:
+        """Return the figure as it is written."""
+        return UNKNOWN if value is None else format(value, self.spec)
+
+
+# In the order of reading: is it found, is it sure, by what, how exactly, how far, how fast.
+OWN = (
+    Column("found\n(s)", "confidence.found_s", ".1f"),
+    Column("sure\n(%)", "confidence.sure", ".1f", min, 100.0),
+    Column("match\n(%)", "edges_matched", ".0f", min, 100.0),
+    Column("resid.\nχ²", "residuals.consistency", ".2f"),
+    Column("3σ\n(m)", "position_3sigma_median_m", ".3f"),
+    Column("worst\n(m)", "position_3sigma_max_m", ".3f"),
+    Column("3σ\n(°)", "heading_3sigma_median_deg", ".2f"),
+    Column("drive\n(m)", "distance_m", ".1f", min),
+    Column("speed\n(m/s)", "speed_mean_m_s", ".2f"),
+    Column("gaps", "pauses", ".0f"),
+    Column("image\n(ms)", "frame_ms_median", ".0f"),
+)
+# How good, how bad, how sure of itself, how close to the limit.
+ERRORS = (
+    Column("RMSE\n(m)", "position_rmse_m", ".3f"),
+    Column("median\n(m)", "position_median_m", ".3f"),
+    Column("max\n(m)", "position_max_m", ".3f"),
+    Column("end\n(m)", "position_end_m", ".3f"),
+    Column("heading\n(°)", "heading_rmse_deg", ".2f"),
+    Column("odom.\n(m)", "odometry_position_rmse_m", ".3f"),
+    Column("wrong\n(%)", "confidence.sure_and_wrong", ".1f", per=100.0),
+    Column("NEES", "nees_mean", ".1f"),
+    Column("RMSE /\nbound", "efficiency", ".2f"),
+)
+TABLES = {
+    "What the run knows of itself": OWN,
+    "Errors against the truth, no alignment": ERRORS,
+}
+COLUMNS = (*OWN, *ERRORS)
+NAMES = ("log", *ABOUT)
+IN_TITLE = tuple(name for name in NAMES if name != "inputs")  # a fingerprint says something only where it differs
+UNKNOWN = "–"
+
+
+class Row(NamedTuple):
+    """A run, or the median or worst of several: `metrics` of the one, `values` by key of the others."""
+
+    name: str
+    run: Metrics
+    values: Mapping[str, Value] | None = None
+    ends_group: bool = False
+
+    def cell(self, column: Column) -> str:
+        """Return a figure as it is written."""
+        return column.text(column.of(self.run) if self.values is None else self.values[column.key])
+
+
+def run_tables(runs: Mapping[str, Metrics]) -> Iterator[Table | str]:
+    """Yield what is the same for all named runs, then their tables; figures that no run knows are left out.
+
+    Of runs that differ by their seed alone, median and worst stand below them.
+    """
+    values = {key: {_text(run.get(key)) for run in runs.values()} for key in NAMES}
+    same = {key: next(iter(found)) for key, found in values.items() if len(found) == 1 and key in IN_TITLE}
+    if shared := ", ".join(f"{key} {value}" for key, value in same.items() if value != UNKNOWN):
+        yield shared
+    differing = [key for key in values if len(values[key]) > 1]
+    rows = list(_rows(runs))
+    for title, columns in TABLES.items():
+        known = [column for column in columns if any(column.of(row.run) is not None for row in rows)]
+        if not known:
+            continue
+        table = new_table(title, "run", *differing, *(column.title for column in known), texts=1 + len(differing))
+        for row in rows:
+            about = [_text(row.run.get(key)) if row.values is None else "" for key in differing]
+            figures = (row.cell(column) for column in known)
+            style = "bold" if row.values else None
+            table.add_row(_broken(row.name), *about, *figures, style=style, end_section=row.ends_group)
+        yield ""
+        yield table
+
+
+def summaries(runs: Sequence[Metrics]) -> dict[str, dict[str, Value]]:
+    """Return the median and the worst of each column over the runs that know it."""
+    median: dict[str, Value] = {}
+    worst: dict[str, Value] = {}
+    for column in (*OWN, *ERRORS):
+        known = [value for run in runs if (value := column.of(run)) is not None]
+        median[column.key] = float(np.median(known)) if known else None
+        worst[column.key] = column.worst(known) if known else None
+    return {"median": median, "worst": worst}
+
+
+def _rows(runs: Mapping[str, Metrics]) -> Iterator[Row]:
+    """Yield the runs, those of one kind together, and what several of a kind come to."""
+
+    def kind(run: tuple[str, Metrics]) -> tuple[str, ...]:
+        return tuple(_text(run[1].get(key)) for key in NAMES if key != "seed")
+
+    for _, group in groupby(sorted(runs.items(), key=kind), key=kind):
+        members = list(group)
+        for place, (name, run) in enumerate(members, 1):
+            yield Row(name, run, ends_group=place == len(members))
+        if len(members) > 1:
+            for name, values in summaries([run for _, run in members]).items():
+                yield Row(name, {}, values, ends_group=name == "worst")
+
+
+def _broken(name: str) -> str:
+    """Return a path in lines of at most `_LONGEST_NAME` where it can be broken after slashes."""
+    lines = [""]
+    for part in name.replace("/", "/\n").split("\n"):
+        if lines[-1] and len(lines[-1]) + len(part) > _LONGEST_NAME:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
+
+
+def _text(value: object) -> str:
+    return UNKNOWN if value is None else str(value)

@@ -1,0 +1,129 @@
+"""Landmarks from coarse bearings: neighbours closer than one bearing can tell, clutter, a real robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from coarse_bearings import CoarseBearings, landmarks_of_coarse_bearings
+from coarse_worlds import matched
+from mrclam import MrclamReader
+
+from localiser import mapping, storage
+from localiser.config import read_config
+from localiser.edges import BearingSensor, Edges, complete
+from localiser.geometry import Array, wrap_angle
+from localiser.landmarks import LandmarkMap
+from localiser.mapping import MappingParameters, Sightings, build_map, direction_of
+from localiser.storage import open_log
+
+SENSOR = BearingSensor()
+CAMERA = SENSOR.camera()
+SIGMA = np.deg2rad(SENSOR.bearing_sigma_deg)
+HALF_VIEW = np.deg2rad(SENSOR.half_view_deg)
+PARAMETERS = MappingParameters()
+PLACES = np.array([[3.0, 0.0], [3.0, 0.18], [0.0, 3.0], [-2.5, -1.0], [-2.4, -0.85], [1.0, -3.0], [-1.0, 2.5]])
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let logs of the data set be opened, and maps of them be built, in these tests alone."""
+    monkeypatch.setattr("localiser.storage.open.FORMATS", [*storage.FORMATS, MrclamReader()])
+    monkeypatch.setattr("localiser.mapping.build.BUILDERS", [CoarseBearings(), *mapping.BUILDERS])
+
+
+def wandering(rng: np.random.Generator, frames: int) -> Array:
+    """Return camera poses (T, 3) all over the floor, facing anywhere."""
+    return np.column_stack([rng.uniform(-2, 2, (frames, 2)), rng.uniform(-np.pi, np.pi, frames)])
+
+
+def seen_from(cameras: Array, places: Array, rng: np.random.Generator, clutter: float, error_rad: float) -> Sightings:
+    """Return what cameras (T, 3) see of places (L, 2): two of three in view, and false bearings between them."""
+    frames = []
+    for camera in cameras:
+        heading, _ = direction_of(places, np.tile(camera, (len(places), 1)))
+        bearing = wrap_angle(camera[2] - heading)
+        shown = np.flatnonzero((np.abs(bearing) < HALF_VIEW) & (rng.random(len(places)) < 0.67))
+        false = rng.uniform(-HALF_VIEW, HALF_VIEW, rng.poisson(clutter))
+        bearings = np.concatenate([bearing[shown] + rng.normal(0, error_rad, len(shown)), false])
+        unknown = np.full(len(bearings), np.nan)
+        columns = complete(bearings, np.full(len(bearings), SIGMA), unknown, unknown, CAMERA.mount.tilt_rad)
+        owner = np.concatenate([shown, np.full(len(false), -1)]).astype(np.int64)
+        frames.append(Edges.from_columns(*columns, landmark_id=owner))
+    return Sightings.from_edges(frames, CAMERA)
+
+
+def map_of(sightings: Sightings, cameras: Array) -> LandmarkMap:
+    sigma = sightings.sigma
+    built, _ = CoarseBearings().build(sightings, cameras, sigma, PARAMETERS)
+    return mapping.landmark_map_of(sightings, built, cameras, sigma, CAMERA, PARAMETERS, "test", "test")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_neighbours_nearer_than_a_bearing_tells_are_found_apart(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cameras = wandering(rng, 300)
+    made = map_of(seen_from(cameras, PLACES, rng, 0.3, np.deg2rad(0.8)), cameras)
+    assert matched(PLACES, made.points).max() < 0.08
+    assert len(made) <= len(PLACES) + 2
+
+
+def test_a_landmark_is_found_where_few_rays_pass_on_both_sides_of_it() -> None:
+    """From 20 places on the diagonals: with fewer rays than cells, a vote counts across its ray, not along it."""
+    rng = np.random.default_rng(0)
+    place = np.array([[0.4, -0.3]])
+    way = rng.choice([1, 3, 5, 7], 20) * np.pi / 4
+    position = place + rng.uniform(1.5, 4, (20, 1)) * np.stack([np.cos(way), np.sin(way)], axis=-1)
+    heading, _ = direction_of(np.tile(place, (20, 1)), np.column_stack([position, np.zeros(20)]))
+    cameras = np.column_stack([position, heading])
+    sightings = seen_from(cameras, place, rng, 0.3, SIGMA)
+    owner = landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 10.0)
+    assert owner.max() == 0 and (owner == 0).sum() > 8
+
+
+def test_errors_as_large_as_stated_are_no_obstacle() -> None:
+    rng = np.random.default_rng(3)
+    cameras, apart = wandering(rng, 300), PLACES[[0, 2, 3, 5, 6]]
+    made = map_of(seen_from(cameras, apart, rng, 0.3, SIGMA), cameras)
+    assert matched(apart, made.points).max() < 0.08
+
+
+def test_clutter_alone_makes_hardly_any_landmark() -> None:
+    rng = np.random.default_rng(4)
+    cameras = wandering(rng, 300)
+    made = map_of(seen_from(cameras, np.zeros((0, 2)), rng, 2.0, SIGMA), cameras)  # of six hundred bearings
+    assert len(made) <= 3
+
+
+def test_a_landmark_has_one_sighting_a_frame_at_most() -> None:
+    rng = np.random.default_rng(5)
+    cameras = wandering(rng, 300)
+    sightings = seen_from(cameras, PLACES, rng, 1.0, SIGMA)
+    of = landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 15.0)
+    taken = of >= 0
+    pairs = np.stack([sightings.frame[taken], of[taken]])
+    assert taken.any()
+    assert np.unique(pairs, axis=1).shape == pairs.shape
+
+
+def test_frames_without_bearings_vote_for_nothing() -> None:
+    sightings = seen_from(np.zeros((4, 3)), np.zeros((0, 2)), np.random.default_rng(0), 0.0, SIGMA)
+    assert len(landmarks_of_coarse_bearings(sightings, np.zeros((4, 3)), sightings.sigma, 15.0)) == 0
+
+
+def test_a_place_that_is_looked_at_from_one_spot_only_is_no_landmark() -> None:
+    rng = np.random.default_rng(6)
+    cameras = np.zeros((300, 3))
+    assert len(map_of(seen_from(cameras, np.array([[0.0, -3.0]]), rng, 0.0, SIGMA), cameras)) == 0
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("robot", [1, 2, 3])
+@pytest.mark.slow  # quick: the simulated drives of this file
+def test_a_real_robot_finds_the_landmarks_by_bearings_alone(data_dir: Path, robot: int) -> None:
+    log = open_log(data_dir / f"mrclam:{robot}")
+    made = build_map(log, "truth", read_config(None, [], log.settings))
+    error = matched(log.landmark_map.points, made.landmark_map.points)
+    assert (error < 0.25).sum() >= 12
+    assert np.median(error) <= 0.08

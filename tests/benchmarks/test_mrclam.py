@@ -1,0 +1,161 @@
+"""The UTIAS data set: another frame, commands in place of poses, bearings to the left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mrclam import MrclamReader, integrated
+from mrclam_files import FILES
+
+from localiser import geometry, storage
+from localiser.edges import BearingSensor
+from localiser.errors import InputError
+from localiser.filter import mcl
+from localiser.storage import open_log
+
+COMMENT = "# a comment \r\n"
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let logs of the data set be opened, in these tests alone."""
+    monkeypatch.setattr("localiser.storage.open.FORMATS", [*storage.FORMATS, MrclamReader()])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, content in FILES.items():
+        (tmp_path / name).write_bytes((COMMENT + content).encode())
+    return tmp_path
+
+
+def test_frames_lie_where_there_is_odometry_and_truth(folder: Path) -> None:
+    log = open_log(f"{folder}:2")
+    assert log.name == f"{folder.name}-robot2"
+    assert [frame.t_ns for frame in log.frames] == [10_500_000_000, 11_250_000_000]
+    assert not log.has_images
+
+
+def test_bearings_are_positive_to_the_right_and_fit_the_truth(folder: Path) -> None:
+    log = open_log(f"{folder}:2")
+    frame = log.frames[0]
+    assert isinstance(frame, mcl.Sighting) and log.groundtruth is not None and log.landmark_map is not None
+    # At (1, 0.5) facing +x, the landmark at (2, 1) is ahead to the left.
+    np.testing.assert_allclose(frame.edges.bearing, [-0.4636, 0.2, 0.3])
+    pose = log.groundtruth.poses[0]
+    x, z = geometry.robot_from_map(pose, log.landmark_map.points[0])
+    np.testing.assert_allclose(geometry.bearing_from_point(x, z), -0.4636, atol=1e-4)
+
+
+def test_robots_and_unknown_barcodes_stay_in_as_clutter(folder: Path) -> None:
+    frames = open_log(f"{folder}:2").frames
+    identified = [frame.edges.landmark_id.tolist() for frame in frames if isinstance(frame, mcl.Sighting)]
+    assert identified == [[0, -1, -1], [1]]
+
+
+def test_map_has_subjects_as_ids_and_the_covariance_in_our_frame(folder: Path) -> None:
+    landmark_map = open_log(f"{folder}:2").landmark_map
+    assert landmark_map is not None
+    assert landmark_map.ids == (6, 7)
+    np.testing.assert_allclose(landmark_map.points, [[2.0, -1.0], [3.0, 1.0]])
+    np.testing.assert_allclose(landmark_map.cov[1], [[9e-4, 0], [0, 16e-4]])
+    assert np.isnan(landmark_map.bottom_m).all() and np.isnan(landmark_map.top_m).all()
+
+
+def test_lean_comes_from_the_nominal_tilt(folder: Path) -> None:
+    log = open_log(f"{folder}:2", sensor=BearingSensor(tilt_deg=30.0, bearing_sigma_deg=1.0))
+    frame = log.frames[0]
+    assert isinstance(frame, mcl.Sighting)
+    np.testing.assert_allclose(np.tan(frame.edges.lean), 0.5 * np.tan(frame.edges.bearing))
+    np.testing.assert_allclose(np.degrees(frame.edges.bearing_sigma), 1.0)
+    np.testing.assert_allclose(np.degrees(log.camera.mount.tilt_rad), 30.0)
+
+
+def test_last_of_several_commands_at_one_time_is_driven(folder: Path) -> None:
+    odometry = open_log(f"{folder}:2").odometry
+    np.testing.assert_array_equal(odometry.t_ns, [9_500_000_000, 10_500_000_000, 13_000_000_000])
+    np.testing.assert_allclose(odometry.poses, [[0, 0, 0], [0, -0.1, 0], [0, -0.35, 0]], atol=1e-12)
+
+
+def test_commands_become_exact_arcs() -> None:
+    # A quarter of a circle to the left, of radius 2, in three unequal steps; then straight on.
+    times = np.array([0, 1, 4, 10, 12]) * 10**9
+    rate = np.pi / 2 / 10
+    path = integrated(times, np.array([2 * rate, 2 * rate, 2 * rate, 0.5, 0.0]), np.array([rate, rate, rate, 0.0, 0.0]))
+    np.testing.assert_allclose(path.poses[3], [-2, -2, np.pi / 2], atol=1e-12)
+    np.testing.assert_allclose(path.poses[4], [-3, -2, np.pi / 2], atol=1e-12)
+    # The same as composing the arcs one by one.
+    pose = np.zeros(3)
+    for step in (1, 3, 6):
+        pose = geometry.compose(pose, geometry.arc_motion(np.array([0, -2 * rate]), rate * step, step))
+    np.testing.assert_allclose(path.poses[3], pose, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("Robot2_Odometry.dat", "10\t1\n", "Robot2_Odometry.dat:1: expected 3 columns"),
+        ("Robot2_Odometry.dat", "10\tnan\t0\n", "Robot2_Odometry.dat:1: forward velocity: expected a finite number"),
+        ("Robot2_Odometry.dat", "10\t1\t0\n9\t1\t0\n", "Robot2_Odometry.dat:2: time: expected a time not before"),
+        ("Robot2_Groundtruth.dat", "10\t1\t0\t0\n10\t1\t0\t0\n", "Groundtruth.dat:2: time: expected a time after"),
+        ("Robot2_Measurement.dat", "10\t6.5\t1\t0\n", "Measurement.dat:1: barcode: expected an integer, found '6.5'"),
+        ("Robot2_Measurement.dat", "10\t6\t1\t2\n", "bearing: expected a bearing within ±π/2, found 2.0"),
+        (
+            "Robot2_Measurement.dat",
+            "9 6 1 0\n" + "10 6 1 0\n" * 2001,
+            "Measurement.dat:2002: time: expected at most 2000",
+        ),
+        ("Robot2_Measurement.dat", "1\t6\t1\t0\n", "expected measurements while there is odometry and truth"),
+        ("Robot2_Measurement.dat", "# only\n", "expected at least one row, found none"),
+        ("Landmark_Groundtruth.dat", "6 1 1 0 0\n6 2 2 0 0\n", "subject: landmark 6 given twice"),
+    ],
+)
+def test_errors_name_file_line_and_field(folder: Path, name: str, content: str, expected: str) -> None:
+    (folder / name).write_text(content)
+    with pytest.raises(InputError) as caught:
+        open_log(f"{folder}:2")
+    assert expected in str(caught.value)
+
+
+def test_robot_must_be_named_and_there(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"expected a robot's number, as in .*:1, found none"):
+        open_log(folder, format="mrclam")
+    with pytest.raises(InputError, match=r"Robot3_Odometry\.dat: no such file"):
+        open_log(f"{folder}:3", format="mrclam")
+    with pytest.raises(InputError, match="no such log"):
+        open_log(f"{folder}:3")
+    with pytest.raises(InputError, match="no such folder"):
+        open_log(f"{folder}/other:3", format="mrclam")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("robot", [1, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 3))])
+def test_real_bearings_fit_the_truth(data_dir: Path, robot: int) -> None:
+    """All conversions at once: frame, sign, barcodes. Measured: bias within 0.2 degrees, sigma 0.5 to 1.2 degrees."""
+    log = open_log(f"{data_dir / 'mrclam'}:{robot}")
+    assert log.groundtruth is not None and log.landmark_map is not None
+    errors = []
+    for frame in log.frames:
+        assert isinstance(frame, mcl.Sighting)
+        edges = frame.edges.take(frame.edges.landmark_id >= 0)
+        points = geometry.robot_from_map(log.groundtruth.at(frame.t_ns), log.landmark_map.points[edges.landmark_id])
+        errors.append(edges.bearing - geometry.bearing_from_point(points[:, 0], points[:, 1]))
+    degrees = np.degrees(geometry.wrap_angle(np.concatenate(errors)))
+    assert len(degrees) > 1500
+    assert abs(np.median(degrees)) < 0.3
+    assert 0.3 < np.std(degrees[np.abs(degrees) < 10]) < 1.6
+
+
+@pytest.mark.data
+def test_real_commands_turn_and_drive_the_way_the_robot_went(data_dir: Path) -> None:
+    log = open_log(f"{data_dir / 'mrclam'}:2")
+    assert log.groundtruth is not None
+    starts = np.arange(log.frames[0].t_ns, log.frames[-1].t_ns - 10**10, 10**10)
+    driven, true = (
+        geometry.between(path.sampled(starts).poses, path.sampled(starts + 10**10).poses)
+        for path in (log.odometry, log.groundtruth)
+    )
+    for column in (0, 1):
+        assert np.corrcoef(driven[:, column], true[:, column])[0, 1] > 0.9

@@ -1,0 +1,193 @@
+"""Tables fit the terminal and break no word; the tables of runs: figures, medians."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.table import Table
+
+from localiser.evaluate.tables import fit_width, run_tables, summaries
+
+
+def run(log: str, observation: str, seed: int, rmse: float | None, edges: float = 10.0) -> dict[str, Any]:
+    return {
+        "log": log, "observation": observation, "seed": seed, "position_rmse_m": rmse, "position_median_m": 0.03,
+        "nees_mean": 2.96, "efficiency": None, "edges_per_frame": edges,
+    }  # fmt: skip
+
+
+def print_tables(runs: dict[str, dict[str, Any]], console: Console) -> None:
+    for part in run_tables(runs):
+        for piece in [part] if isinstance(part, str) else fit_width(part, console):
+            console.print(piece)
+
+
+def rendered(runs: dict[str, dict[str, Any]], width: int = 160) -> list[str]:
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        print_tables(runs, console)
+    return [" ".join(line.split()) for line in capture.get().splitlines() if line.strip()]
+
+
+def test_one_run_has_no_summary() -> None:
+    lines = rendered({"results/house/1": run("house", "line", 0, 0.0416)})
+    assert lines[0] == "log house, observation line, seed 0"
+    assert lines[-1] == "results/house/1 0.042 0.030 3.0"
+    assert not any(line.startswith(("median", "worst")) for line in lines)
+
+
+def test_runs_of_one_kind_have_their_median_and_worst() -> None:
+    runs = {f"r{seed}": run("house", "line", seed, rmse) for seed, rmse in enumerate([0.02, 0.09, 0.03])}
+    lines = rendered(runs | {"other": run("house", "slope", 0, 0.5)})
+    starts = [line.split()[0] for line in lines[-6:]]
+    assert starts == ["r0", "r1", "r2", "median", "worst", "other"]
+    assert lines[-3].split()[1] == "0.030"
+    assert lines[-2].split()[1] == "0.090"
+
+
+def test_what_differs_has_a_column_and_fits_a_terminal() -> None:
+    full = run("corridor", "line", 0, 0.02) | {
+        "position_max_m": 1.5, "position_end_m": 1.5, "heading_rmse_deg": 10.5, "odometry_position_rmse_m": 1.5,
+    }  # fmt: skip
+    lines = rendered({"corridor/1": full, "corridor/latest": full | {"observation": "slope", "seed": 1}}, width=100)
+    assert lines[-2] == "corridor/1 line 0 0.020 0.030 1.500 1.500 10.50 1.500 3.0"
+    assert lines[-1] == "corridor/latest slope 1 0.020 0.030 1.500 1.500 10.50 1.500 3.0"
+
+
+def test_runs_by_other_odometry_are_of_another_kind() -> None:
+    wheel, vision = (
+        {**run("house", "line", 0, rmse), "odometry": by} for rmse, by in ((0.01, "wheel"), (0.5, "vision"))
+    )
+    lines = rendered({"w0": wheel, "v0": vision, "w1": wheel | {"seed": 1, "position_rmse_m": 0.03}})
+    assert [line.split()[:2] for line in lines[-5:]] == [
+        ["v0", "vision"], ["w0", "wheel"], ["w1", "wheel"], ["median", "0.020"], ["worst", "0.030"],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ["association", "odometry", "start", "map", "inputs", "particles"])
+def test_only_runs_that_differ_by_their_seed_are_summed_up(what: str) -> None:
+    runs = [{**run("house", "line", seed, 0.1), what: "a"} for seed in (0, 1)]
+    assert any(line.startswith("median") for line in rendered({"r0": runs[0], "r1": runs[1]}))
+    lines = rendered({"r0": runs[0], "r1": runs[1] | {what: "b"}})
+    assert not any(line.startswith("median") for line in lines)
+    assert any(what in line for line in lines)
+
+
+def test_a_run_of_before_a_choice_was_written_down_stands_alone() -> None:
+    old = run("house", "line", 0, 0.1)
+    lines = rendered({"old": old, "new": old | {"odometry": "wheel", "map": "house 0a1b2c"}})
+    assert not any(line.startswith("median") for line in lines)
+    assert next(line for line in lines if line.startswith("old")).split()[1:3] == ["–", "–"]
+
+
+def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:
+    known = summaries([run("h", "line", 0, None), run("h", "line", 1, 0.2), run("h", "line", 2, 0.1)])
+    assert known["median"]["position_rmse_m"] == pytest.approx(0.15)
+    assert known["worst"]["position_rmse_m"] == 0.2
+    assert known["worst"]["efficiency"] is None
+
+
+def test_fewest_matches_are_the_worst() -> None:
+    runs = [run("h", "l", 0, 0.1) | {"edges_matched": share} for share in (0.05, 0.5)]
+    assert summaries(runs)["worst"]["edges_matched"] == pytest.approx(5.0), "per cent"
+
+
+OWN: dict[str, Any] = {
+    "edges_per_frame": 13.2, "edges_matched": 0.664, "distance_m": 123.5, "speed_mean_m_s": 0.5,
+    "confidence": {"found_s": 120.5, "sure": 0.98, "sure_and_wrong": None}, "residuals": {"consistency": 0.55},
+    "position_3sigma_median_m": 0.03, "position_3sigma_max_m": 9.1, "heading_3sigma_median_deg": 10.25,
+    "pauses": [{"start_s": 3.0}, {"start_s": 9.0}], "frame_ms_median": 121.2,
+}  # fmt: skip
+FULL: dict[str, Any] = {
+    "log": "corridor", "association": "unknown", "odometry": "wheel", "start": "stated", "map": "corridor e1f5ad",
+    "inputs": "854caa", "particles": 2000, "seed": 0, "observation": "line", "position_rmse_m": 0.02,
+    "position_median_m": 0.02, "position_max_m": 10.5, "position_end_m": 10.5, "heading_rmse_deg": 10.5,
+    "odometry_position_rmse_m": 10.5, "nees_mean": 100.5, "efficiency": 1.02, **OWN,
+    "confidence": {"found_s": 120.5, "sure": 0.98, "sure_and_wrong": 0.001},
+}  # fmt: skip
+
+
+def test_without_truth_it_tells_what_the_run_knows_of_itself() -> None:
+    lines = rendered({"1": {"log": "mine", **OWN}}, width=80)
+    assert lines[:2] == ["log mine", "What the run knows of itself"]
+    assert lines[-1] == "1 120.5 98.0 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121"
+    assert not any("truth" in line for line in lines)
+
+
+def test_with_truth_it_tells_the_same_and_the_errors() -> None:
+    lines = rendered({"1": FULL}, width=80)
+    assert "1 120.5 98.0 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121" in lines
+    assert lines[-1] == "1 0.020 0.020 10.500 10.500 10.50 10.500 0.1 100.5 1.02"
+
+
+@pytest.mark.parametrize("width", [80, 120, 160])
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_tables_fit_the_terminal_and_break_no_word(width: int, count: int) -> None:
+    kinds = [
+        {"observation": kind, "map": name}
+        for name in ("corridor e1f5ad", "office abcdef")
+        for kind in ("line", "slope")
+    ]
+    runs = {
+        f"results/of/a/long/experiment/{n}/corridor/latest": FULL | kinds[n % 4] | {"seed": n // 4}
+        for n in range(count)
+    }
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        print_tables(runs, console)
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= width
+    words = set(capture.get().split())
+    assert not any("…" in word for word in words)
+    assert {"match", "found", "heading", "median", "bound", "0.55", "9.100", "1.02"} <= words
+    if count > 1:
+        parts = {part for word in words for part in word.split("/")}
+        assert {"slope", "corridor", "experiment", "latest"} <= parts, "names and settings are whole words"
+
+
+# -- tables that are too wide --------------------------------------------------------------------------------------
+
+
+def wide() -> Table:
+    table = Table(title="Turns", caption="A note on all of them")
+    for column in ("camera", "method", *(f"quantity{n}" for n in range(9))):
+        table.add_column(column, justify="right")
+    for camera in ("640×480", "176×144"):
+        for method in ("columns", "Hough"):
+            table.add_row(camera, method, *(f"{camera[:3]}.{method[0]}{n}" for n in range(9)))
+    return table
+
+
+@pytest.mark.parametrize("width", [80, 120, 200])
+def test_wide_tables_go_on_below_and_lose_nothing(width: int) -> None:
+    console = Console(width=width, color_system=None)
+    pieces = fit_width(wide(), console)
+    assert (len(pieces) == 1) == (width == 200)
+    with console.capture() as capture:
+        for piece in pieces:
+            console.print(piece)
+    text = capture.get()
+    assert max(map(len, text.splitlines())) <= width
+    assert {f"quantity{n}" for n in range(9)} <= set(text.split())
+    assert {f"{camera}.{method}{n}" for camera in ("640", "176") for method in "cH" for n in range(9)} <= set(
+        text.split()
+    )
+    assert text.count("Hough") == 2 * len(pieces), "each piece says which row is which"
+    assert text.count("Turns") == text.count("A note") == 1
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_list_of_texts_stays_one_table_and_breaks_no_word(width: int) -> None:
+    table = Table(box=None, show_header=False)
+    text = "no message on /odom within 5 s; does the robot publish it, and is it connected to the same router?"
+    table.add_row("ok", "zenoh", "a router answers at tcp/127.0.0.1:7447")
+    table.add_row("missing", "odometry", text)
+    console = Console(width=width, color_system=None)
+    (piece,) = fit_width(table, console)
+    with console.capture() as capture:
+        console.print(piece)
+    printed = capture.get()
+    assert max(map(len, printed.splitlines())) <= width
+    assert set(text.split()) <= set(printed.split())
