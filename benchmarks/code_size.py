@@ -32,7 +32,7 @@ BUDGETS = {
     "lines: around the core": (27_200, 24_500),
     "lines: all of localiser": (41_900, 34_300),
     "files: all of localiser": (290, 220),
-    "lines: tests": (33_200, 28_000),
+    "lines: tests": (33_300, 28_000),
     "lines: benchmarks": (9_100, 6_500),
     "lines: other Python": (1_600, 1_600),
     "words: docs, README, CHANGELOG": (87_800, 45_000),
