@@ -55,7 +55,7 @@ def demo(
 ) -> None:
     """Replay the example drive, a simulated robot in a corridor; needs no file of yours."""
     if keep is not None:
-        _copy_to(keep)
+        copy_to(keep)
     replay(example_folder() / LOG, out=out, view=view, speed=speed, seed=seed, quiet=quiet)
     if not quiet:
         run = out / LOG.name / "latest"
@@ -65,7 +65,7 @@ def demo(
         typer.echo(f"Next: `localiser view {run}` shows the run image by image; {files}.")
 
 
-def _copy_to(folder: Path) -> None:
+def copy_to(folder: Path) -> None:
     """Write the example's files to a folder, where they can be changed. Raises OutputError for what is there."""
     from localiser.storage import output_errors
 

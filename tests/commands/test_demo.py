@@ -48,7 +48,7 @@ def files(folder: Path) -> list[str]:
 
 
 def test_what_is_kept_is_what_a_clone_has(empty: Path) -> None:
-    demo._copy_to(empty / "here")
+    demo.copy_to(empty / "here")
     written = files(empty / "here")
     assert set(written) >= {"logs/corridor/log.yaml", "configs/worlds/office.yaml"}
     assert filecmp.cmpfiles(ROOT, empty / "here", written, shallow=False) == (written, [], [])

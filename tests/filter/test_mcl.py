@@ -149,7 +149,7 @@ def test_an_image_waits_for_odometry_and_is_not_lost_at_the_end() -> None:
     assert list(step(mcl, state, Sighting(3 * SECOND, Edges.none()), rng)) == []
     (last,) = finish(mcl, state, rng)
     np.testing.assert_array_equal(last.increment.mean, 0)
-    assert len(state.odometry) == 1, "odometry that is past is forgotten"
+    assert len(state.odometry) == 2, "but for two poses, odometry that is past is forgotten"
 
 
 def test_images_alone_localise_a_robot_that_stands() -> None:
