@@ -20,6 +20,7 @@ from localiser.commands.options import (
     progress,
     topics_by_role,
 )
+from localiser.documents import encodable
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def sync(
         )
     earlier_ns = round(found.offset_s * 1e9)
     images = [replace(image, t_ns=image.t_ns - earlier_ns) for image in recorded.images]
-    to_folder(replace(recorded, frames=images), out)
+    to_folder(replace(recorded, name=encodable(out.name), frames=images), out)
     typer.echo(f"The log with its images by the clock of the wheels is in {out}")
 
 

@@ -10,6 +10,7 @@ import typer
 
 from localiser.commands.convert import to_folder
 from localiser.commands.options import ConfigFile, NewLog, Overrides, Quiet, progress, show
+from localiser.documents import encodable
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def tilt(
         _require_certain(found, settings, recorded)
         tilt_rad, roll_rad = (float(angle) for angle in found.mount)
         camera = recorded.camera.with_mount(tilt_rad=tilt_rad, roll_rad=roll_rad)
-        to_folder(replace(recorded, camera=camera), out)
+        to_folder(replace(recorded, name=encodable(out.name), camera=camera), out)
         typer.echo(f"The log with this tilt and roll is in {out}")
 
 
