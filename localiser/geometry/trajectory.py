@@ -49,24 +49,29 @@ def bridged(odometry: Trajectory) -> tuple[Trajectory, NDArray[np.int64]]:
     """Return poses of odometry without jumps, and the indices (J,) of the poses that are the first behind one.
 
     A base that restarts begins to count anew, so its pose jumps faster than any robot moves. There the robot is taken
-    to have gone on as in the step before, and poses behind the jump are moved along. Where a jump is the first step,
-    nothing is known of the motion, and the robot is taken to have stood still.
+    to have gone on as in the step before, and poses behind the jump are moved along. Where a jump is the first step, or
+    the pace before it is no robot's, nothing is known of the motion, and the robot is taken to have stood still.
     """
-    steps = between(odometry.poses[:-1], odometry.poses[1:])
-    seconds = np.diff(odometry.t_ns) / 1e9
-    way_m, turn_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
-    far = (way_m > np.maximum(FASTEST_M_S * seconds, LEAST_JUMP_M)) | (
-        turn_rad > np.maximum(FASTEST_RAD_S * seconds, LEAST_JUMP_RAD)
-    )
-    poses = odometry.poses
-    jumps: NDArray[np.int64] = np.flatnonzero(far) + 1
-    for jump in jumps:
+    raw, seconds = odometry.poses, np.diff(odometry.t_ns) / 1e9
+    jumps: NDArray[np.int64] = np.flatnonzero(_jumps(between(raw[:-1], raw[1:]), seconds)) + 1
+    if not len(jumps):
+        return odometry, jumps
+    poses = raw.copy()
+    for jump, end in zip(jumps, [*jumps[1:], len(raw)], strict=True):
         step = np.zeros(3)
         if jump > 1:
             step = between(poses[jump - 2], poses[jump - 1]) * (seconds[jump - 1] / seconds[jump - 2])
-        at = compose(poses[jump - 1], step)
-        poses = np.concatenate([poses[:jump], compose(at, between(poses[jump], poses[jump:]))])
+        if _jumps(step, seconds[jump - 1]):  # of two poses that were stamped at nearly the same time
+            step = np.zeros(3)
+        poses[jump:end] = compose(compose(poses[jump - 1], step), between(raw[jump], raw[jump:end]))
     return Trajectory(odometry.t_ns, poses), jumps
+
+
+def _jumps(steps: Array, seconds: ArrayLike) -> NDArray[np.bool_]:
+    """Return which steps (..., 3) are faster than any robot moves."""
+    way_m, turn_rad = np.hypot(steps[..., 0], steps[..., 1]), np.abs(wrap_angle(steps[..., 2]))
+    far = way_m > np.maximum(FASTEST_M_S * np.asarray(seconds), LEAST_JUMP_M)
+    return np.asarray(far | (turn_rad > np.maximum(FASTEST_RAD_S * np.asarray(seconds), LEAST_JUMP_RAD)))
 
 
 def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:

@@ -46,6 +46,22 @@ def test_a_turn_at_once_is_a_jump_and_a_first_one_stands_still() -> None:
     np.testing.assert_allclose(found.poses[1], found.poses[0], atol=1e-12)
 
 
+def test_a_pace_that_is_no_robots_is_not_gone_on_with() -> None:
+    """0.2 m between poses that were stamped 1 ms apart are no pace of 200 m/s for the 5 s until the base is back."""
+    t_ns = np.array([0, 1_000_000, 5_001_000_000])
+    found, jumps = bridged(Trajectory(t_ns, np.array([[0.0, 0.0, 0.0], [0.0, -0.2, 0.0], [90.0, 0.0, 0.0]])))
+    assert jumps.tolist() == [2]
+    np.testing.assert_allclose(found.poses[2], found.poses[1], atol=1e-12)
+
+
+def test_poses_that_jump_all_the_time_take_no_longer_than_their_number() -> None:
+    poses = np.zeros((20_000, 3))
+    poses[1::2, 0] = 100.0
+    found, jumps = bridged(Trajectory(STEP_NS * np.arange(len(poses)), poses))
+    assert len(jumps) == len(poses) - 1
+    np.testing.assert_array_equal(found.poses, 0.0)
+
+
 @pytest.mark.parametrize("seconds", [0.001, 0.05, 5.0])
 def test_fast_robots_and_noisy_stamps_do_not_jump(seconds: float) -> None:
     """5 m/s, or 0.2 m between two poses that were stamped at nearly the same time."""
