@@ -20,7 +20,6 @@ from localiser.commands.options import (
     progress,
     topics_by_role,
 )
-from localiser.documents import encodable
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,6 +56,7 @@ def sync(
     import numpy as np
 
     from localiser.calibration import MOST_PAIRS
+    from localiser.documents import encodable
     from localiser.storage import require_new
 
     if out is not None:

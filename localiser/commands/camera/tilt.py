@@ -10,7 +10,6 @@ import typer
 
 from localiser.commands.convert import to_folder
 from localiser.commands.options import ConfigFile, NewLog, Overrides, Quiet, progress, show
-from localiser.documents import encodable
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,6 +41,7 @@ def tilt(
     from dataclasses import replace
 
     from localiser.config import read_config
+    from localiser.documents import encodable
     from localiser.storage import open_log, require_new
 
     if out is not None:
