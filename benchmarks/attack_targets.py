@@ -347,7 +347,7 @@ replay {samples}/edges --out out --no-rrd --start 1,2,3 --seed 1 --speed 100 --s
 batch {samples}/edges --out out --jobs 1 --seeds 0-1 --set mcl.particles=100,200 --start 1,2,3
 evaluate {samples}/run --truth {samples}/run/groundtruth.tum --json
 simulate {samples}/small_world.yaml --out out/made --seed 1
-convert {samples}/video.avi out/made --camera {samples}/camera.yaml --every 0.2s --start-ns 5 --to folder
+convert {samples}/video.avi out/made --camera {samples}/camera.yaml --every 0.2s --start-ns 5
 convert {samples}/file.db3 out/made.mcap --topic odometry=/odom --camera {samples}/camera.yaml
 edges {samples}/image.jpg --camera {samples}/camera.yaml --detector columns --out out --set edges.min_contrast=0.1
 map show {samples}/map.yaml --out map.png

@@ -6,7 +6,7 @@ filter does not look at. What is no landmark, another robot or a barcode that wa
 
 After `register`, `open_log` reads such logs. As a program this is `localiser` with that format:
 
-python benchmarks/mrclam.py replay ../shared/data/mrclam:1 --format mrclam --start truth --seed 0
+python benchmarks/mrclam.py replay ../shared/data/mrclam:1 --start truth --seed 0
 """
 
 from __future__ import annotations

@@ -95,14 +95,13 @@ class Opening:
 
     start: str | None = None
     map_file: Path | None = None
-    format: str | None = None
     topics: Mapping[str, str] = field(default_factory=dict)
     camera: Path | None = None
 
     def open(self, log: Path, config: Config | None = None) -> Log:
         """Return a log. Raises InputError."""
         sensor = (config or Config()).sensor
-        return open_log(log, format=self.format, sensor=sensor, topics=self.topics, camera=self.camera)
+        return open_log(log, sensor=sensor, topics=self.topics, camera=self.camera)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,6 @@ class Task:
     opening: Opening
     config: Config
     folder: Path
-    report: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ def _metrics(task: Task) -> dict[str, Any]:
     run.localiser.warm_up(images=log.has_images)
     with output_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    outputs = Outputs(folder.parent, rrd=False, report=task.report)
+    outputs = Outputs(folder.parent, rrd=False, report=False)
     return FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None)
 
 
@@ -170,13 +169,12 @@ FIRST_FIGURES = (
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What is run: every choice for every log. folder: of all results. report: whether reports are drawn."""
+    """What is run: every choice for every log. folder: of all results."""
 
     logs: Sequence[Path]
     choices: Sequence[Choice]
     folder: Path
     opening: Opening = field(default_factory=Opening)
-    report: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +293,7 @@ def _tasks(batch: Batch, runs: Sequence[_Run], done: dict[int, Row]) -> list[Tas
     waiting = [number for number in range(len(runs)) if number not in done]
     waiting.sort(key=lambda number: -runs[number].contents.frames)
     return [
-        Task(number, run.log.absolute(), opening, run.config, (batch.folder / run.folder).absolute(), batch.report)
+        Task(number, run.log.absolute(), opening, run.config, (batch.folder / run.folder).absolute())
         for number in waiting
         if (run := runs[number]).config is not None
     ]

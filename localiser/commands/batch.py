@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import BagCamera, LogFormat, Quiet, Topics, progress, show, topics_by_role, working
+from localiser.commands.options import BagCamera, Topics, is_quiet, progress, show, topics_by_role, working
 
 if TYPE_CHECKING:
     from localiser.batch import Verdict
@@ -43,7 +43,6 @@ def batch(
     start: Annotated[
         str | None, typer.Option(metavar="x,z,heading_deg|global|truth", help="Where all runs start; see replay.")
     ] = None,
-    log_format: LogFormat = None,
     topics: Topics = None,
     camera: BagCamera = None,
     jobs: Annotated[
@@ -63,8 +62,6 @@ def batch(
             help="Compare with an earlier batch, in pairs of log and seed; exit code 1 on a significant loss.",
         ),
     ] = None,
-    report: Annotated[bool, typer.Option("--report", help="Draw a report of every run.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Replay every LOG with every combination of settings and seeds; runs that are done already are not done again."""
     from localiser.batch import (
@@ -81,42 +78,42 @@ def batch(
 
     choices = choices_of(configs or [], overrides or [], seeds)
     others = None if against is None else read_table_of(against)
-    opening = Opening(start, map_file, log_format, topics_by_role(topics), camera)
+    opening = Opening(start, map_file, topics_by_role(topics), camera)
     with ExitStack() as shown:
         reading = shown.enter_context(ExitStack())
-        reading.enter_context(working("Reading the logs …", quiet))
+        reading.enter_context(working("Reading the logs …"))
 
         def begun(done: int, left: int) -> Callable[[], None]:
             reading.close()
-            if done and not quiet:
+            if done and not is_quiet():
                 typer.echo(f"{done} runs are done already; {left} are left.", err=True)
-            return shown.enter_context(progress("Replaying", left, quiet))
+            return shown.enter_context(progress("Replaying", left))
 
-        rows = run_batch(Batch(logs, choices, out, opening, report), Workers(jobs, cluster), begun)
+        rows = run_batch(Batch(logs, choices, out, opening), Workers(jobs, cluster), begun)
     failed = failures(rows)
-    if not quiet:
+    if not is_quiet():
         show(summary_table(rows))
         typer.echo(f"Results in {out}: runs.csv, table.md, and a folder for each run in runs/.")
     for text in failed:
         typer.secho(f"Failed: {text}", fg="red", err=True)
     if others is not None and against is not None:
         verdict = compare_with(rows, others, against)
-        _tell(verdict, quiet)
+        _tell(verdict)
         if verdict.is_loss:
             raise typer.Exit(LOSS_EXIT_CODE)
     if failed:
         raise typer.Exit(FAILED_EXIT_CODE)
 
 
-def _tell(verdict: Verdict, quiet: bool) -> None:
+def _tell(verdict: Verdict) -> None:
     from localiser.batch import comparison_table
 
-    if not quiet:
+    if not is_quiet():
         show(comparison_table(verdict))
     for alone, where in ((verdict.alone, "here"), (verdict.alone_there, "there")):
         if alone:
             typer.secho(f"{alone} runs are only {where} and were not compared.", fg="yellow", err=True)
     if verdict.newly_failed:
         typer.secho(f"{len(verdict.newly_failed)} runs failed that did not fail there.", fg="red", err=True)
-    if not quiet:
+    if not is_quiet():
         typer.echo(f"{verdict.pairs} pairs: {'a significant loss' if verdict.is_loss else 'no significant loss'}.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import BagCamera, Quiet, Topics, progress, topics_by_role
+from localiser.commands.options import BagCamera, Topics, is_quiet, progress, topics_by_role
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ EPILOG = """Examples:
 
 `localiser convert logs/corridor corridor.mcap`
 
-`localiser convert logs/corridor corridor_bag --to sqlite3`
+`localiser convert logs/corridor corridor.db3`
 
 `localiser convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml --every 0.2s`"""
 FOLDER = "folder"
@@ -32,15 +32,9 @@ FOLDER = "folder"
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="LOG", help="ROS bag (ROS 1, ROS 2), log folder, video file.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="New log folder, or new bag.")],
-    to: Annotated[
-        str | None,
-        typer.Option(
-            metavar="folder|mcap|sqlite3|ros1",
-            help="What OUT becomes; by default what its ending says (.mcap, .db3, .bag), else a folder from a bag and "
-            "MCAP from a folder.",
-        ),
-    ] = None,
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="New log folder; a new bag where it ends in .mcap, .db3 or .bag.")
+    ],
     topics: Topics = None,
     camera: BagCamera = None,
     odometry: Annotated[
@@ -57,8 +51,6 @@ def convert(
     every: Annotated[
         str | None, typer.Option(metavar="SECONDS", help="Keep an image each such time only, such as 0.2s.")
     ] = None,
-    png: Annotated[bool, typer.Option("--png", help="Frames of a video become PNG, not JPEG: larger, exact.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Turn a recorded LOG into another format: ROS bag to log folder, log folder to ROS bag, bag to bag.
 
@@ -67,6 +59,7 @@ def convert(
     """
     from localiser.documents import encodable
     from localiser.storage import is_video, open_log, read_video, thinned, write_bag
+    from localiser.storage.bags import FILE_KINDS
 
     every_s = None if every is None else _seconds(every)
     if odometry is not None or is_video(source):
@@ -74,22 +67,22 @@ def convert(
             raise InputError(
                 "expected a video with --camera FILE and without --topic", field="--odometry" if odometry else "LOG"
             )
-        log = read_video(source, odometry, camera, start_ns, lossless=png)
-    elif start_ns is not None or png:
-        raise InputError("is for a video", field="--png" if png else "--start-ns")
+        log = read_video(source, odometry, camera, start_ns)
+    elif start_ns is not None:
+        raise InputError("is for a video", field="--start-ns")
     else:
         log = open_log(source, topics=topics_by_role(topics), camera=camera)
-    target = _target_of(out, log, to)
+    target = FILE_KINDS.get(out.suffix, FOLDER)
     path = out.resolve()
     log = replace(log, name=encodable(path.name if target == FOLDER else path.stem))
     if every_s is not None:
         log = thinned(log, every_s)
-    with progress("Converting", len(log.frames), quiet) as advance:
+    with progress("Converting", len(log.frames)) as advance:
         if target == FOLDER:
             to_folder(log, out, advance)
         else:
             write_bag(out, log, target, advance)
-    if not quiet:
+    if not is_quiet():
         typer.echo(f"{len(log.frames)} frames and {len(log.odometry)} odometry poses in {out} ({target})")
 
 
@@ -99,22 +92,6 @@ def _seconds(text: str) -> float:
     if found is None or float(found[1]) == 0:
         raise InputError(f"expected seconds above 0, such as 0.2s, found {text!r}", field="--every")
     return float(found[1])
-
-
-def _target_of(out: Path, log: Log, asked: str | None) -> str:
-    """Return what was asked for, else what the name's ending says, else the other of folder and bag.
-
-    Raises InputError when what was asked for and the ending contradict.
-    """
-    from localiser.storage import KINDS
-    from localiser.storage.bags import FILE_KINDS
-
-    by_name = FILE_KINDS.get(out.suffix)
-    if asked is not None and asked not in (FOLDER, *KINDS):
-        raise InputError(f"expected {', '.join((FOLDER, *KINDS))}, found {asked!r}", field="--to")
-    if asked is not None and by_name is not None and asked != by_name:
-        raise InputError(f"expected a path for {asked}, found one that ends in {out.suffix}", path=out, field="--to")
-    return asked or by_name or ("mcap" if (log.path / "log.yaml").exists() else FOLDER)
 
 
 def to_folder(log: Log, out: Path, advance: Callable[[], None] = lambda: None) -> None:

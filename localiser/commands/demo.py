@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.options import Quiet, Seed
+from localiser.commands.options import is_quiet
 from localiser.commands.replay import View, replay
 from localiser.errors import LocaliserError, OutputError
 
@@ -39,10 +39,6 @@ def demo(
         "results"
     ),
     view: Annotated[View, typer.Option(help="Watch the run in Rerun.")] = "none",
-    speed: Annotated[
-        float | None,
-        typer.Option(min=0.01, metavar="X", help="X times as fast as the robot drove; by default as fast as possible."),
-    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(
@@ -50,14 +46,12 @@ def demo(
             help="Keep the log, its map, worlds and configurations there, where all documented commands work.",
         ),
     ] = None,
-    seed: Seed = None,
-    quiet: Quiet = False,
 ) -> None:
     """Replay the example drive, a simulated robot in a corridor; needs no file of yours."""
     if keep is not None:
         copy_to(keep)
-    replay(example_folder() / LOG, out=out, view=view, speed=speed, seed=seed, quiet=quiet)
-    if not quiet:
+    replay(example_folder() / LOG, out=out, view=view)
+    if not is_quiet():
         run = out / LOG.name / "latest"
         files = (
             "--keep FOLDER keeps the log, its map and more to try" if keep is None else f"files to try are in {keep}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Quiet, progress, show
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,7 +56,6 @@ def edges(
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw what was found.")] = True,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    quiet: Quiet = False,
 ) -> None:
     """Find the vertical edges in images; write them as CSV, and a picture of each image."""
     from dataclasses import replace
@@ -74,9 +73,9 @@ def edges(
         raise InputError(f"{error}, found {settings.edges.detector!r}", field="--detector") from None
     taken_by, taken = inputs_of(images, camera)
     search = EdgeSearch(taken_by, taken, settings, out, pictures)
-    with progress("Finding edges", len(taken), quiet or len(taken) == 1) as advance:
+    with progress("Finding edges", len(taken), shown=len(taken) > 1) as advance:
         search.run(advance)
-    if quiet:
+    if is_quiet():
         return
     _show(search)
     typer.echo(f"Results in {search.folder}: edges.csv{'; a picture of each image' if pictures else ''}.")

@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import Annotated
 
 import typer
+from typer.core import TyperArgument, TyperOption
 
 from localiser import __version__
 from localiser.commands import batch, convert, demo, doctor, edges, evaluate, replay, simulate, view
@@ -19,6 +20,7 @@ from localiser.commands.config import config_app
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
+from localiser.commands.options import be_quiet
 from localiser.commands.pose import pose_app
 from localiser.errors import InputError, LocaliserError
 
@@ -40,6 +42,11 @@ app = typer.Typer(
 
 `localiser config show --set mcl.particles=500`""",
 )
+_option_type = TyperOption.display_type_rich
+TyperArgument.display_type_rich = lambda self, ctx: None  # type: ignore[method-assign]
+TyperOption.display_type_rich = lambda self, ctx: None if self.is_flag else _option_type(self, ctx)  # type: ignore[method-assign]
+"""In --help a flag takes no value to name the type of, and an argument's name says what it is."""
+
 app.add_typer(config_app, name="config")
 app.add_typer(camera_app, name="camera")
 app.add_typer(map_app, name="map")
@@ -60,8 +67,10 @@ def _root(
         bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show where in the program an error arose.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars, no tables.")] = False,
 ) -> None:
-    """Take what holds for all commands."""
+    """Take what holds for all commands, and may stand anywhere."""
+    be_quiet(quiet)
 
 
 app.command(epilog=demo.EPILOG)(demo.demo)
@@ -93,29 +102,48 @@ _SETTINGS = {
     "--seed": ("seed=N", ("live", "live demo")),
 }
 """Options that are settings now, and of which commands they were."""
+_GONE = {
+    "--ros-distro": ("is the environment's ROS_DISTRO now", _NETWORK),
+    "--format": ("is gone: the format is found out", ("replay", "batch", "camera tilt", "camera sync", "map build")),
+    "--to": ("is gone: OUT says it by .mcap, .db3 or .bag, anything else is a log folder", ("convert",)),
+    "--png": ("is gone: frames of a video become JPEG", ("convert",)),
+    "--seed": ("is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --seed N`", ("demo",)),
+    "--speed": ("is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --speed X`", ("demo",)),
+    "--report": ("is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
+}
+"""Options that are gone, what to do instead, and of which commands they were."""
 
 
 def _check_options(arguments: list[str]) -> None:
-    """Raise InputError for an option that has become a setting, with its name."""
-    command = "live demo" if arguments[:2] == ["live", "demo"] else arguments[0] if arguments else ""
+    """Raise InputError for an option that has become a setting or is gone, with what to do instead."""
+    command = " ".join(
+        arguments[: 2 if arguments[:1] in (["camera"], ["map"]) or arguments[:2] == ["live", "demo"] else 1]
+    )
     for option in (argument.partition("=")[0] for argument in arguments):
         setting, commands = _SETTINGS.get(option, ("", ()))
         if command in commands:
             raise InputError(f"is a setting now: --set {setting}", field=option)
-        if option == "--ros-distro" and command in _NETWORK:
-            raise InputError("is the environment's ROS_DISTRO now", field=option)
+        instead, commands = _GONE.get(option, ("", ()))
+        if command in commands:
+            raise InputError(instead, field=option)
+
+
+_OF_ALL = ("--debug", "--quiet", "-q")
+"""Options of the program, which may stand anywhere."""
 
 
 def main() -> None:
     """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
-    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]  # which may stand anywhere
+    of_all = [argument for argument in sys.argv[1:] if argument in _OF_ALL]
+    arguments = [argument for argument in sys.argv[1:] if argument not in _OF_ALL]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal of ASCII alone, and names of files that are no text
             stream.reconfigure(errors="replace")
     try:
-        _run(arguments)
+        _check_options(arguments)
+        _run([*of_all, *arguments])
     except (LocaliserError, OSError) as error:
-        if len(arguments) < len(sys.argv) - 1:
+        if "--debug" in of_all:
             traceback.print_exc()
         with suppress(OSError):
             typer.secho(f"Error: {_message_of(error)}", fg="red", err=True)
@@ -124,7 +152,6 @@ def main() -> None:
 
 def _run(arguments: list[str]) -> None:
     """Run a command; what it printed has reached its reader at the end, or raises OSError."""
-    _check_options(arguments)
     try:
         app(arguments, prog_name="localiser")
     except SystemExit:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Quiet, progress, show
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +48,6 @@ def fit(
     ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    quiet: Quiet = False,
 ) -> None:
     """Find the noise of a robot's odometry and its constant errors from LOGS, and say what they would change."""
     from localiser.calibration import fit_odometry
@@ -59,7 +58,7 @@ def fit(
         require_new_file(out)
     settings = read_config(config, overrides or [])
     drives = []
-    with progress("Reading", len(logs), quiet) as advance:
+    with progress("Reading", len(logs)) as advance:
         for path in logs:
             log = open_log(path, sensor=settings.sensor)
             own = read_config(config, overrides or [], log.settings)
@@ -69,7 +68,7 @@ def fit(
     if found is None:
         names = ", ".join(checked.drive.name for checked in drives)
         raise InputError(f"expected ten metres or ten radians of driving at least, found less in {names}", field="LOG")
-    if not quiet:
+    if not is_quiet():
         _show(drives, found)
     if out is not None:
         write_text(out, to_yaml(drives, found))

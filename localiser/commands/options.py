@@ -34,9 +34,6 @@ Topics = Annotated[
         help="Topic of a ROS bag where several fit: image, camera_info, odometry or groundtruth. May be repeated.",
     ),
 ]
-LogFormat = Annotated[
-    str | None, typer.Option("--format", metavar="FORMAT", help="folder or bag; by default found out.")
-]
 BagCamera = Annotated[
     Path | None,
     typer.Option("--camera", metavar="FILE", help="Camera file, in place of what a ROS bag says of its camera."),
@@ -45,7 +42,17 @@ LONGEST_WAIT_S = 60.0
 NewLog = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="LOG", help="Write the log with what was found to a new folder.")
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")]
+_QUIET = [False]
+
+
+def be_quiet(quiet: bool) -> None:
+    """Take whether the program prints neither progress bars nor tables from here on."""
+    _QUIET[0] = quiet
+
+
+def is_quiet() -> bool:
+    """Whether the program was called with --quiet."""
+    return _QUIET[0]
 
 
 def open_with_settings(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
@@ -81,13 +88,13 @@ def show(renderable: object) -> None:
 
 
 @contextmanager
-def progress(title: str, total: int, quiet: bool) -> Iterator[Callable[[], None]]:
+def progress(title: str, total: int, *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Show a progress bar on standard error; yields what to call after every step."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
+    with Progress(*columns, console=Console(stderr=True), disable=is_quiet() or not shown) as bar:
         task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)
 
@@ -113,11 +120,11 @@ def paced(advance: Callable[[], None], times_ns: Sequence[int], speed: float) ->
 
 
 @contextmanager
-def working(what: str, quiet: bool) -> Iterator[None]:
+def working(what: str) -> Iterator[None]:
     """Show on standard error that something goes on which has no steps to count."""
     from rich.console import Console
 
-    if quiet:
+    if is_quiet():
         yield
     else:
         with Console(stderr=True).status(what):

@@ -10,11 +10,10 @@ import typer
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
-    LogFormat,
     Overrides,
-    Quiet,
     Seed,
     Topics,
+    is_quiet,
     open_with_settings,
     paced,
     progress,
@@ -65,7 +64,6 @@ def replay(
     ] = None,
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
     odometry: Annotated[Source | None, typer.Option(help="What says how the robot moved.")] = None,
-    log_format: LogFormat = None,
     topics: Topics = None,
     camera: BagCamera = None,
     out: Annotated[
@@ -84,27 +82,26 @@ def replay(
         float | None,
         typer.Option(min=0.01, metavar="X", help="X times as fast as the robot drove; by default as fast as possible."),
     ] = None,
-    quiet: Quiet = False,
 ) -> None:
     """Localise the robot along a recorded LOG; write its path, figures, a report and a recording."""
     from localiser.replay import FolderRun, Outputs, prepare
 
     settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
-    how: dict[str, Any] = {"format": log_format, "topics": topics_by_role(topics), "camera": camera}
+    how: dict[str, Any] = {"topics": topics_by_role(topics), "camera": camera}
     recorded, effective = open_with_settings(log, config, settings, up_to_fault=True, **how)
-    with working("Getting ready; the first run compiles …", quiet):
+    with working("Getting ready; the first run compiles …"):
         ready = prepare(recorded, effective, start, map_file=map_file)
         ready.localiser.warm_up(images=recorded.has_images)
         run = FolderRun.open(ready, Outputs(out, rrd, view, bag=bag))
     if run.viewer is not None and run.viewer.address:
         typer.echo(f"Watch at {run.viewer.address}", err=True)
-    if ready.start is None and not quiet:
+    if ready.start is None and not is_quiet():
         why = "The log states no start: the" if start is None else "The"
         typer.echo(f"{why} robot is looked for on the whole map.", err=True)
-    with progress("Localising", len(recorded.frames), quiet) as advance:
+    with progress("Localising", len(recorded.frames)) as advance:
         times_ns = [frame.t_ns for frame in recorded.frames]
         figures = run.run(advance if speed is None else paced(advance, times_ns, speed))
-    if not quiet:
+    if not is_quiet():
         _show_run(figures, run.folder.path, rrd)
         if bag is not None:
             from localiser.ros import LAYOUTS

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.convert import to_folder
-from localiser.commands.options import ConfigFile, Overrides, Quiet, progress
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ def simulate(
     config: ConfigFile = None,
     overrides: Overrides = None,
     wait: Annotated[bool, typer.Option("--wait", help="Do not drive off before someone listens.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Render a log from a WORLD: images, odometry with its errors, truth and map. Or be a robot, with --serve.
 
@@ -49,16 +48,16 @@ def simulate(
     if serve:
         from localiser.config import read_config
 
-        _serve(world, seed, read_config(config, overrides or []).live, odometry_hz, wait=wait, quiet=quiet)
+        _serve(world, seed, read_config(config, overrides or []).live, odometry_hz, wait=wait)
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
     from localiser.storage import simulate_log
 
     log = simulate_log(world, seed)
-    with progress("Rendering", len(log.frames), quiet) as advance:
+    with progress("Rendering", len(log.frames)) as advance:
         to_folder(log, out, advance)
-    if not quiet:
+    if not is_quiet():
         typer.echo(f"{len(log.frames)} images and {len(log.landmark_map or ())} landmarks in {out}")
 
 
@@ -77,7 +76,7 @@ def driven(world_or_log: Path, seed: int) -> Log:
     return log
 
 
-def _serve(world: Path, seed: int, live: LiveParameters, odometry_hz: float | None, *, wait: bool, quiet: bool) -> None:
+def _serve(world: Path, seed: int, live: LiveParameters, odometry_hz: float | None, *, wait: bool) -> None:
     from contextlib import closing
     from dataclasses import replace
 
@@ -90,7 +89,7 @@ def _serve(world: Path, seed: int, live: LiveParameters, odometry_hz: float | No
     with asked_to_stop() as stop:
         log = driven(world, seed)
         with closing(open_transport(live, "robot")) as transport:
-            if not quiet:
+            if not is_quiet():
                 where = ", ".join([*live.connect, *live.listen]) if live.dds < 0 else f"domain {live.dds} of DDS"
                 typer.echo(
                     f"{log.name}: {log.duration_s:.0f} s there and as long back, at {where}, until Ctrl-C", err=True

@@ -147,7 +147,7 @@ class LogReader(Protocol):
 
     @property
     def format(self) -> str:
-        """Its name, as `--format` takes it."""
+        """Its name, as `open_log` takes it."""
 
     @property
     def looks_like(self) -> str:

@@ -32,7 +32,7 @@ def open_log(
     """
     path = Path(path)
     if format is not None and format not in (names := [reader.format for reader in FORMATS]):
-        raise InputError(f"expected {_listed(names)}, found {format!r}", field="--format")
+        raise InputError(f"expected {_listed(names)}, found {format!r}", field="format")
     fitting = (one for one in FORMATS if (one.recognises(path) if format is None else one.format == format))
     reader = next(fitting, None)
     if reader is None and not path.exists():

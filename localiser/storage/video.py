@@ -21,19 +21,17 @@ from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Log, require_overla
 from localiser.storage.trajectories import read_poses
 
 
-def read_video(
-    path: Path, odometry: Path | None, camera: Path, start_ns: int | None = None, *, lossless: bool = False
-) -> Log:
+def read_video(path: Path, odometry: Path | None, camera: Path, start_ns: int | None = None) -> Log:
     """Return the log of a video; its frames are counted now and decoded later.
 
     odometry: see `read_poses`; None for a log of images alone, whose times begin at 0. camera: camera file with the
     mount. start_ns: when the first frame was taken, by the clock of the odometry; by default with the first pose.
-    lossless: whether frames become PNG, which is larger than JPEG. Raises InputError.
+    Raises InputError.
     """
     poses = NO_ODOMETRY if odometry is None else read_poses(odometry)
     known = read_camera(camera)
     first_ns = next(iter(poses.t_ns.tolist()), 0) if start_ns is None else start_ns
-    video = _Video(path, (known.width, known.height), ".png" if lossless else ".jpg")
+    video = _Video(path, (known.width, known.height))
     frames = [
         image_event(
             first_ns + t_ns,
@@ -118,7 +116,6 @@ class _Video:
 
     path: Path
     size: tuple[int, int]
-    suffix: str
     _capture: Any = None
     _next: int = 0
     _last: tuple[int, bytes] = field(default=(-1, b""))
@@ -134,5 +131,5 @@ class _Video:
             if not done or image.shape[1::-1] != self.size:
                 raise InputError("expected a frame that can be decoded", path=self.path, field=f"frame {index}")
             self._next = index + 1
-            self._last = (index, encode_image(np.asarray(image, dtype=np.uint8), self.suffix, JPEG_QUALITY))
+            self._last = (index, encode_image(np.asarray(image, dtype=np.uint8), ".jpg", JPEG_QUALITY))
         return self._last[1]

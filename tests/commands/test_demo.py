@@ -84,12 +84,12 @@ def test_a_package_without_the_example_says_so(
 
 def test_the_demo_replays_the_example_and_says_what_next(localiser: Localiser, empty: Path, installed: Path) -> None:
     with patch("localiser.replay.folder.write_report"):
-        result = localiser("demo", "--seed", "1")
+        result = localiser("demo")
     assert result.exit_code == 0 and "--keep FOLDER" in result.out
     run = empty / "results" / "corridor" / "1"
     assert {"run.rrd", "metrics.json"} <= {file.name for file in run.iterdir()}
     assert "`localiser view results/corridor/latest`" in result.out
-    assert "seed 1" in result.out
+    assert "seed 0" in result.out
 
 
 def test_a_run_without_a_recording_cannot_be_viewed(localiser: Localiser, empty: Path) -> None:

@@ -322,7 +322,6 @@ BAD = {
     "--start of two numbers": Bad(with_arguments("--start", "1,2"), ["--start", "x,z,heading_deg", "'1,2'"]),
     "--start of words": Bad(with_arguments("--start", "the,front,door"), ["--start", "'the,front,door'"]),
     "--start of nan": Bad(with_arguments("--start", "nan,0,0"), ["--start", "'nan,0,0'"]),
-    "unknown format": Bad(with_arguments("--format", "rosbug"), ["--format", "folder or bag", "'rosbug'"]),
     "slope without tilt": Bad(
         untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "observation.kind=line"]
     ),
@@ -469,11 +468,29 @@ def test_doctor_takes_the_configuration_of_zenoh(localiser: Localiser, tmp_path:
         (("live", "--map", "map.yaml", "--namespace=robot1"), "--namespace: is a setting now: --set live.namespace="),
         (("live", "demo", "--dds", "7"), "--dds: is a setting now: --set live.dds=DOMAIN"),
         (("pose", "set", "1,2,3", "--ros-distro", "humble"), "--ros-distro: is the environment's ROS_DISTRO now"),
+        (("replay", "log", "--format", "bag"), "--format: is gone: the format is found out"),
+        (("camera", "tilt", "log", "--format=bag"), "--format: is gone: the format is found out"),
+        (("convert", "log", "out", "--to", "mcap"), "--to: is gone: OUT says it by .mcap"),
     ],
 )
-def test_an_option_that_has_become_a_setting_is_told(localiser: Localiser, words: tuple[str, ...], told: str) -> None:
+def test_an_option_that_is_gone_is_told_with_what_takes_its_place(
+    localiser: Localiser, words: tuple[str, ...], told: str
+) -> None:
     result = localiser(*words)
     assert result.exit_code == 2 and told in result.err
+
+
+def test_quiet_may_stand_anywhere(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    for number, words in enumerate((["--quiet", "convert"], ["convert", "-q"])):
+        result = localiser(*words, log, tmp_path / f"{number}.mcap")
+        assert (result.exit_code, result.out, result.err) == (0, "", "")
+    assert "frames" in localiser("convert", log, tmp_path / "loud.mcap").out
+
+
+def test_help_names_no_types_of_python(localiser: Localiser) -> None:
+    for command in ([], ["replay"], ["batch"], ["map", "build"], ["live"]):
+        told = localiser(*command, "--help").out
+        assert "--help" in told and not any(name in told for name in ("<bool>", "<list[", "<path>")), command
 
 
 def commands_of(command: Any, name: str = "localiser") -> Iterator[tuple[str, Any]]:

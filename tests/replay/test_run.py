@@ -245,7 +245,7 @@ def test_edges_belong_to_landmarks_by_id_whatever_the_order_of_the_map(localiser
     converted = tmp_path / "without_map"
     storage.write_map(MAP, tmp_path / "map.yaml")
     (log / "log.yaml").write_text((log / "log.yaml").read_text().replace("map: map.yaml\n", ""))
-    assert localiser("convert", log, converted, "--to", "folder", "--quiet").exit_code == 0
+    assert localiser("convert", log, converted, "--quiet").exit_code == 0
     assert (converted / "edges.csv").read_bytes() == (log / "edges.csv").read_bytes()
     without = localiser.replay(converted, tmp_path / "again", *KNOWN, "--map", tmp_path / "map.yaml")
     assert (own / "trajectory.tum").read_bytes() == (without / "trajectory.tum").read_bytes()

@@ -171,7 +171,7 @@ def test_loop_of_links_is_an_error(log_folder: Path) -> None:
         ("missing", {}, "missing: no such log"),
         (".", {}, "expected a log: a folder with a log.yaml"),
         (".", {"format": "folder"}, "log.yaml: no such file"),
-        (".", {"format": "tar"}, "--format: expected folder or bag, found 'tar'"),
+        (".", {"format": "tar"}, "format: expected folder or bag, found 'tar'"),
     ],
 )
 def test_what_is_no_log(tmp_path: Path, path: str, options: dict[str, str], expected: str) -> None:

@@ -40,7 +40,7 @@ def test_a_reader_that_is_registered_reads_its_format(pointer: Path) -> None:
 
 
 def test_what_is_said_of_a_format_is_that_of_all_registered(pointer: Path) -> None:
-    with pytest.raises(InputError, match="--format: expected folder, bag or pointer, found 'video'"):
+    with pytest.raises(InputError, match="format: expected folder, bag or pointer, found 'video'"):
         open_log(pointer, format="video")
     with pytest.raises(InputError, match=r"a ROS bag or a file that ends in \.pointer"):
         open_log(pointer.parent)

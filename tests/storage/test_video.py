@@ -59,16 +59,13 @@ def test_the_clock_of_the_video_is_set_by_its_start(drive: Path) -> None:
         read(drive, 9 * 10**9)
 
 
-@pytest.mark.parametrize("png", [False, True])
-def test_a_video_becomes_a_log_folder(drive: Path, localiser: Localiser, png: bool) -> None:
+def test_a_video_becomes_a_log_folder(drive: Path, localiser: Localiser) -> None:
     options = ("--odometry", drive / "odometry.csv", "--camera", drive / "camera.yaml", "--quiet")
-    result = localiser("convert", drive / "drive.avi", drive / "log", *options, *(("--png",) if png else ()))
+    result = localiser("convert", drive / "drive.avi", drive / "log", *options)
     assert (result.exit_code, result.err) == (0, "")
     log = open_log(drive / "log")
-    video = read_video(drive / "drive.avi", drive / "odometry.csv", drive / "camera.yaml", lossless=png)
-    assert log.name == "log" and {path.suffix for path in (drive / "log" / "images").iterdir()} == {
-        ".png" if png else ".jpg"
-    }
+    video = read_video(drive / "drive.avi", drive / "odometry.csv", drive / "camera.yaml")
+    assert log.name == "log" and {path.suffix for path in (drive / "log" / "images").iterdir()} == {".jpg"}
     for mine, theirs in zip(log.frames, video.frames, strict=True):
         assert isinstance(mine, ImageEvent) and isinstance(theirs, ImageEvent)
         np.testing.assert_array_equal(mine.load(), theirs.load())
@@ -97,8 +94,6 @@ def test_what_is_for_videos_alone_is_refused(drive: Path, localiser: Localiser) 
     assert result.exit_code == 2 and "expected a video with --camera FILE" in result.err
     result = localiser("convert", drive / "log", drive / "other", "--start-ns", 5)
     assert result.exit_code == 2 and "--start-ns: is for a video" in result.err
-    result = localiser("convert", drive / "log", drive / "other", "--png")
-    assert result.exit_code == 2 and "--png: is for a video" in result.err
 
 
 @pytest.mark.parametrize(

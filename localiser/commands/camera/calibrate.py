@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import Quiet, progress, show
+from localiser.commands.options import is_quiet, progress, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,7 +82,6 @@ def calibrate(
     name: Annotated[
         str | None, typer.Option(metavar="NAME", help="Name of the camera in that file; by default the file's own.")
     ] = None,
-    quiet: Quiet = False,
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
     from localiser.storage import require_new_file
@@ -99,9 +98,9 @@ def calibrate(
     if out is not None:
         require_new_file(out)
     count = len({*images} if floor is None else {*images, floor})
-    with progress("Looking for the board", count, quiet) as advance:
+    with progress("Looking for the board", count) as advance:
         found = calibrate_by(images, floor, wanted, lens.value, advance)
-    if not quiet:
+    if not is_quiet():
         _show(found)
     if out is not None:
         write_calibration(found, out, name or out.stem)

@@ -14,8 +14,8 @@ from localiser.commands.options import (
     ConfigFile,
     NewLog,
     Overrides,
-    Quiet,
     Topics,
+    is_quiet,
     open_with_settings,
     progress,
     topics_by_role,
@@ -43,12 +43,8 @@ def sync(
     out: NewLog = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="Format of the log; by default found out.")
-    ] = None,
     topics: Topics = None,
     camera: BagCamera = None,
-    quiet: Quiet = False,
 ) -> None:
     """Find the offset between the clocks of images and wheels, from the turns that both of them show."""
     from dataclasses import replace
@@ -62,11 +58,11 @@ def sync(
     if out is not None:
         require_new(out)
     recorded, settings = open_with_settings(
-        log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
+        log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
     )
-    with progress("Looking", MOST_PAIRS, quiet) as advance:
+    with progress("Looking", MOST_PAIRS) as advance:
         found = find_offset(recorded, settings, advance)
-    if not quiet:
+    if not is_quiet():
         typer.echo(
             f"Images are stamped {found.text} than wheels (1σ), by {np.rad2deg(found.turned_rad):.0f}° of turning in "
             f"{found.pairs} pairs of images."

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.convert import to_folder
-from localiser.commands.options import ConfigFile, NewLog, Overrides, Quiet, progress, show
+from localiser.commands.options import ConfigFile, NewLog, Overrides, is_quiet, progress, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,10 +32,6 @@ def tilt(
     ] = 500,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    log_format: Annotated[
-        str | None, typer.Option("--format", metavar="FORMAT", help="Format of the log; by default found out.")
-    ] = None,
-    quiet: Quiet = False,
 ) -> None:
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
     from dataclasses import replace
@@ -47,11 +43,11 @@ def tilt(
     if out is not None:
         require_new(out)
     settings = read_config(config, overrides or [])
-    recorded = open_log(log, format=log_format, sensor=settings.sensor)
+    recorded = open_log(log, sensor=settings.sensor)
     used = usable_images(recorded, images)
-    with progress("Looking", len(used), quiet) as advance:
+    with progress("Looking", len(used)) as advance:
         found = find_tilt(recorded, used, settings, advance)
-    if not quiet:
+    if not is_quiet():
         _show(found, len(used))
     if out is not None:
         _require_certain(found, settings, recorded)

@@ -13,10 +13,9 @@ from localiser.commands.map.options import NewMap, require_writable
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
-    LogFormat,
     Overrides,
-    Quiet,
     Topics,
+    is_quiet,
     open_with_settings,
     progress,
     show,
@@ -71,11 +70,9 @@ def build(
     ] = "none",
     config: ConfigFile = None,
     overrides: Overrides = None,
-    log_format: LogFormat = None,
     topics: Topics = None,
     camera: BagCamera = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing map.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Build a map of the vertical edges that a LOG shows, or several, with what is known of each."""
     from dataclasses import replace
@@ -90,15 +87,13 @@ def build(
             if value:
                 raise InputError("expected one log with this option, found several", field=name)
     read = [
-        open_with_settings(
-            log, config, [*(overrides or [])], format=log_format, topics=topics_by_role(topics), camera=camera
-        )
+        open_with_settings(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
         for log in logs
     ]
     recorded, settings = [log for log, _ in read], read[0][1]
     track, source = poses_named(poses)
     with MapWatch(recorded[0], settings.mapping, rrd, view) as watch:
-        with progress("Finding edges", sum(len(log.frames) for log in recorded), quiet) as advance:
+        with progress("Finding edges", sum(len(log.frames) for log in recorded)) as advance:
             try:
                 built = build_map(
                     recorded,
@@ -126,7 +121,7 @@ def build(
         write_map(replace(built.landmark_map, header=header), out)
     if trajectory is not None:
         write_tum(built.trajectory, trajectory)
-    if not quiet:
+    if not is_quiet():
         _show_built(built, out)
     if watch.viewer is not None:
         _stay(watch.viewer)

@@ -9,7 +9,7 @@ import typer
 
 from localiser.commands.map.align import best_fit
 from localiser.commands.map.options import Force, MapOut, Within, require_writable
-from localiser.commands.options import Quiet
+from localiser.commands.options import is_quiet
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ def merge(
     ] = False,
     within: Within = 0.15,
     force: Force = False,
-    quiet: Quiet = False,
 ) -> None:
     """Refine a PLAN by a LOG-MAP: landmarks of both are fused by their covariances, the others are kept.
 
@@ -53,7 +52,7 @@ def merge(
     else:
         whole, told = _merge_both(one, read_map(second), within, find_frame=find_frame)
     write_map(whole, out)
-    if not quiet:
+    if not is_quiet():
         typer.echo(f"{len(whole)} landmarks in {out}: {told}")
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.map.options import Force, NewMap, require_writable
-from localiser.commands.options import Quiet
+from localiser.commands.options import is_quiet
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ def plan(
     plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Floor plan: YAML of ROS map_server, PGM or PNG.")],
     out: NewMap,
     force: Force = False,
-    quiet: Quiet = False,
 ) -> None:
     """Turn the corners of walls, jambs and pillars of a floor PLAN into landmarks."""
     from localiser.storage import write_map
@@ -28,7 +27,7 @@ def plan(
     require_writable(out, overwrite=force)
     landmark_map, drawn = map_of_plan(plan)
     write_map(landmark_map, out)
-    if not quiet:
+    if not is_quiet():
         rows, columns = drawn.shape
         typer.echo(
             f"{len(landmark_map)} landmarks in {out}, from a plan of {columns * drawn.resolution_m:.1f} m × "

@@ -9,7 +9,7 @@ import typer
 
 from localiser.commands.map.build import poses_named
 from localiser.commands.map.options import Force, MapFile, Picture, PlanFile, WasAt, require_writable
-from localiser.commands.options import Quiet
+from localiser.commands.options import is_quiet
 from localiser.commands.options import show as print_table
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ def show(
     plan: PlanFile = None,
     out: Picture = None,
     force: Force = False,
-    quiet: Quiet = False,
 ) -> None:
     """Draw a MAP from above, with the certainty of every landmark, and print what is known of them.
 
@@ -40,7 +39,7 @@ def show(
     picture = out or map_file.with_suffix(".png")
     require_writable(picture, overwrite=force)
     draw_map(landmark_map, picture, surroundings)
-    if not quiet:
+    if not is_quiet():
         print_table(summary_table(landmark_map))
         typer.echo(f"Picture in {picture}")
 

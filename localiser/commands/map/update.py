@@ -13,8 +13,8 @@ from localiser.commands.options import (
     BagCamera,
     ConfigFile,
     Overrides,
-    Quiet,
     Topics,
+    is_quiet,
     open_with_settings,
     progress,
     topics_by_role,
@@ -34,7 +34,6 @@ def update(
     config: ConfigFile = None,
     overrides: Overrides = None,
     force: Force = False,
-    quiet: Quiet = False,
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
     from localiser.mapping import build_map, cache_folder, update_map
@@ -45,12 +44,12 @@ def update(
     recorded, effective = open_with_settings(
         log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
     )
-    with progress("Finding edges", len(recorded.frames), quiet) as advance:
+    with progress("Finding edges", len(recorded.frames)) as advance:
         track, source = poses_named(poses)
         built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
     changed = update_map(old, built, recorded.camera, effective.mapping.tracks.found, within)
     write_map(changed.landmark_map, out)
-    if not quiet:
+    if not is_quiet():
         typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")
         typer.echo(f"Gone: {', '.join(map(str, changed.gone)) or 'none'}")
         typer.echo(f"New: {', '.join(map(str, changed.new)) or 'none'}")
