@@ -15,7 +15,7 @@ from localiser import __version__  # noqa: E402
 project = "localiser"
 version = release = __version__
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
-exclude_patterns = ["Thumbs.db", ".DS_Store"]
+exclude_patterns = ["Thumbs.db", ".DS_Store", "notes"]  # notes are read in a clone
 html_theme = "furo"
 html_title = "localiser"
 html_static_path: list[str] = []
@@ -27,29 +27,18 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_default_options = {"members": True, "undoc-members": False}
 
-OUTWARD_LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(((?:\.\./)+[^)\s]*)\)")
-LISTED = re.compile(r"^(?:[^<\n]*<)?([\w/.-]+?)>?$", re.MULTILINE)
-TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```", re.MULTILINE | re.DOTALL)
+OUTWARD_LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(((?:(?:\.\./)+|notes/)[^)\s]*)\)")
 
 
 def read(app: Any, docname: str, source: list[str]) -> None:
-    """Fit a page to the site: what is only in a clone is no link, and no page is left out of the contents."""
+    """Fit a page to the site: what is only in a clone is no link."""
     page = Path(app.env.doc2path(docname)).parent
     source[0] = OUTWARD_LINK.sub(lambda link: _inward(link, page), source[0])
-    if docname == "index":
-        source[0] += _further(app.env.found_docs, source[0])
 
 
 def _inward(link: re.Match[str], page: Path) -> str:
     target = (page / link[2].partition("#")[0]).resolve()
-    return link[0] if target.is_relative_to(DOCS) else link[1]
-
-
-def _further(pages: set[str], index: str) -> str:
-    """Return the contents of those pages that the index does not list."""
-    listed = {name for contents in TOCTREE.findall(index) for name in LISTED.findall(contents)}
-    rest = sorted(page for page in pages - listed - {"index"} if not page.startswith("notes/"))
-    return "\n".join(["", "```{toctree}", ":hidden:", ":caption: Further pages", *rest, "```", ""]) if rest else ""
+    return link[0] if target.is_relative_to(DOCS) and not target.is_relative_to(DOCS / "notes") else link[1]
 
 
 def as_text(app: Any, what: str, name: str, thing: object, options: Any, lines: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Files for ROS 2 and Docker, and the commands of docs/ros2.md: what they call can be called."""
+"""Files for ROS 2 and Docker, and the commands of docs/live.md: what they call can be called."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def commands() -> list[list[str]]:
     """Return every call of the program as words, without the values that others put in."""
     services = yaml.safe_load((FOLDER / "compose.yaml").read_text(encoding="utf-8"))["services"]
     calls = [service["command"][2].split("exec ")[1] for service in services.values() if service["command"][0] == "sh"]
-    page = (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
     calls += [line.split(" #")[0] for line in re.findall(r"^    (localiser .*)$", page, re.MULTILINE)]
     return [launched(), *(shlex.split(re.sub(r"\$\{[^}]*\}", "x", call)) for call in calls)]
 

@@ -18,7 +18,7 @@ from localiser.storage.packing import decode, encode, form_of
 
 FORMAT = "localiser-map/1"
 MOST_BYTES = 64 * 2**20
-MOST_LANDMARKS = 100_000  # as many as are measured in docs/performance.md
+MOST_LANDMARKS = 100_000  # as many as are measured in docs/results.md
 LARGE_BYTES = 50_000  # from which on a map is kept as it was read
 KEPT_MAPS = 20
 
