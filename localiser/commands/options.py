@@ -31,7 +31,8 @@ Topics = Annotated[
     typer.Option(
         "--topic",
         metavar="KIND=NAME",
-        help="Topic of a ROS bag where several fit: image, camera_info, odometry or groundtruth. May be repeated.",
+        help="Topic of a ROS bag where several fit: image (image_raw, image_rect), camera_info, odometry, "
+        "groundtruth. May be repeated.",
     ),
 ]
 BagCamera = Annotated[

@@ -72,14 +72,16 @@ class Recorder:
         fields = {"width": WIDTH, "height": HEIGHT, "distortion_model": "plumb_bob", names: matrix} | fields
         self.send(topic, CAMERA_INFO, t_ns, header=self.header(t_ns, "optical"), **fields)
 
-    def odometry(self, t_ns: int, x: float = 0.0, *, topic: str = "/odom", **turned: float) -> None:
+    def odometry(
+        self, t_ns: int, x: float = 0.0, *, topic: str = "/odom", base: str = "base_link", **turned: float
+    ) -> None:
         make = self.make
         quaternion = make("geometry_msgs/msg/Quaternion", **({"w": 1.0} | turned))
         pose = make(
             "geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", x=x, y=0.0), orientation=quaternion
         )
         full = make("geometry_msgs/msg/PoseWithCovariance", pose=pose)
-        self.send(topic, ODOMETRY, t_ns, header=self.header(t_ns, "odom"), child_frame_id="base_link", pose=full)
+        self.send(topic, ODOMETRY, t_ns, header=self.header(t_ns, "odom"), child_frame_id=base, pose=full)
 
     def transform(
         self,

@@ -13,7 +13,6 @@ from localiser.storage.bags.bag import (
     POSES,
     TEXT,
     TRANSFORMS,
-    stamp_of,
     typestore,
 )
 from localiser.storage.bags.camera_finder import CameraFinder
@@ -29,6 +28,7 @@ from localiser.storage.bags.frames import (
     check_start,
     floor_pose,
     plain_frame,
+    stamp_of,
     start_of_message,
 )
 from localiser.storage.bags.images import grey_image, image_file, stated_size

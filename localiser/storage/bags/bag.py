@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from localiser.errors import InputError, LocaliserError
+from localiser.storage.bags.frames import stamp_of
 from localiser.storage.bags.guarded import rosbag1_reader, rosbag2_reader
 from localiser.storage.bags.limits import Allowance, check_files, check_topics, message_unpacker
 
@@ -34,7 +35,6 @@ METADATA_FILE = "metadata.yaml"
 ROS1_SUFFIX = ".bag"
 SUFFIXES = (ROS1_SUFFIX, ".mcap", ".db3")
 MOST_TRANSFORMS_BYTES = 2**20  # of a message; thousands of transforms, each of which takes 2 kB once it is read
-_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,12 +59,6 @@ class Message:
     def stamp_ns(self) -> int:
         """When it was measured, by its header."""
         return stamp_of(self.content)
-
-
-def stamp_of(content: Any) -> int:
-    """Return the time (ns) in a message's header."""
-    stamp = content.header.stamp
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 class Bag:

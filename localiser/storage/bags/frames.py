@@ -1,4 +1,4 @@
-"""Convert between frames of ROS and ours: the camera's mount in a tree of transforms, floor poses.
+"""Convert between frames of ROS and ours: the camera's mount by transforms, fixed or moving, and floor poses.
 
 ROS (REP-103): a robot's frame has x forward, y left, z up; a camera's optical frame x right, y down, z forward.
 """
@@ -6,19 +6,23 @@ ROS (REP-103): a robot's frame has x forward, y left, z up; a camera's optical f
 from __future__ import annotations
 
 import math
+from array import array
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from heapq import nsmallest
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.camera import Mount
 from localiser.geometry import Array, pose_from_ros, ros_cov_from_cov, wrap_angle
 
-FLOOR_FRAME = "base_footprint"  # REP-120: the robot's frame, let down to the floor
+FLOOR_FRAME = "base_footprint"  # REP-120: the robot's frame, let down to the floor; names of many robots have a prefix
 MOST_FRAMES, MOST_FRAMES_LIVE = 10_000, 1000  # a bag may hold those of many robots
 MOST_STEPS = 100  # from the robot to its camera
+MOST_APART_S = 0.5
+"""How far from an image the transforms may be that its mount is from."""
 _LONGEST_NAME, _MOST_LISTED = 256, 12
 
 _ROBOT_FROM_BASE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -29,99 +33,163 @@ _LARGEST_POSITION_M = 1e9
 _LARGEST_START_M = 1e6  # from the map's origin, as in a log's start
 _LARGEST_SIGMA_M, _LARGEST_SIGMA_RAD = 1000.0, 2 * math.pi
 FLOOR_ROWS = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x, y, z and the turns about them
+_NS = 10**9
 
 
 Link = tuple[str, str]
 
 
 class FrameTree:
-    """Transforms between named frames at one time. A transform is (4, 4) and takes points of a child to its parent.
+    """Transforms between named frames: fixed ones, and those that change with time, which are checked when asked for.
 
-    neighbours: the frames beside each frame, with the transforms from them.
+    A transform is (4, 4) and takes points of a child to its parent.
     """
 
-    def __init__(self, most: int = MOST_FRAMES) -> None:
-        """Start with no frame. most: how many there may be."""
-        self.neighbours: dict[str, dict[str, Array]] = {}
-        self._most = most
+    def __init__(self, most: int = MOST_FRAMES, kept: int | None = None) -> None:
+        """Start with no frame. most: how many transforms there may be, fixed and moving.
+
+        kept: how many times of each one that moves, the newest; None keeps all.
+        """
+        self._most, self._kept = most, kept
+        self._beside: tuple[dict[str, dict[str, None]], ...] = ({}, {})  # by all, and by fixed ones alone
+        self._fixed: dict[Link, Array] = {}
+        self._times: dict[Link, array[int]] = {}
+        self._values: dict[Link, array[float]] = {}
+        self._sorted: dict[Link, tuple[NDArray[np.int64], Array]] = {}
         self._chains: dict[Link, list[Link] | None] = {}
 
     def add_all(self, transforms: Sequence[Any]) -> None:
-        """Add the transforms of a tf2_msgs/TFMessage, all or none.
+        """Add the fixed transforms of a tf2_msgs/TFMessage, all or none.
 
-        Raises ValueError when one is no rigid motion, or there are too many frames.
+        Raises ValueError when one is no rigid motion, or there are too many.
         """
-        links = links_of(transforms)
-        new = {frame for link in links for frame in link if frame not in self.neighbours}
-        if len(self.neighbours) + len(new) > self._most:
-            raise ValueError(f"expected at most {self._most} frames, found more")
+        links = self._checked(transforms)
         found = []
         for (parent, child), stamped in zip(links, transforms, strict=True):
             moved, turned = stamped.transform.translation, stamped.transform.rotation
-            transform: Array = np.eye(4)
-            transform[:3, :3] = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
-            transform[:3, 3] = moved.x, moved.y, moved.z
-            _require_near(parent, child, transform)
-            found.append((parent, child, transform))
-        for parent, child, transform in found:
-            self.add(parent, child, transform)
+            found.append(_transform((moved.x, moved.y, moved.z), (turned.x, turned.y, turned.z, turned.w)))
+            _require_near(parent, child, found[-1])
+        for link, transform in zip(links, found, strict=True):
+            self._join(link, fixed=True)
+            self._fixed[link] = transform
 
-    def add(self, parent: str, child: str, transform: Array) -> None:
-        """Add a transform (4, 4). Raises ValueError when the child is too far away."""
-        _require_near(parent, child, transform)
-        if child not in self.neighbours.get(parent, ()):
-            self._chains.clear()
-        self.neighbours.setdefault(parent, {})[child] = transform
-        self.neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(transform))
+    def add_moving(self, transforms: Sequence[Any], offset_ns: int = 0) -> None:
+        """Add transforms as they are at the time of their stamps, all or none; offset_ns: what is added to these.
 
-    def part(self, steps: Iterable[Link]) -> FrameTree:
-        """Return a tree of the transforms between these neighbours alone, where there are any, and of FLOOR_FRAME."""
-        other = FrameTree()
-        if FLOOR_FRAME in self:
-            other.neighbours[FLOOR_FRAME] = {}
-        for step in steps:
-            for frame, neighbour in (step, step[::-1]):
-                if neighbour in self.neighbours.get(frame, ()):
-                    other.neighbours.setdefault(frame, {})[neighbour] = self.neighbours[frame][neighbour]
-        return other
+        Raises ValueError where there are too many.
+        """
+        for link, stamped in zip(self._checked(transforms), transforms, strict=True):
+            self._join(link, fixed=False)
+            moved, turned = stamped.transform.translation, stamped.transform.rotation
+            times, values = self._times.setdefault(link, array("q")), self._values.setdefault(link, array("d"))
+            times.append(stamp_of(stamped) + offset_ns)
+            values.extend((moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w))
+            if self._kept is not None and len(times) > 1.25 * self._kept:
+                del times[: -self._kept], values[: -7 * self._kept]
+        self._sorted.clear()
 
-    def copy(self) -> FrameTree:
-        """Return a tree with the same transforms."""
-        other = FrameTree()
-        other.neighbours = {frame: dict(beside) for frame, beside in self.neighbours.items()}
-        return other
-
-    def chain(self, target: str, source: str) -> list[Link] | None:
-        """Return the pairs of neighbours from one frame to another, as the function `chain`; they are remembered."""
-        if (target, source) not in self._chains:
-            self._chains[target, source] = chain([self.neighbours], target, source)
-        return self._chains[target, source]
+    def forget_times(self) -> None:
+        """Forget how frames that move stood to each other, and not which of them do."""
+        self._times, self._values = {link: array("q") for link in self._times}, {}
+        self._sorted.clear()
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self.neighbours
+        return frame in self._beside[0]
 
-    def between(self, target: str, source: str) -> Array:
-        """Return the transform (4, 4) from `source` to `target` along any chain of frames. Raises ValueError."""
+    def chain(self, target: str, source: str) -> list[Link] | None:
+        """Return the pairs of neighbours from one frame to another, by the fewest transforms; None where none lead.
+
+        Fixed transforms come first where they alone join the two. A chain of more than `MOST_STEPS` is none.
+        """
+        if (target, source) not in self._chains:
+            everything, fixed = self._beside
+            self._chains[target, source] = _shortest(fixed, target, source) or _shortest(everything, target, source)
+        return self._chains[target, source]
+
+    def moving_links(self, target: str, source: str) -> list[Link]:
+        """Return parent and child of the transforms between two frames that change with time."""
+        both = (link for step in self.chain(target, source) or () for link in (step, step[::-1]))
+        return [link for link in both if link in self._times and link not in self._fixed]
+
+    def reaches(self, link: Link, t_ns: int) -> bool:
+        """Whether a transform that moves is known at a time or later."""
+        return bool((self._of(link)[0][-1:] >= t_ns).any())
+
+    def between(self, target: str, source: str, t_ns: int = 0) -> Array:
+        """Return the transform (4, 4) from `source` to `target` at a time, along any chain. Raises ValueError."""
         steps = self.chain(target, source)
         if steps is None:
-            known = ", ".join(nsmallest(_MOST_LISTED, self.neighbours)) or "no frame at all"
-            more = f" and {len(self.neighbours) - _MOST_LISTED} more" if len(self.neighbours) > _MOST_LISTED else ""
+            known = ", ".join(nsmallest(_MOST_LISTED, self._beside[0])) or "no frame at all"
+            count = len(self._beside[0]) - _MOST_LISTED
+            more = f" and {count} more" if count > 0 else ""
             raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}{more}")
         transform: Array = np.eye(4)
-        for frame, neighbour in steps:
-            transform = transform @ self.neighbours[frame][neighbour]
+        for link in steps:
+            known_way = link in self._fixed or (link in self._times and link[::-1] not in self._fixed)
+            step = self._at(link, t_ns) if known_way else np.linalg.inv(self._at((link[1], link[0]), t_ns))
+            transform = transform @ step
         return transform
 
+    def floor_of(self, base: str) -> str | None:
+        """Return the frame of the floor below a robot's frame, which has the same prefix or none; None without one."""
+        ends = range(len(base), -1, -1)
+        return next((base[:end] + FLOOR_FRAME for end in ends if base[:end] + FLOOR_FRAME in self), None)
 
-def chain(neighbours: Sequence[Mapping[str, Iterable[str]]], target: str, source: str) -> list[Link] | None:
-    """Return the pairs of neighbours from one frame to another, by the fewest transforms; None where none lead.
+    def _checked(self, transforms: Sequence[Any]) -> list[Link]:
+        """Return parent and child of each transform. Raises ValueError for too many, and for endless names."""
+        links = [(plain_frame(each.header.frame_id), plain_frame(each.child_frame_id)) for each in transforms]
+        longest = max((len(frame) for link in links for frame in link), default=0)
+        if longest > _LONGEST_NAME:
+            raise ValueError(f"expected names of frames of at most {_LONGEST_NAME} characters, found {longest}")
+        new = {link for link in links if link not in self._fixed and link not in self._times}
+        if len({*self._fixed, *self._times}) + len(new) >= self._most:
+            raise ValueError(f"expected fewer than {self._most} transforms between frames, found more")
+        return links
 
-    neighbours: the frames beside each frame, in several mappings. A chain of more than `MOST_STEPS` is none.
-    """
+    def _join(self, link: Link, *, fixed: bool) -> None:
+        for beside in self._beside[: 1 + fixed]:
+            for frame, neighbour in (link, link[::-1]):
+                if neighbour not in (known := beside.setdefault(frame, {})):
+                    known[neighbour] = None
+                    self._chains.clear()
+
+    def _at(self, link: Link, t_ns: int) -> Array:
+        """Return a transform (4, 4) at a time, between those before and after where it moves. Raises ValueError."""
+        if link in self._fixed:
+            return self._fixed[link]
+        times, values = self._of(link)
+        if not len(times):
+            raise ValueError(f"expected transforms from {link[0]!r} to {link[1]!r}, found none")
+        after = int(np.searchsorted(times, t_ns))
+        first, last = max(after - 1, 0), min(after, len(times) - 1)
+        apart_s = max(t_ns - times[first], times[last] - t_ns, key=abs) / 1e9
+        if abs(apart_s) > MOST_APART_S and times[first] != t_ns and times[last] != t_ns:
+            raise ValueError(
+                f"expected transforms from {link[0]!r} to {link[1]!r} within {MOST_APART_S} s of the image at "
+                f"{t_ns} ns, found none for {abs(apart_s):.3g} s"
+            )
+        span = float(times[last] - times[first])
+        share = float(np.clip((t_ns - times[first]) / span, 0.0, 1.0)) if span > 0 else 0.0
+        moved = (1.0 - share) * values[first, :3] + share * values[last, :3]
+        transform = _transform(moved, _between(values[first, 3:], values[last, 3:], share))
+        _require_near(*link, transform)
+        return transform
+
+    def _of(self, link: Link) -> tuple[NDArray[np.int64], Array]:
+        if link not in self._sorted:
+            times = np.array(self._times[link], dtype=np.int64)
+            values = np.array(self._values.get(link, ())).reshape(-1, 7)
+            order = np.argsort(times, kind="stable")
+            self._sorted[link] = times[order], values[order]
+        return self._sorted[link]
+
+
+def _shortest(beside: dict[str, dict[str, None]], target: str, source: str) -> list[Link] | None:
+    """Return the pairs of neighbours from one frame to another; see `FrameTree.chain`."""
     came_from, waiting = {target: target}, deque([target])
     while waiting and source not in came_from:
         frame = waiting.popleft()
-        for neighbour in (each for beside in neighbours for each in beside.get(frame, ())):
+        for neighbour in beside.get(frame, ()):
             if neighbour not in came_from:
                 came_from[neighbour] = frame
                 waiting.append(neighbour)
@@ -133,18 +201,34 @@ def chain(neighbours: Sequence[Mapping[str, Iterable[str]]], target: str, source
     return steps[::-1] if source in came_from and len(steps) <= MOST_STEPS else None
 
 
-def links_of(transforms: Iterable[Any]) -> list[Link]:
-    """Return parent and child of each transform of a tf2_msgs/TFMessage. Raises ValueError for endless names."""
-    links = [(plain_frame(each.header.frame_id), plain_frame(each.child_frame_id)) for each in transforms]
-    longest = max((len(frame) for link in links for frame in link), default=0)
-    if longest > _LONGEST_NAME:
-        raise ValueError(f"expected names of frames of at most {_LONGEST_NAME} characters, found {longest}")
-    return links
+def _transform(moved: Sequence[float] | Array, turned: Sequence[float] | Array) -> Array:
+    """Return a transform (4, 4) of a translation and a quaternion (x, y, z, w). Raises ValueError."""
+    transform: Array = np.eye(4)
+    transform[:3, :3] = rotation_from_quaternion(*turned)
+    transform[:3, 3] = moved
+    return transform
+
+
+def _between(one: Array, other: Array, share: float) -> Array:
+    """Return the quaternion on the great circle between two, by the share of the way."""
+    cos = float(one @ other)
+    other, cos = (other, cos) if cos >= 0 else (-other, -cos)
+    angle = math.acos(min(cos, 1.0))
+    if angle < 1e-6:
+        return (1.0 - share) * one + share * other
+    weights = math.sin((1.0 - share) * angle) / math.sin(angle), math.sin(share * angle) / math.sin(angle)
+    return np.asarray(weights[0] * one + weights[1] * other)
 
 
 def _require_near(parent: str, child: str, transform: Array) -> None:
     if not (np.abs(transform[:3, 3]) <= _LARGEST_M).all():
         raise ValueError(f"expected {child!r} within {_LARGEST_M:g} m of {parent!r}")
+
+
+def stamp_of(content: Any) -> int:
+    """Return the time (ns) in a message's header."""
+    stamp = content.header.stamp
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 def plain_frame(name: str) -> str:
@@ -177,17 +261,31 @@ def quaternion_from_rotation(rotation: Array) -> tuple[float, float, float, floa
 # -- mount ------------------------------------------------------------------------------------------------------------
 
 
-def mount_of(tree: FrameTree, base: str, optical: str) -> Mount:
-    """Return the mount of the camera with the frame `optical` on the robot with the frame `base`.
+def mount_links(tree: FrameTree, base: str, optical: str) -> list[Link]:
+    """Return the transforms that move of those that the mount is made of.
 
-    Heights are above the floor: above FLOOR_FRAME where the tree has it, else above `base`. Angles are rounded to
-    1e-10 degrees and lengths to 1e-10 m, far below what can be known, so that writing and reading again changes
-    nothing. Raises ValueError when no chain of frames joins the two, or the camera is not above the floor.
+    It moves where the camera does on its robot, or the robot's frame on its footprint, as that of a robot that leans.
     """
-    base_from_optical = tree.between(base, optical)
+    floor = tree.floor_of(base)
+    leans = [] if floor is None else tree.moving_links(floor, base)
+    return list(dict.fromkeys([*tree.moving_links(base, optical), *leans]))
+
+
+def mount_of(tree: FrameTree, base: str, optical: str, t_ns: int = 0) -> Mount:
+    """Return the mount of the camera with the frame `optical` on the robot with the frame `base` at a time.
+
+    Heights are above the floor's frame where the tree has one, else above `base`. Where the robot's frame leans over
+    its footprint, the mount is that on the footprint, which is level. Angles are rounded to 1e-10 degrees and lengths
+    to 1e-10 m, far below what can be known, so that writing and reading again changes nothing. Raises ValueError when
+    no chain of frames joins the two, or the camera is not above the floor.
+    """
+    floor = tree.floor_of(base)
+    if floor is not None and tree.moving_links(floor, base):
+        base = floor
+    base_from_optical = tree.between(base, optical, t_ns)
     axes = _ROBOT_FROM_BASE @ base_from_optical[:3, :3] @ _OPTICAL_FROM_CAMERA
     place = _ROBOT_FROM_BASE @ base_from_optical[:3, 3]
-    height_m = tree.between(FLOOR_FRAME, optical)[2, 3] if FLOOR_FRAME in tree else place[1]
+    height_m = place[1] if floor is None else tree.between(floor, optical, t_ns)[2, 3]
     if not height_m >= LEAST_HEIGHT_M:
         raise ValueError(f"expected the camera {optical!r} above the floor, found it {height_m:.3f} m high")
     # axes = turn(yaw) @ tilt @ roll of `Camera`; its last column is where the camera's back points.

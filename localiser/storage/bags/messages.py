@@ -11,7 +11,7 @@ import numpy as np
 from localiser.camera import Camera, MountSigma
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
 from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, POSE, TEXT, TRANSFORMS, typestore
-from localiser.storage.bags.cameras import info_fields
+from localiser.storage.bags.camera_finder import info_fields
 from localiser.storage.bags.frames import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
 from localiser.storage.images import suffix_of
 

@@ -22,7 +22,15 @@ from localiser.storage.bags.decisions import Decisions
 from localiser.storage.bags.frames import floor_pose
 from localiser.storage.bags.label import FORMAT, Label, document_of, labelled, with_sigma
 from localiser.storage.bags.playback import ImagePlace, Playback
-from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, choose
+from localiser.storage.bags.topics import (
+    CAMERA_TOPIC,
+    DECISIONS_TOPIC,
+    IMAGE_KINDS,
+    LOG_TOPIC,
+    MAP_TOPIC,
+    STATE_TOPIC,
+    choose,
+)
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.images import check_size
@@ -52,7 +60,13 @@ class BagReader:
             content = _Content(
                 path,
                 {(topic.name, topic.msgtype): role for topic, role in roles.items()},
-                CameraFinder(None, image.name, " ".join([str(path), *infos]), at_once=is_live),
+                CameraFinder(
+                    None,
+                    image.name,
+                    " ".join([str(path), *infos]),
+                    at_once=is_live,
+                    rectified=next((kind == "image_rect" for kind in IMAGE_KINDS if kind in options.topics), None),
+                ),
             )
             fault = _taken(content, bag, roles, up_to_fault=is_live and options.up_to_fault)
         return replace(_log(content, image, given), fault=fault)

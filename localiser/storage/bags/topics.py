@@ -23,6 +23,8 @@ TYPES = {
     "groundtruth": (ODOMETRY,),
     "imu": (IMU,),
 }
+IMAGE_KINDS = ("image_raw", "image_rect")
+"""Images by what was done to them: their lens distortion is as the camera took them, or undone."""
 _TRUTH = re.compile(r"ground_?truth", re.IGNORECASE)
 _MOST_LISTED = 12
 
@@ -32,12 +34,14 @@ def choose(
 ) -> dict[Topic, str]:
     """Return the topics of a log and what each is for; one that this program adds to a bag stands for itself.
 
-    asked: names by what they are for, which come before any guess. stated: the same, as the bag says.
+    asked: names by what they are for, which come before any guess; of images also by IMAGE_KINDS. stated: the same,
+    as the bag says.
 
     An odometry whose name says ground truth is the truth. Of several camera_info the one beside the image is taken, as
     ROS names them. An inertial sensor is taken only where it was asked for. Raises InputError that lists the choices
     when several fit or none does.
     """
+    asked = {"image" if role in IMAGE_KINDS else role: name for role, name in asked.items()}
     for role in asked:
         if role not in TYPES:
             raise InputError(f"unknown kind of topic; {nearest(role, list(TYPES))}", field="--topic")

@@ -16,7 +16,7 @@ from rosbags.interfaces import QosDurability
 from small_bag import HEIGHT, OPTICAL, WIDTH, Recorder, bag, recording
 from small_log import CAMERA, write_edge_log, write_small_log
 
-from localiser.camera import RollingShutter
+from localiser.camera import Camera, RollingShutter
 from localiser.errors import InputError, OutputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag
 from localiser.storage.bags import playback
@@ -71,12 +71,6 @@ def test_a_bag_of_one_file_needs_no_folder(tmp_path: Path, name: str) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log", name]
 
 
-@pytest.mark.parametrize("model", [("none", ()), ("plumb_bob", (0.1, -0.2, 1e-3, 2e-3, 0.3)), ("plumb_bob", ())])
-@KINDS
-def test_lens_models_survive(tmp_path: Path, kind: str, model: tuple[str, tuple[float, ...]]) -> None:
-    assert_lens_survives(tmp_path, kind, *model)
-
-
 @KINDS
 def test_a_rolling_shutter_survives(tmp_path: Path, kind: str) -> None:
     log = open_log(write_small_log(tmp_path / "log"))
@@ -89,17 +83,18 @@ def test_a_rolling_shutter_survives(tmp_path: Path, kind: str) -> None:
         open_log(tmp_path / f"beyond{NAMES[kind]}")
 
 
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("none", ()),
+        ("plumb_bob", ()),
+        ("plumb_bob", (0.1, -0.2, 1e-3, 2e-3, 0.3)),
+        ("equidistant", (0.01, -0.02, 0.003, 0.0004)),
+        ("rational_polynomial", (0.1, 0.2, 1e-3, 1e-3, 0.3, 0.4, 0.5, 0.6)),
+    ],
+)
 @KINDS
-def test_wide_lens_models_survive(tmp_path: Path, kind: str) -> None:
-    assert_lens_survives(tmp_path, kind, "equidistant", (0.01, -0.02, 0.003, 0.0004))
-
-
-@KINDS
-def test_rational_lens_models_survive(tmp_path: Path, kind: str) -> None:
-    assert_lens_survives(tmp_path, kind, "rational_polynomial", (0.1, 0.2, 1e-3, 1e-3, 0.3, 0.4, 0.5, 0.6))
-
-
-def assert_lens_survives(tmp_path: Path, kind: str, model: str, coefficients: tuple[float, ...]) -> None:
+def test_lens_models_survive(tmp_path: Path, kind: str, model: str, coefficients: tuple[float, ...]) -> None:
     with recording(tmp_path / NAMES[kind], kind) as recorder:
         name = "D" if kind == "ros1" else "d"
         recorder.info(distortion_model="" if model == "none" else model, **{name: np.array(coefficients)})
@@ -443,17 +438,50 @@ def is_latched(ext: Any) -> bool:
     return [qos.durability for qos in ext.offered_qos_profiles] == [QosDurability.TRANSIENT_LOCAL]
 
 
-def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path: Path) -> None:
-    projection = np.array([20.0, 0, 4, 0, 0, 21, 3, 0, 0, 0, 1, 0])
-    with recording(tmp_path / "bag") as recorder:
-        recorder.info(d=np.array([0.1, 0.2, 0.0, 0.0, 0.0]), p=projection, r=np.eye(3).ravel())
+RECTIFIED = {
+    "d": np.array([-0.3, 0.1, 0.0, 0.0, 0.0]),
+    "r": np.eye(3).ravel(),
+    "p": np.array([9, 0, 3.0, 0, 0, 9, 2.0, 0, 0, 0, 1.0, 0]),
+}
+
+
+def camera_of(path: Path, topic: str, topics: dict[str, str] | None = None, **info: object) -> Camera:
+    """Return the camera of a bag with images on a topic, and a CameraInfo of raw and rectified images."""
+    with recording(path) as recorder:
+        recorder.info(topic=f"{topic.rsplit('/', 1)[0]}/camera_info", **(RECTIFIED | info))
         recorder.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
         for step in range(3):
             recorder.odometry(step * 10**8)
-            recorder.image(step * 10**8, topic="/cam/image_rect")
-    camera = open_log(tmp_path / "bag").camera
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (20.0, 21.0, 4.0, 3.0)
-    assert (camera.distortion_model, camera.distortion) == ("none", ())
+            recorder.image(step * 10**8, topic=topic)
+    return open_log(path, topics=topics).camera
+
+
+@pytest.mark.parametrize(
+    "name", ["image_rect", "image_rect_color", "image_color_rect", "rect/image", "rectified", "image_rect_raw"]
+)
+def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path: Path, name: str) -> None:
+    camera = camera_of(tmp_path / "bag", f"/cam/{name}")
+    assert (camera.fx, camera.cx, camera.cy, camera.distortion_model) == (9.0, 3.0, 2.0, "none")
+
+
+@pytest.mark.parametrize("name", ["image_raw", "image_mono", "image_color", "direct/image_raw"])
+def test_raw_images_have_the_matrix_and_distortion_of_the_lens(tmp_path: Path, name: str) -> None:
+    camera = camera_of(tmp_path / "bag", f"/cam/{name}")
+    assert (camera.fx, camera.distortion[0]) == (10.0, -0.3)
+
+
+def test_images_that_may_be_rectified_or_not_are_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--topic image_raw=/cam/image, or image_rect=/cam/image"):
+        camera_of(tmp_path / "bag", "/cam/image")
+    assert open_log(tmp_path / "bag", topics={"image_raw": "/cam/image"}).camera.fx == 10.0
+    assert open_log(tmp_path / "bag", topics={"image_rect": "/cam/image"}).camera.fx == 9.0
+
+
+@pytest.mark.parametrize(
+    "info", [{"d": np.zeros(5)}, {"p": np.zeros(12)}, {"p": np.array([10, 0, 3.5, 0, 0, 10, 2.5, 0, 0, 0, 1, 0])}]
+)
+def test_where_both_cameras_are_one_nothing_is_asked(tmp_path: Path, info: dict[str, object]) -> None:
+    assert camera_of(tmp_path / "bag", "/cam/image", **info).fx == 10.0
 
 
 def test_binning_is_refused(tmp_path: Path) -> None:

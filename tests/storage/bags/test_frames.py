@@ -126,6 +126,20 @@ def test_height_is_above_the_footprint_where_there_is_one(tmp_path: Path) -> Non
     assert (mount.tilt_rad, mount.roll_rad, mount.yaw_rad) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("prefix", ["robot1/", "/robot1/", "site/robot1/", "robot1_"])
+@pytest.mark.parametrize("own", [True, False], ids=["its own floor", "one floor for all"])
+def test_the_floor_of_a_robot_whose_frames_have_a_prefix(tmp_path: Path, prefix: str, own: bool) -> None:
+    def record(recorder: Recorder) -> None:
+        recorder.transform("robot2/base_footprint", "robot2/base_link", (0.0, 0.0, 0.9))
+        recorder.transform(
+            f"{prefix}base_footprint" if own else "base_footprint", f"{prefix}base_link", (0.5, 0.0, 0.2)
+        )
+        recorder.transform(f"{prefix}base_link", "optical", (0.0, 0.0, 0.5), OPTICAL)
+
+    mount = read(tmp_path / "bag", record, base=f"{prefix}base_link").camera.mount
+    assert mount.height_m == pytest.approx(0.7)
+
+
 @pytest.mark.parametrize(
     ("transforms", "problem"),
     [
@@ -146,13 +160,13 @@ def test_mounts_that_cannot_be(tmp_path: Path, transforms: list[tuple[object, ..
         read(tmp_path / "bag", record)
 
 
-def read(path: Path, record: object) -> object:
+def read(path: Path, record: object, base: str = "base_link") -> object:
     """Return the log of a bag whose transforms are what `record` writes."""
     with recording(path) as recorder:
         recorder.info()
         record(recorder)  # type: ignore[operator]
         for step in range(3):
-            recorder.odometry(step * 10**8)
+            recorder.odometry(step * 10**8, base=base)
             recorder.image(step * 10**8)
     return open_log(path)
 
@@ -162,6 +176,6 @@ def test_a_camera_that_is_hardly_above_the_floor_is_refused() -> None:
     mount = replace(CAMERA.mount, height_m=1e-12)
     tree = FrameTree()
     optical = base_from_optical(mount, CAMERA.level_from_camera)
-    tree.add("base", "optical", optical)
+    tree.add_all([Stamped("base", "optical", optical)])
     with pytest.raises(ValueError, match="above the floor"):
         mount_of(tree, "base", "optical")
