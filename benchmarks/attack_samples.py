@@ -14,7 +14,7 @@ from localiser.camera import Camera
 from localiser.commands import app
 from localiser.documents import dump
 from localiser.documents import load as load_document
-from localiser.edges import EdgeParameters, find_edges
+from localiser.edges import find_edges
 from localiser.filter import Sighting, Start
 from localiser.localiser import Localiser
 from localiser.storage import ImageEvent, Log, open_log, read_world, simulate_log, thinned, write_log, write_poses
@@ -153,15 +153,11 @@ def localiser_of(log: Log) -> Localiser:
 
 
 def write_others(folder: Path) -> None:
-    """Write what is made by other parts: messages of a robot, arguments of commands, edges that were kept."""
+    """Write what is made by other parts: messages of a robot, arguments of commands."""
     import json
-    import os
     import sys
-    from unittest.mock import patch
 
     from attack_targets import OPTIONS
-
-    from localiser.mapping.recorded import edges_of_log
 
     sys.path[:0] = [str(ROOT / "tests" / "support")]
     import live_feed
@@ -182,6 +178,3 @@ def write_others(folder: Path) -> None:
     (folder / "options").mkdir()
     words = [line.split() for line in OPTIONS.strip().splitlines()]
     (folder / "options" / "arguments.json").write_text(json.dumps(words))
-    with patch.dict(os.environ, {"LOCALISER_CACHE": str(folder / "kept")}):
-        edges_of_log(thinned(open_log(folder / "log"), 0.7), EdgeParameters(), cache=folder / "kept")
-    next((folder / "kept").glob("*.npz")).rename(folder / "edges.npz")

@@ -182,12 +182,6 @@ def _state(path: Path, out: Path) -> None:
     localiser.image(frame.t_ns, frame.encoded())
 
 
-def _cache(path: Path, out: Path) -> None:
-    from localiser.mapping.recorded import _load
-
-    _load(path, 2)
-
-
 def _live(path: Path, out: Path) -> None:
     """Feed a live run with messages; each file is one, its name says of what and when."""
     import numpy as np
@@ -303,7 +297,6 @@ READERS: dict[str, Target] = {
     "plan": Target("plan", lambda path, out: _reader("read_plan")(path / "plan.yaml", out)),
     "video": Target("video.avi", _video),
     "state": Target("saved.state", _state),
-    "cache": Target("edges.npz", _cache),
     "log": Target("log", all_of_log),
     "log-edges": Target("edges", all_of_log),
     "bag-ros1": Target("bag.bag", all_of_log),
@@ -353,7 +346,7 @@ edges {samples}/image.jpg --camera {samples}/camera.yaml --detector columns --ou
 map show {samples}/map.yaml --out map.png
 map align {samples}/map.yaml {samples}/map.yaml --within 0.3 --out new.yaml
 map plan {samples}/plan/plan.yaml --out new.yaml
-map check {samples}/map.yaml --camera {samples}/camera.yaml --out map.png --set mcl.particles=100
+map check {samples}/map.yaml --camera {samples}/camera.yaml --out map.png
 map build {samples}/edges --out new.yaml --poses {samples}/poses.csv --trajectory t.tum
 camera calibrate --draw-board board.png --board charuco --squares 8x6 --square-m 0.03 --marker-m 0.02
 camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m 0.03 --out cam.yaml --name x

@@ -26,8 +26,9 @@ import numpy as np
 from localiser import documents, mapping, simulate
 from localiser.camera import Camera
 from localiser.config import read_config
+from localiser.edges import Edges
 from localiser.errors import InputError
-from localiser.geometry import Array, map_from_robot, robot_from_map, wrap_angle
+from localiser.geometry import Array, map_from_robot, private_folder, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import (
     Built,
@@ -35,13 +36,12 @@ from localiser.mapping import (
     Prior,
     Sightings,
     build_map,
-    cache_folder,
     direction_of,
+    edges_of_log,
     turn_drift,
     wheels_of,
 )
 from localiser.mapping.landmarks import fit_landmarks
-from localiser.mapping.recorded import edges_of_log
 from localiser.motion import MotionParameters
 from localiser.storage import Log, open_log
 
@@ -178,7 +178,7 @@ def nees(logs: list[Path]) -> None:
     for path in logs:
         log = open_log(path)
         config = read_config(None, [], log.settings)
-        built = build_map(log, "truth", config, cache=cache_folder())
+        built = build_map(log, "truth", config, edges_of=kept_edges)
         exact = exact_edges(path, log.name)
         for name, edge in (
             ("place", nearest_edge(built, exact)),
@@ -194,6 +194,12 @@ def nees(logs: list[Path]) -> None:
                 f"{(scaled > 13.8).mean():.3f} |",
                 flush=True,
             )
+
+
+def kept_edges(log: Log) -> list[Edges]:
+    """Return the edges of a log, which are found once."""
+    config = read_config(None, [], log.settings)
+    return edges_of_log(log, config.edges, cache=private_folder("edges"))
 
 
 def exact_edges(log: Path, name: str) -> Array:
@@ -219,9 +225,8 @@ def edge_of_sightings(built: mapping.MapBuilt, exact: Array, camera: Camera) -> 
     landmarks, whole, sightings = built.landmark_map, built.built, built.sightings
     cameras = sightings.camera_poses(camera, built.trajectory.poses)
     heading, good = cameras[sightings.frame, 2] - sightings.bearing, whole.fit.weight > 0.5
-    number = np.linalg.norm(landmarks.points[:, None] - whole.fit.points[None], axis=-1).argmin(axis=1)
-    result = np.full(len(number), -1)
-    for landmark, own in enumerate(number):
+    result = np.full(len(landmarks), -1)
+    for landmark, own in enumerate(built.kept):
         seen = whole.used[(whole.of[whole.used] == own) & good]
         near = np.flatnonzero(np.linalg.norm(exact - landmarks.points[landmark], axis=1) < _SEARCHED_M)
         off = landmarks.points[landmark] - exact[near]
@@ -244,9 +249,9 @@ def slam(logs: list[Path]) -> None:
     for path in logs:
         log = open_log(path)
         config = read_config(None, [], log.settings)
-        edges_of_log(log, config.edges, cache=cache_folder())  # so that they are in the cache
+        kept_edges(log)  # so that they are in the cache
         begin = process_time()
-        built = build_map(log, "slam", config, cache=cache_folder())
+        built = build_map(log, "slam", config, edges_of=kept_edges)
         seconds = process_time() - begin
         t_ns = built.trajectory.t_ns
         truth = log.groundtruth.sampled(t_ns).poses
@@ -270,8 +275,7 @@ def nees_from_start(built: mapping.MapBuilt, log: Log, path: Path) -> str:
     truth = log.groundtruth.sampled(built.trajectory.t_ns).poses
     true_cameras = built.sightings.camera_poses(log.camera, truth)
     met = fit_landmarks(built.sightings, built.built.of, true_cameras, built.sightings.sigma).fit.points
-    kept = built.landmark_map.points[:, None] - built.built.fit.points[None]
-    apart = np.linalg.norm(met[np.linalg.norm(kept, axis=-1).argmin(axis=1)][:, None] - exact[None], axis=-1)
+    apart = np.linalg.norm(met[built.kept][:, None] - exact[None], axis=-1)
     known = apart.min(axis=1) < _NEAR_M
     of_start = robot_from_map(truth[0], exact[apart.argmin(axis=1)])
     off = built.landmark_map.points - map_from_robot(built.trajectory.poses[0], of_start)
@@ -287,7 +291,7 @@ def bearings(logs: list[Path]) -> None:
     for path in logs:
         log = open_log(path)
         begin = process_time()
-        made = build_map(log, "truth", read_config(None, [], log.settings), cache=cache_folder()).landmark_map
+        made = build_map(log, "truth", read_config(None, [], log.settings), edges_of=kept_edges).landmark_map
         seconds = process_time() - begin
         error = matched(log.landmark_map.points, made.points)
         print(

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from localiser.geometry import Increment, Trajectory, Twist, compose, robot_from_map, wrap_angle
     from localiser.landmarks import LandmarkMap
     from localiser.localiser import Localiser
-    from localiser.mapping import BuildWatch, MapBuilt, build_map
     from localiser.motion import MotionModel
     from localiser.observation import Observation, Sighting
     from localiser.particles import Estimate, Particles
@@ -40,7 +39,6 @@ __version__ = "0.1.0"
 
 __all__ = [
     "BearingSensor",
-    "BuildWatch",
     "Camera",
     "Config",
     "Detector",
@@ -98,7 +96,6 @@ _NAMES_OF = {
     "geometry": ("Increment", "Trajectory", "Twist", "compose", "robot_from_map", "wrap_angle"),
     "landmarks": ("LandmarkMap",),
     "localiser": ("Localiser",),
-    "mapping": ("BuildWatch", "MapBuilt", "build_map"),
     "motion": ("MotionModel",),
     "observation": ("Observation", "Sighting"),
     "particles": ("Estimate", "Particles"),

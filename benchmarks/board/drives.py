@@ -89,11 +89,17 @@ def drive_of(name: str, light: Light | None = None, tilt_off_deg: float = 0.0, h
         tilt_rad, height_m = mount.tilt_rad + float(np.deg2rad(tilt_off_deg)), mount.height_m + height_off_m
         log = replace(log, camera=log.camera.with_mount(tilt_rad=tilt_rad, height_m=height_m))
     config = MRCLAM if name.startswith("mrclam") else None
-    edges = edges_of_log(log, read_config(config, [], log.settings).edges, cache=KEPT / "edges")
+    edges = _kept_edges(log, config)
     t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
     truth = log.groundtruth.sampled(t_ns).poses
     own = log.landmark_map or LandmarkMap.from_points(np.zeros((1, 2)))
     return Drive(name, own, log.camera, log.odometry, t_ns, edges, truth, log.settings, config)
+
+
+def _kept_edges(log: Log, config=None):
+    """Return the edges of a log, which are found once."""
+    (KEPT / "edges").mkdir(parents=True, exist_ok=True)
+    return edges_of_log(log, read_config(config, [], log.settings).edges, cache=KEPT / "edges")
 
 
 def _lit(frame, light: Light, seed: int):
@@ -109,7 +115,7 @@ def _lit(frame, light: Light, seed: int):
 def map_of(name: str) -> LandmarkMap:
     """Return a map that is made of one or two logs with their true poses."""
     logs = [log_of(part) for part in REAL_MAPS[name]]
-    return build_map(logs, config=read_config(None, [], logs[0].settings), cache=KEPT / "edges").landmark_map
+    return build_map(logs, config=read_config(None, [], logs[0].settings), edges_of=_kept_edges).landmark_map
 
 
 def third_of(landmark_map: LandmarkMap) -> LandmarkMap:

@@ -109,6 +109,15 @@ _GONE = {
     "--png": ("is gone: frames of a video become JPEG", ("convert",)),
     "--seed": ("is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --seed N`", ("demo",)),
     "--speed": ("is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --speed X`", ("demo",)),
+    "--force": (
+        "is gone: nothing that exists is overwritten; name another file, or remove it first",
+        tuple(f"map {name}" for name in ("build", "show", "plan", "check", "merge", "update")),
+    ),
+    "--view": ("is gone: --rrd FILE, then `localiser view FILE`", ("map build",)),
+    "--log": ("is --path LOG now", ("map show",)),
+    "--poses": ("is gone: `localiser map show MAP --path LOG|FILE` draws a path", ("map show", "map check")),
+    "--plan": ("is gone: `localiser map show MAP --plan PLAN` draws walls", ("map check",)),
+    "--scale": ("is gone: a map and a plan have metres; scale one by its YAML first", ("map align",)),
     "--report": ("is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
 }
 """Options that are gone, what to do instead, and of which commands they were."""

@@ -4,7 +4,6 @@ from localiser.mapping.build import (
     BUILDERS,
     COARSE_RAD,
     Builder,
-    BuildWatch,
     MapBuilt,
     build_map,
     require_association,
@@ -14,14 +13,12 @@ from localiser.mapping.check import (
     ENOUGH,
     Coverage,
     coverage,
-    doubtful,
     in_view,
     update_map,
 )
 from localiser.mapping.factors import Prior, Wheels
 from localiser.mapping.known_poses import build_from_poses
 from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, renumber
-from localiser.mapping.live_map import LiveMap
 from localiser.mapping.merge import (
     Alignment,
     agreeing,
@@ -35,7 +32,7 @@ from localiser.mapping.merge import (
 )
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, map_from_cells, plan_landmarks
 from localiser.mapping.quality import landmark_map_of
-from localiser.mapping.recorded import cache_folder, edges_of_log, known_poses, wheels_of
+from localiser.mapping.recorded import DRIVE, began_on, edges_of_log, known_poses, poses_unless_stated, wheels_of
 from localiser.mapping.sightings import Index, Sightings, direction_of, parallax
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import MappingParameters, follow

@@ -8,9 +8,9 @@ only clutter, or the wheels are too inaccurate for the bearings.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,16 @@ from localiser.mapping.known_poses import are_far, build_from_far_images, build_
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.recorded import (
+    DRIVE,
     KNOWN_TURN_RAD,
     ODOMETRY,
     SLAM,
     TRUTH,
     RecordedLog,
+    drive_told,
     edges_of_log,
     known_poses,
+    poses_unless_stated,
     turn_sigmas,
     wheels_of,
 )
@@ -169,30 +172,18 @@ class BuildParameters:
 class MapBuilt:
     """A map, and how it came about.
 
-    trajectory: robot poses at the frames used. sightings: the edges of these. built: all landmarks that were tried; the
-    map holds those worth keeping. edges: of all images of each log. slam: what else was found out where poses were not
-    known.
+    trajectory: robot poses at the frames used. sightings: the edges of these. built: all landmarks that were tried;
+    kept: (L,) which of them the map holds. edges: of all images of each log. slam: what else was found out where poses
+    were not known.
     """
 
     landmark_map: LandmarkMap
+    kept: Index
     trajectory: Trajectory
     sightings: Sightings
     built: Built
     edges: Sequence[Sequence[Edges]]
     slam: Slam | None = None
-
-
-class BuildWatch(Protocol):
-    """What looks on while a map is built."""
-
-    def begin(self, path: Trajectory, turn_sigma: Array) -> None:
-        """Take the poses (T, 3) as known while driving, and the errors (T,) rad of their turns."""
-
-    def frame(self, t_ns: int, edges: Edges) -> None:
-        """Take the edges of one image."""
-
-    def finish(self, built: MapBuilt) -> None:
-        """Take what came out."""
 
 
 class Builder(Protocol):
@@ -230,28 +221,27 @@ Insert a `Builder` for others.
 
 def build_map(
     log: RecordedLog | Sequence[RecordedLog],
-    poses: str | Trajectory = TRUTH,
+    poses: str | Trajectory | None = None,
     config: BuildSettings | None = None,
     *,
-    progress: Callable[[], None] | None = None,
-    watch: BuildWatch | None = None,
-    cache: Path | None = None,
+    edges_of: Callable[[Any], Sequence[Edges]] | None = None,
     source: str = "a trajectory",
 ) -> MapBuilt:
-    """Return the landmark map of a log, or of several by their truth. Nothing is written but the cache, if any.
+    """Return the landmark map of a log, or of several by their truth. Nothing is written.
 
-    poses: `truth`, `odometry`, `slam`, or the robot's poses in the map; source: what these are called in the map.
-    Several logs share one frame; the trajectory of the result is that of the first. progress: is called after each
-    image. cache: folder in which edges are kept for the next build; see `edges_of_log`. Raises InputError when poses
-    are missing, the robot stands still, or nothing is seen from two sides.
+    poses: `truth`, `odometry`, `slam`, or the robot's poses in the map; by default the truth, `slam` for a log that has
+    none. source: what poses are called in the map. Several logs share one frame; the trajectory of the result is that
+    of the first. edges_of: gives the edges of every image of a log, by default `edges_of_log`; it is asked once poses
+    are known. Raises InputError when poses are missing, the robot stands still, or nothing is seen from two sides.
     """
     config = config or BuildParameters()
     logs = list(log) if isinstance(log, Sequence) else [log]
+    poses = poses_unless_stated(logs) if poses is None else poses
     name = poses if isinstance(poses, str) else source
     if len(logs) > 1 and poses != TRUTH:
         problem = f"expected {TRUTH} for several logs, which must share one frame, found {name!r}"
         raise InputError(problem, field="--poses")
-    seen = [_seen(each, poses, name, config, progress, watch, cache) for each in logs]
+    seen = [_seen(each, poses, name, config, edges_of) for each in logs]
     first, parameters, slam, probability = seen[0], config.mapping, None, None
     trajectory = first.trajectory
     if name == SLAM:
@@ -273,10 +263,12 @@ def build_map(
         probability=probability,
     )
     require_landmarks(logs[0], landmark_map, sightings, built, parameters)
-    result = MapBuilt(landmark_map, trajectory, sightings, built, [one.edges for one in seen], slam)
-    if watch is not None:
-        watch.finish(result)
-    return result
+    header: dict[str, Any] = {"built_from_frames": sightings.frames}
+    if len(logs) == 1:
+        header |= {DRIVE: drive_told(logs[0], trajectory)}
+    kept = np.array(landmark_map.ids, dtype=np.int64)
+    landmark_map = replace(landmark_map, ids=tuple(range(len(kept))), header=header)
+    return MapBuilt(landmark_map, kept, trajectory, sightings, built, [one.edges for one in seen], slam)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,9 +294,7 @@ def _seen(
     poses: str | Trajectory,
     name: str,
     config: BuildSettings,
-    progress: Callable[[], None] | None,
-    watch: BuildWatch | None,
-    cache: Path | None,
+    edges_of: Callable[[Any], Sequence[Edges]] | None,
 ) -> _Seen:
     """Return the edges of the images of a log, and where they were seen from. Raises InputError."""
     known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
@@ -312,16 +302,7 @@ def _seen(
     require_motion(log, trajectory)
     exact = name not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
-    if watch is not None:
-        watch.begin(trajectory, turn_sigma)
-
-    def step(t_ns: int, edges: Edges) -> None:
-        if watch is not None:
-            watch.frame(t_ns, edges)
-        if progress is not None:
-            progress()
-
-    edges = edges_of_log(log, config.edges, step, cache)
+    edges = edges_of(log) if edges_of else edges_of_log(log, config.edges)
     sightings = Sightings.from_edges([edges[index] for index in inside], log.camera)
     if len(sightings) == 0:
         raise InputError(

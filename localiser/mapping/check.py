@@ -1,4 +1,4 @@
-"""Check a finished map, and bring it up to date: doubtful landmarks, places with too few in view."""
+"""Check a finished map, from where too few landmarks are in view, and bring it up to date."""
 
 from __future__ import annotations
 
@@ -27,27 +27,21 @@ _AT_ONCE = 4096  # poses whose views are worked out together
 class Coverage:
     """Landmarks in view from places: x (C,), z (R,) m, every `step_m`.
 
-    share: (R, C) of headings from which too few are in view.
+    share: (R, C) of headings from which too few are in view. median: landmarks in view, over places and headings.
     """
 
     x: Array
     z: Array
     step_m: float
     share: Array
+    median: float
 
     def text(self) -> str:
-        """Return how much of the building has too few landmarks."""
+        """Return how many landmarks are in view, and how much of the building has too few."""
         return (
-            f"Fewer than {ENOUGH} landmarks in view: {100 * self.share.mean():.0f} % of all places and headings; "
-            f"walls, which hide more, are not counted"
+            f"Landmarks in view: {self.median:.0f} (median over all places and headings), fewer than {ENOUGH} from "
+            f"{100 * self.share.mean():.0f} % of them; walls, which hide more, are not counted"
         )
-
-
-def doubtful(landmark_map: LandmarkMap, existence_min: float = 0.5, sigma_max_m: float = 0.2) -> Index:
-    """Return the landmarks (K,) that are less likely to exist, or less certain in place, than these limits."""
-    quality = landmark_map.quality or Quality.unknown(len(landmark_map))
-    sigma = np.sqrt(np.trace(landmark_map.cov, axis1=1, axis2=2) / 2)
-    return np.flatnonzero((quality.existence < existence_min) | (sigma > sigma_max_m))
 
 
 def in_view(landmark_map: LandmarkMap, camera: Camera, places: Array, headings: int = 24) -> Index:
@@ -69,12 +63,13 @@ def coverage(landmark_map: LandmarkMap, camera: Camera) -> Coverage:
     """Return from where, all over the building, fewer than three landmarks are in view."""
     low, high = landmark_map.points.min(axis=0), landmark_map.points.max(axis=0)
     step = max(_STEP_M, float((high - low).max()) / _MOST_STEPS)
-    count = np.ceil((high - low) / step + 2).astype(int)
+    size = np.ceil((high - low) / step + 2).astype(int)
     middle = (low + high) / 2
-    x, z = (middle[axis] + step * (np.arange(count[axis]) - (count[axis] - 1) / 2) for axis in (0, 1))
+    x, z = (middle[axis] + step * (np.arange(size[axis]) - (size[axis] - 1) / 2) for axis in (0, 1))
     places = np.stack([part.ravel() for part in np.meshgrid(x, z)], axis=-1)
-    few = in_view(landmark_map, camera, places) < ENOUGH
-    return Coverage(x, z, step, few.mean(axis=1).reshape(len(z), len(x)))
+    count = in_view(landmark_map, camera, places)
+    share = (count < ENOUGH).mean(axis=1).reshape(len(z), len(x))
+    return Coverage(x, z, step, share, float(np.median(count)))
 
 
 # -- update -----------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from localiser.geometry import Array, wrap_angle
 from localiser.geometry.compiled import checked
 from localiser.mapping.landmarks import Built
-from localiser.mapping.merge import fitted_motion
+from localiser.mapping.merge import best_motion
 from localiser.mapping.place_recognition_kernel import alike_pairs_loop, explained_loop
 from localiser.mapping.sightings import Index
 from localiser.mapping.tracks import looks_alike
@@ -128,7 +128,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tu
     for _ in range(_REFINEMENTS):
         match = explained(points[group], points[older], row, column, move, _CLOSE_M)[1]
         new = np.flatnonzero(match >= 0)
-        pose, _ = fitted_motion(points[older[match[new]]], points[group[new]])
+        pose = best_motion(points[older[match[new]]], points[group[new]])
         move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
     new = new[_unambiguous(points, group, older, row, column, move)[new]]
     return move, group[new], older[match[new]]

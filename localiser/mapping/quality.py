@@ -208,7 +208,7 @@ def landmark_map_of(
 ) -> LandmarkMap:
     """Return the map of the landmarks that are worth keeping, with all that is known of each; it may be empty.
 
-    probability: (L,) that each exists; None: see `existence`.
+    Their ids are their numbers in `built`. probability: (L,) that each exists; None: see `existence`.
     """
     heights = height_span(sightings, built, cameras, camera)
     if probability is None:
@@ -219,5 +219,4 @@ def landmark_map_of(
     cov = built.cov + place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
     has_place = is_placed(sightings, built, cameras, cov)
-    kept = whole.take(np.flatnonzero(worth_keeping(built, probability, parameters) & has_place))
-    return replace(kept, ids=tuple(range(len(kept))))
+    return whole.take(np.flatnonzero(worth_keeping(built, probability, parameters) & has_place))

@@ -173,7 +173,7 @@ def prepare(
         landmark_map = read_map(map_file) if map_file else log.landmark_map
     if landmark_map is None:
         raise InputError(
-            f"the log has no map; expected --map MAP. `localiser map build {log.path} --poses slam -o map.yaml` makes "
+            f"the log has no map; expected --map MAP. `localiser map build {log.path} -o map.yaml` makes "
             "one of the log itself, `localiser map plan` of a floor plan",
             path=log.path,
             field="map",
@@ -185,7 +185,7 @@ def prepare(
             config,
             log.camera,
             images=log.has_images,
-            has_start=has_start(log, start),
+            has_start=has_start(log, start, landmark_map),
             own_observation=own.get("observation") is not None,
         )
     except InputError as error:
@@ -193,7 +193,7 @@ def prepare(
     if config.observation.association == "known" and landmark_map is not log.landmark_map:
         log = log.identified_on(landmark_map)
     localiser = Localiser(landmark_map, log.camera, config, **own)
-    return Replay(log, localiser, start_of(log, start, localiser.rng), map_file)
+    return Replay(log, localiser, start_of(log, start, localiser.rng, landmark_map), map_file)
 
 
 def _placed(error: InputError, log: Log) -> InputError:
@@ -219,8 +219,9 @@ def replay_log(
 
     log: as `open_log` gives it, or its path. config: settings in place of the defaults and of what the log asks for.
     landmark_map: in place of the log's own. start: where the robot starts, or `x,z,heading_deg`, `truth` or `global` as
-    on the command line; by default what the log states, else anywhere. seed: in place of the configuration's. sinks:
-    get every located image, and are closed. observation, motion, detector: see `Localiser`. Raises InputError.
+    on the command line; by default as the log states, or a map that was built from it, else anywhere. seed: in place of
+    the configuration's. sinks: get every located image, and are closed. observation, motion, detector: see `Localiser`.
+    Raises InputError.
     """
     log = log if isinstance(log, Log) else open_log(log)
     config = read_config(None, (), log.settings) if config is None else config

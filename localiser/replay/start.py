@@ -13,6 +13,8 @@ import numpy as np
 from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.geometry import wrap_angle
+from localiser.landmarks import LandmarkMap
+from localiser.mapping import began_on
 from localiser.storage import Log
 
 START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
@@ -24,23 +26,31 @@ FARTHEST = np.array([1e6, 1e6, 2 * np.pi])
 TRUTH, GLOBAL = "truth", "global"
 
 
-def start_of(log: Log, option: str | Start | None, rng: np.random.Generator) -> Start | None:
-    """Return the start of a replay at its first image: as the option says, else as the log states; None for anywhere.
+def start_of(
+    log: Log, option: str | Start | None, rng: np.random.Generator, landmark_map: LandmarkMap | None = None
+) -> Start | None:
+    """Return the start of a replay at its first image; None for anywhere on the map.
 
-    option: a start, `x,z,heading_deg`, `global` for anywhere on the map, or `truth` for the true pose plus a draw from
-    N(0, `START_SIGMA`²). Raises InputError.
+    option: a start, `x,z,heading_deg`, `global` for anywhere, `truth` for the true pose plus a draw from
+    N(0, `START_SIGMA`²), or None: as the log states, else where it began on a landmark map that was built from it.
+    Raises InputError.
     """
-    if option is None or isinstance(option, Start):
-        return option or log.start
-    if option == GLOBAL:
-        return None
+    if isinstance(option, Start) or option == GLOBAL:
+        return option if isinstance(option, Start) else None
+    if option is None:
+        return _own_start(log, landmark_map)
     first_ns = log.frames[0].t_ns
     return stated_start(_near_truth(log, first_ns, rng) if option == TRUTH else option, first_ns)
 
 
-def has_start(log: Log, option: str | Start | None) -> bool:
+def has_start(log: Log, option: str | Start | None, landmark_map: LandmarkMap) -> bool:
     """Whether it is known where a replay starts; see `start_of`."""
-    return log.start is not None if option is None else option != GLOBAL
+    return option != GLOBAL and (option is not None or _own_start(log, landmark_map) is not None)
+
+
+def _own_start(log: Log, landmark_map: LandmarkMap | None) -> Start | None:
+    began = began_on(landmark_map, log) if log.start is None and landmark_map is not None else None
+    return log.start if began is None else stated_start(began, log.frames[0].t_ns)
 
 
 def _near_truth(log: Log, first_ns: int, rng: np.random.Generator) -> np.ndarray:

@@ -62,6 +62,28 @@ class LandmarkFile(BaseModel):
     profile: Annotated[list[Annotated[float, Field(ge=0, le=255)]], Field(max_length=101)] = Field(default_factory=list)
 
 
+class StartFile(BaseModel):
+    """Where the drive of a map began, in the map's frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    x: Metres
+    z: Metres
+    heading_deg: Annotated[float, Field(ge=-360, le=360)]
+
+
+class DriveFile(BaseModel):
+    """The drive that a map was built from: what it is known by, and where it began."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    log: str
+    first_image_ns: StrictInt
+    last_image_ns: StrictInt
+    odometry_m: Annotated[float, Field(ge=0)]
+    start: StartFile
+
+
 class MapFile(BaseModel):
     """A map file; keys that are not known here are kept."""
 
@@ -71,6 +93,7 @@ class MapFile(BaseModel):
     landmarks: Annotated[list[LandmarkFile], Field(min_length=1, max_length=MOST_LANDMARKS)]
     name: str = ""
     frame: dict[str, Any] = Field(default_factory=lambda: dict(FRAME))
+    drive: DriveFile | None = None
 
 
 def read_map(path: Path | str) -> LandmarkMap:
@@ -117,7 +140,7 @@ def map_from_document(document: Document) -> LandmarkMap:
         source=tuple(landmark.source for landmark in landmarks),
         frame=file.frame,
         extra=tuple(dict(landmark.model_extra or {}) for landmark in landmarks),
-        header=dict(file.model_extra or {}),
+        header=dict(file.model_extra or {}) | ({"drive": file.drive.model_dump()} if file.drive else {}),
         quality=_quality(landmarks),
     )
 

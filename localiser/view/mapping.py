@@ -1,10 +1,10 @@
-"""A map as it is built: image and tracks, landmarks with shrinking ellipses, the path before and after loops closed."""
+"""A map as it is built: image and tracks, landmarks with their ellipses, the path before and after loops closed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,8 @@ from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.view import paths
 from localiser.view.context import Context
-from localiser.view.viewer import Feed, Kind
-
-if TYPE_CHECKING:
-    import rerun as rr
-
-    from localiser.view.recorder import MapRecorder
 
 LANDMARKS, SIGMA, TRACKS = "plots/landmarks", "plots/sigma", "plots/tracks"
-QUEUE_FRAMES = 500
-"""What a viewer may lag behind: building from edges that are known already is faster than a viewer starts."""
-
 _TITLES = {LANDMARKS: "Landmarks", SIGMA: "Their 1σ, cm", paths.COUNTS: "Edges", TRACKS: "Tracks"}
 _MARGIN_M = 1.5  # around the path: walls stand beside it
 
@@ -62,7 +53,7 @@ class Finished:
 
 
 class MapFile:
-    """Writes the building of a map to a `.rrd` file, if a map comes out. Raises OutputError where it cannot be written.
+    """Writes how a map came about to a `.rrd` file, if a map comes out. Raises OutputError where it cannot be written.
 
     Until then the recording has a name of its own: a build that is refused leaves what was there before.
     """
@@ -97,25 +88,6 @@ class MapFile:
             remove(self._draft)
 
 
-class MapView(Feed["MapRecorder"]):
-    """Shows the building of a map in a viewer, native or in the browser; see `Feed`."""
-
-    def __init__(self, kind: Kind, context: Context, **how: Any) -> None:
-        super().__init__(kind, context, lambda stream: _begun(stream, context), **{"queue_frames": QUEUE_FRAMES, **how})
-
-    def frame(self, frame: Growing) -> None:
-        """Show one image and what is known after it."""
-        self.draw(lambda recorder: recorder.frame(frame))
-
-    def finish(self, finished: Finished) -> None:
-        """Show what came out."""
-        self.draw(lambda recorder: recorder.finish(finished))
-
-    def close(self) -> None:
-        """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
-        self.end()
-
-
 def building_context(name: str, camera: Camera, path: Trajectory, *, images: bool) -> Context:
     """Return what a view of a map must know that is yet to be built: the path (T, 3) that it is built along."""
     nothing = LandmarkMap.from_points(np.zeros((0, 2)))
@@ -126,10 +98,3 @@ def _layout(context: Context) -> Any:
     from localiser.view.layout import blueprint
 
     return blueprint(context, _TITLES, margin_m=_MARGIN_M)
-
-
-def _begun(stream: rr.RecordingStream, context: Context) -> MapRecorder:
-    from localiser.view.recorder import MapRecorder
-
-    stream.send_blueprint(_layout(context))
-    return MapRecorder(stream, context)

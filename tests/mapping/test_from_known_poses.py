@@ -192,9 +192,7 @@ def test_known_poses_give_an_accurate_complete_honest_map(name: str, seed: int) 
 def test_places_from_rendered_images_err_as_their_covariances_say() -> None:
     log = open_log(Path(__file__).parents[2] / "logs" / "corridor")
     assert log.landmark_map is not None
-    made = mapping.build_map(
-        log, "truth", read_config(None, [], log.settings), cache=mapping.cache_folder()
-    ).landmark_map
+    made = mapping.build_map(log, "truth", read_config(None, [], log.settings)).landmark_map
     apart = np.linalg.norm(made.points[:, None] - log.landmark_map.points[None], axis=-1)
     known = apart.min(axis=1) < 0.05  # others are of textures, which the true map lacks
     offset = (made.points - log.landmark_map.points[apart.argmin(axis=1)])[known]

@@ -17,8 +17,10 @@ from localiser.storage import write_log
 
 
 def run(*arguments: object) -> Result:
-    """Run a command; errors that a user sees become the output, as in `main`."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    """Run a command; errors that a user sees become the output, as in `main`. Options of the program come first."""
+    of_all = [argument for argument in arguments if argument == "-q"]
+    rest = [str(argument) for argument in arguments if argument != "-q"]
+    result = CliRunner().invoke(app, [*of_all, *rest])
     if result.exception is not None and not isinstance(result.exception, SystemExit | LocaliserError):
         raise result.exception
     return result

@@ -2,10 +2,9 @@
 
 import typer
 
-from localiser.commands.map.align import align
 from localiser.commands.map.build import EXAMPLES, build
 from localiser.commands.map.check import check
-from localiser.commands.map.merge import merge
+from localiser.commands.map.merge import align, merge
 from localiser.commands.map.plan import plan
 from localiser.commands.map.show import show
 from localiser.commands.map.update import update

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import NewMap, require_writable
+from localiser.commands.map.options import NewMap, edges_with_progress, poses_named, summary_table, warn
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
@@ -17,7 +15,6 @@ from localiser.commands.options import (
     Topics,
     is_quiet,
     open_with_settings,
-    progress,
     show,
     topics_by_role,
 )
@@ -25,21 +22,18 @@ from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from localiser.config import Config
-    from localiser.edges import Edges
-    from localiser.geometry import Trajectory
     from localiser.mapping import MapBuilt
     from localiser.storage import Log
-    from localiser.view import MapView
 
 EXAMPLES = """Examples:
 
-`localiser map build logs/corridor --poses truth -o maps/mine.yaml`
+`localiser map build logs/corridor -o mine.yaml`
 
-`localiser map build logs/corridor --poses slam -o maps/mine.yaml --trajectory mine.tum --view web`
+`localiser map build logs/corridor --poses slam -o mine.yaml --rrd mine.rrd`, then `localiser view mine.rrd`
 
-`localiser map build monday tuesday --poses truth -o maps/mine.yaml`
+`localiser map build monday tuesday -o mine.yaml`
 
-`localiser map build logs/corridor --poses mine.tum -o maps/mine.yaml --set mapping.parallax_min_deg=8`"""
+`localiser map build logs/corridor --poses mine.tum -o mine.yaml --set mapping.parallax_min_deg=8`"""
 
 
 def build(
@@ -52,84 +46,60 @@ def build(
     ],
     out: NewMap,
     poses: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="truth|FILE|odometry|slam",
             help="Where the robot was: the log's truth, a trajectory (TUM, or CSV t_ns,x,z,heading), or its odometry; "
-            "`slam` finds it out along with the map.",
+            "`slam` finds it out along with the map. By default the truth, and `slam` without one.",
         ),
-    ] = "truth",
+    ] = None,
     trajectory: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write where the robot was at each image (TUM).")
     ] = None,
     rrd: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Record for Rerun how the map grew: images, landmarks, path.")
+        Path | None, typer.Option(metavar="FILE", help="Record for `localiser view` how the map came about.")
     ] = None,
-    view: Annotated[
-        str, typer.Option(metavar="native|web|IP:PORT|none", help="Watch the map grow in Rerun, as edges are found.")
-    ] = "none",
     config: ConfigFile = None,
     overrides: Overrides = None,
     topics: Topics = None,
     camera: BagCamera = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing map.")] = False,
 ) -> None:
     """Build a map of the vertical edges that a LOG shows, or several, with what is known of each."""
-    from dataclasses import replace
+    from localiser.commands.map.growth import record_growth
+    from localiser.mapping import build_map, poses_unless_stated
+    from localiser.storage import jump_text, require_new_file, write_map, write_tum
 
-    from localiser.commands.map.watch import MapWatch
-    from localiser.mapping import build_map, cache_folder, edges_of_log
-    from localiser.storage import jump_text, write_map, write_tum
-
-    require_writable(out, trajectory, rrd, overwrite=force)
+    for path in (out, trajectory, rrd):
+        if path is not None:
+            require_new_file(path)
     if len(logs) > 1:
-        for name, value in {"--trajectory": trajectory, "--rrd": rrd, "--view": view != "none"}.items():
-            if value:
+        for name, value in {"--trajectory": trajectory, "--rrd": rrd}.items():
+            if value is not None:
                 raise InputError("expected one log with this option, found several", field=name)
     read = [
         open_with_settings(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
         for log in logs
     ]
     recorded, settings = [log for log, _ in read], read[0][1]
-    track, source = poses_named(poses)
-    with MapWatch(recorded[0], settings.mapping, rrd, view) as watch:
-        with progress("Finding edges", sum(len(log.frames) for log in recorded)) as advance:
-            try:
-                built = build_map(
-                    recorded,
-                    track,
-                    settings,
-                    progress=advance,
-                    watch=watch if len(logs) == 1 else None,
-                    cache=cache_folder(),
-                    source=source,
-                )
-            except InputError:
-                with suppress(InputError):  # the images themselves may be at fault
-                    for log in recorded:
-                        if log.has_images:
-                            _warn(_clock_warning(log, edges_of_log(log, settings.edges, cache=cache_folder())))
-                raise
-        if len(logs) == 1 and recorded[0].has_images:
-            _warn(_mount_warning(recorded[0], settings, built))
-        for log, edges in zip(recorded, built.edges, strict=True):
-            if log.has_images:
-                _warn(_clock_warning(log, edges))
-            _warn(jump_text(log) if poses != "truth" else None)
-        frames = built.sightings.frames if len(logs) > 1 else len(built.trajectory)
-        header: dict[str, object] = {"built_from_frames": frames}
-        write_map(replace(built.landmark_map, header=header), out)
+    named = poses or poses_unless_stated(recorded)
+    if poses is None and named == "slam" and not is_quiet():
+        typer.echo(f"{logs[0]} has no truth: where the robot was is found from the log alone, along with the map.")
+    track, source = poses_named(named)
+    built = build_map(recorded, track, settings, edges_of=lambda log: edges_with_progress(log, settings), source=source)
+    for log in recorded:
+        if log.has_images and len(logs) == 1:
+            warn(_mount_warning(log, settings, built))
+        warn(jump_text(log) if named != "truth" else None)
+    write_map(built.landmark_map, out)
     if trajectory is not None:
         write_tum(built.trajectory, trajectory)
+    if rrd is not None:
+        record_growth(recorded[0], built, rrd)
     if not is_quiet():
-        _show_built(built, out)
-    if watch.viewer is not None:
-        _stay(watch.viewer)
-
-
-def _warn(text: str | None) -> None:
-    if text:
-        typer.secho(text, fg="yellow", err=True)
+        show(summary_table(built.landmark_map))
+        if built.slam is not None:
+            typer.echo(built.slam.text())
+        typer.echo(f"{len(built.landmark_map)} landmarks in {out}; `localiser map show {out}` draws them.")
 
 
 def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
@@ -138,40 +108,3 @@ def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
 
     poses = built.trajectory.sampled([frame.t_ns for frame in log.frames]).poses
     return check_mount(built.edges[0], poses, log.camera, config.edges.mount_sigma_rad).warning(log.path)
-
-
-def _clock_warning(log: Log, edges: Sequence[Edges]) -> str | None:
-    """Return the warning that images and wheels were stamped by clocks that differ, which also explains a failure."""
-    from localiser.calibration import clock_offset
-
-    times = [frame.t_ns for frame in log.frames]
-    return clock_offset(times, edges.__getitem__, log.odometry, log.camera).warning(log.path)
-
-
-def poses_named(poses: str) -> tuple[str | Trajectory, str]:
-    """Return what `--poses` names, a word or the trajectory of a file, and what to call it. Raises InputError."""
-    from localiser.storage import read_poses, read_tum
-
-    path = Path(poses)
-    if poses in ("truth", "odometry", "slam") or not path.exists():
-        return poses, poses
-    return read_poses(path) if path.suffix == ".csv" else read_tum(path), path.name
-
-
-def _stay(viewer: MapView) -> None:
-    """Keep a page served until the user has seen enough; say so where there was no viewer to be had."""
-    if not viewer.is_running:
-        text = "The viewer was closed or could not start (is there a display?); the map was built without it."
-        typer.secho(text, fg="yellow", err=True)
-    elif viewer.address:
-        typer.echo("The page is served until Ctrl-C.", err=True)
-        viewer.wait()
-
-
-def _show_built(built: MapBuilt, out: Path) -> None:
-    from localiser.commands.map.show import summary_table
-
-    show(summary_table(built.landmark_map))
-    if built.slam is not None:
-        typer.echo(built.slam.text())
-    typer.echo(f"{len(built.landmark_map)} landmarks in {out}; `localiser map show {out}` draws them.")

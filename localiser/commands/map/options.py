@@ -1,32 +1,97 @@
-"""Arguments that several `localiser map` commands take."""
+"""What several `localiser map` commands share: arguments, poses, edges, the table of a map, where a picture goes."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.errors import OutputError
+from localiser.commands.options import progress
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from localiser.config import Config
+    from localiser.edges import Edges
+    from localiser.geometry import Trajectory
+    from localiser.landmarks import LandmarkMap
+    from localiser.storage import Log
 
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="Landmark map (YAML).")]
-MapOut = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write; may be the same one.")]
-NewMap = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write.")]
-Picture = Annotated[Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture; by default beside MAP.")]
-WasAt = Annotated[
-    str, typer.Option("--poses", metavar="truth|FILE|odometry", help="Where the robot was, as for `map build`.")
+NewMap = Annotated[Path, typer.Option("--out", "-o", metavar="MAP", help="The map file to write, a new one.")]
+Picture = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture, a new file; by default beside MAP.")
 ]
-PlanFile = Annotated[
-    Path | None, typer.Option("--plan", metavar="PLAN", help="Floor plan of map_server (YAML): draw its walls.")
-]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what exists.")]
 Within = Annotated[float, typer.Option(min=1e-3, max=10.0, metavar="M", help="How near landmarks that are one lie.")]
 
 
-def require_writable(*paths: Path | None, overwrite: bool) -> None:
-    """Raise OutputError when there is a file at one of the paths that is not to be overwritten, or a folder."""
-    for path in paths:
-        if path is not None and path.is_dir():
-            raise OutputError(f"{path}: expected the name of a file, found a folder")
-        if path is not None and path.exists() and not overwrite:
-            raise OutputError(f"{path}: exists already; --force overwrites it")
+def poses_named(poses: str) -> tuple[str | Trajectory, str]:
+    """Return what `--poses` names, a word or the trajectory of a file, and what to call it. Raises InputError."""
+    from localiser.storage import read_poses, read_tum
+
+    path = Path(poses)
+    if poses in ("truth", "odometry", "slam") or not path.exists():
+        return poses, poses
+    return read_poses(path) if path.suffix == ".csv" else read_tum(path), path.name
+
+
+def edges_with_progress(log: Log, config: Config) -> list[Edges]:
+    """Return the edges of every image of a log; warn where images and wheels were stamped by clocks that differ."""
+    from localiser.calibration import clock_offset
+    from localiser.geometry import private_folder
+    from localiser.mapping import edges_of_log
+
+    with progress("Finding edges", len(log.frames)) as advance:
+        found = edges_of_log(log, config.edges, advance, private_folder("edges"))
+    if log.has_images:
+        times = [frame.t_ns for frame in log.frames]
+        warn(clock_offset(times, found.__getitem__, log.odometry, log.camera).warning(log.path))
+    return found
+
+
+def warn(text: str | None) -> None:
+    """Print a warning, where there is one."""
+    if text:
+        typer.secho(text, fg="yellow", err=True)
+
+
+def picture_path(stated: Path | None, map_file: Path, what: str) -> Path:
+    """Return where a picture of a map goes. Raises OutputError for a file that was named and is there already.
+
+    By default it lies beside the map, in place of an older one; of a map in a git clone in `results`, which nobody
+    commits.
+    """
+    from localiser.storage import require_new_file
+
+    if stated is not None:
+        require_new_file(stated)
+        return stated
+    name, folder = f"{map_file.stem}_{what}.png", map_file.resolve().parent
+    in_clone = any((each / ".git").exists() for each in (folder, *folder.parents))
+    return Path("results") / name if in_clone else map_file.with_name(name)
+
+
+def summary_table(landmark_map: LandmarkMap) -> Table:
+    """Return what is known of the landmarks: median and the best and worst tenth of each figure."""
+    import numpy as np
+
+    from localiser.evaluate import new_table
+    from localiser.landmarks import Quality
+
+    quality = landmark_map.quality or Quality.unknown(len(landmark_map))
+    sigma = np.sqrt(np.trace(landmark_map.cov, axis1=1, axis2=2) / 2)
+    rows = (
+        ("sigma, m", sigma, "{:.4f}"),
+        ("images that show it", quality.sightings, "{:.0f}"),
+        ("parallax, °", np.rad2deg(quality.parallax_rad), "{:.1f}"),
+        ("probability of existence", quality.existence, "{:.3f}"),
+        ("bottom, m", landmark_map.bottom_m, "{:.2f}"),
+        ("top, m", landmark_map.top_m, "{:.2f}"),
+    )
+    table = new_table(f"{len(landmark_map)} landmarks", "", "10 % below", "median", "90 % below", "known")
+    for name, values, form in rows:
+        known = values[np.isfinite(values)]
+        figures = [form.format(value) for value in np.quantile(known, (0.1, 0.5, 0.9))] if len(known) else ["–"] * 3
+        table.add_row(name, *figures, str(len(known)))
+    return table

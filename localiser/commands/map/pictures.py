@@ -1,11 +1,7 @@
-"""Maps as pictures: landmarks with their certainty, and how many are in view from where.
-
-Walls and the path that was driven are drawn where they are known.
-"""
+"""Maps as pictures: landmarks with their certainty, and how many are in view from where."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,37 +28,6 @@ _PATH, _WALL = "#6b7785", "#c4ccd4"
 _LABELS = {"xlabel": "x (m)", "ylabel": "z (m), heading 0 faces up"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """What is drawn beside landmarks: driven, the robot's poses (T, 3) in their order, and a floor plan's walls."""
-
-    driven: Array | None = None
-    plan: FloorPlan | None = None
-
-    def draw(self, axes: Axes) -> None:
-        """Draw both as seen from above, behind everything else."""
-        if self.plan is not None:
-            _draw_walls(axes, self.plan)
-        if self.driven is not None:
-            axes.plot(*self.driven[:, :2].T, color=_PATH, linewidth=1.2, zorder=1, label="path driven")
-
-    @property
-    def points(self) -> Array:
-        """Points (K, 2) between which all of it lies."""
-        driven = np.empty((0, 2)) if self.driven is None else self.driven[:, :2]
-        walls = np.empty((0, 2)) if self.plan is None else _corners(self.plan)
-        return np.concatenate([driven, walls])
-
-
-def _corners(plan: FloorPlan) -> Array:
-    """Return the corners (4, 2) of the cells in which a plan has walls; none (0, 2) without walls."""
-    if not plan.occupied.any():
-        return np.empty((0, 2))
-    rows, columns = (np.flatnonzero(plan.occupied.any(axis=axis)) for axis in (1, 0))
-    across, along = (columns[0], columns[-1] + 1), (rows[0], rows[-1] + 1)
-    return map_from_cells(plan, np.array([[column, row] for column in across for row in along], dtype=float))
-
-
 def _draw_walls(axes: Axes, plan: FloorPlan) -> None:
     from matplotlib.colors import ListedColormap
     from matplotlib.transforms import Affine2D
@@ -81,22 +46,33 @@ def _draw_walls(axes: Axes, plan: FloorPlan) -> None:
     )
 
 
-def draw_map(landmark_map: LandmarkMap, path: Path, surroundings: Surroundings | None = None) -> None:
-    """Draw the map from above, map -z up, with the 95 % ellipse of each landmark. Raises OutputError."""
+def draw_map(landmark_map: LandmarkMap, path: Path, driven: Array | None = None, plan: FloorPlan | None = None) -> None:
+    """Draw the map from above, map -z up, with the 95 % ellipse of each landmark. Raises OutputError.
+
+    driven: the robot's poses (T, 3) in their order. plan: whose walls are drawn behind everything else.
+    """
     with picture_style():
-        save_figure(_map_figure(landmark_map, surroundings or Surroundings(), path.stem), path)
+        save_figure(map_figure(landmark_map, path.stem, driven, plan), path)
 
 
-def _map_figure(landmark_map: LandmarkMap, surroundings: Surroundings, name: str) -> Figure:
+def map_figure(landmark_map: LandmarkMap, name: str, driven: Array | None, plan: FloorPlan | None) -> Figure:
+    """Return the figure of `draw_map`."""
     from matplotlib.figure import Figure
 
-    points = np.concatenate([landmark_map.points, surroundings.points])
+    points = landmark_map.points if driven is None else np.concatenate([landmark_map.points, driven[:, :2]])
+    if plan is not None and plan.occupied.any():
+        rows, columns = (np.flatnonzero(plan.occupied.any(axis=axis)) for axis in (1, 0))
+        corners = [[column, row] for column in (columns[0], columns[-1] + 1) for row in (rows[0], rows[-1] + 1)]
+        points = np.concatenate([points, map_from_cells(plan, np.array(corners, dtype=float))])
     low, high = points.min(axis=0), points.max(axis=0)
     width, depth = np.maximum(high - low, 2.0)
     scale = 9.0 / max(width, depth)
     figure = Figure(figsize=(max(4.5, width * scale + 1.2), max(3.5, depth * scale + 1.6)), dpi=120)
     axes = figure.add_subplot()
-    surroundings.draw(axes)
+    if plan is not None:
+        _draw_walls(axes, plan)
+    if driven is not None:
+        axes.plot(*driven[:, :2].T, color=_PATH, linewidth=1.2, zorder=1, label="path driven")
     _draw_ellipses(axes, landmark_map)
     _draw_landmarks(axes, landmark_map)
     axes.set(**_LABELS, title=landmark_map.name or name)
@@ -145,9 +121,7 @@ def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
     axes.plot([], [], color="#0072b2", linewidth=0.8, label="95 % of its place")
 
 
-def draw_coverage(
-    landmark_map: LandmarkMap, found: Coverage, path: Path, surroundings: Surroundings | None = None
-) -> None:
+def draw_coverage(landmark_map: LandmarkMap, found: Coverage, path: Path) -> None:
     """Draw from where too few landmarks are in view; map -z up. Raises OutputError."""
     from matplotlib.figure import Figure
 
@@ -159,7 +133,6 @@ def draw_coverage(
         figure = Figure(figsize=(max(5.0, width * scale + 1.6), max(4.0, depth * scale + 1.4)), dpi=120)
         axes = figure.add_subplot()
         few = axes.imshow(100 * found.share, extent=extent, vmin=0, vmax=100, cmap="YlOrRd", interpolation="nearest")
-        (surroundings or Surroundings()).draw(axes)
         x, z = landmark_map.points.T
         axes.scatter(x, z, s=10, color=_LANDMARK, linewidths=0, label="landmark")
         axes.set(**_LABELS, title=f"{landmark_map.name or path.stem}: coverage")

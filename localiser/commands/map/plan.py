@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import Force, NewMap, require_writable
+from localiser.commands.map.options import NewMap
 from localiser.commands.options import is_quiet
 from localiser.errors import InputError
 
@@ -19,12 +19,11 @@ if TYPE_CHECKING:
 def plan(
     plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Floor plan: YAML of ROS map_server, PGM or PNG.")],
     out: NewMap,
-    force: Force = False,
 ) -> None:
     """Turn the corners of walls, jambs and pillars of a floor PLAN into landmarks."""
-    from localiser.storage import write_map
+    from localiser.storage import require_new_file, write_map
 
-    require_writable(out, overwrite=force)
+    require_new_file(out)
     landmark_map, drawn = map_of_plan(plan)
     write_map(landmark_map, out)
     if not is_quiet():

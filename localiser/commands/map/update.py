@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.map.build import poses_named
-from localiser.commands.map.options import Force, MapFile, MapOut, Within, require_writable
+from localiser.commands.map.options import MapFile, NewMap, Within, edges_with_progress, poses_named
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
@@ -16,7 +15,6 @@ from localiser.commands.options import (
     Topics,
     is_quiet,
     open_with_settings,
-    progress,
     topics_by_role,
 )
 
@@ -24,7 +22,7 @@ from localiser.commands.options import (
 def update(
     map_file: MapFile,
     log: Annotated[Path, typer.Argument(metavar="LOG", help="A log of the building as it is now.")],
-    out: MapOut,
+    out: NewMap,
     poses: Annotated[
         str, typer.Option(metavar="truth|FILE|odometry", help="Where the robot was, in the map's frame.")
     ] = "truth",
@@ -33,21 +31,19 @@ def update(
     camera: BagCamera = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
-    force: Force = False,
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
-    from localiser.mapping import build_map, cache_folder, update_map
-    from localiser.storage import read_map, write_map
+    from localiser.mapping import build_map, update_map
+    from localiser.storage import read_map, require_new_file, write_map
 
-    require_writable(out, overwrite=force)
+    require_new_file(out)
     old = read_map(map_file)
-    recorded, effective = open_with_settings(
+    recorded, settings = open_with_settings(
         log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
     )
-    with progress("Finding edges", len(recorded.frames)) as advance:
-        track, source = poses_named(poses)
-        built = build_map(recorded, track, effective, progress=advance, cache=cache_folder(), source=source)
-    changed = update_map(old, built, recorded.camera, effective.mapping.tracks.found, within)
+    track, source = poses_named(poses)
+    built = build_map(recorded, track, settings, edges_of=lambda log: edges_with_progress(log, settings), source=source)
+    changed = update_map(old, built, recorded.camera, settings.mapping.tracks.found, within)
     write_map(changed.landmark_map, out)
     if not is_quiet():
         typer.echo(f"{len(changed.landmark_map)} landmarks in {out}; {changed.again} were seen again")

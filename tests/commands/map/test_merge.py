@@ -1,4 +1,4 @@
-"""`localiser map align|merge`: files in, files out, nothing overwritten unasked."""
+"""`localiser map align|merge`: files in, files out, nothing overwritten."""
 
 from __future__ import annotations
 
@@ -68,6 +68,6 @@ def test_maps_that_do_not_fit_are_not_merged(made: Path, tmp_path: Path) -> None
 
 def test_a_map_exists_already(made: Path) -> None:
     before = made.read_bytes()
-    assert "exists already" in refused("map", "merge", made, "-o", made)
-    assert "expected two maps" in refused("map", "merge", made, "--align", "-o", made, "--force")
+    assert "expected a new file" in refused("map", "merge", made, "-o", made)
+    assert "expected two maps" in refused("map", "merge", made, "--align", "-o", made.with_name("b.yaml"))
     assert made.read_bytes() == before

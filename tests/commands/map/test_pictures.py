@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from localiser.commands.map import pictures
 from localiser.geometry import pose_from_ros
+from localiser.landmarks import LandmarkMap
 from localiser.mapping import FloorPlan
 from localiser.storage import read_map
 
@@ -31,9 +32,8 @@ def test_the_walls_of_a_turned_plan_and_the_path_are_drawn_where_they_are() -> N
     occupied[1, 2:5] = True
     plan = FloorPlan(occupied, ~occupied, 0.5, np.array([1.0, -2.0, np.pi / 2]))
     driven = np.array([[0.0, 0.0, 0.0], [9.0, -9.0, 0.0]])
-    surroundings = pictures.Surroundings(driven, plan)
-    axes = Figure().add_subplot()
-    surroundings.draw(axes)
+    landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
+    (axes,) = pictures.map_figure(landmark_map, "map", driven, plan).axes
     (walls,), (path,) = axes.images, axes.lines
     assert np.asarray(path.get_xydata()) == pytest.approx(driven[:, :2])
     # The outer corner of cell (column 2, row 1) is 1 m along the plan's x axis, which points along ROS's y, and 0.5 m
@@ -41,10 +41,9 @@ def test_the_walls_of_a_turned_plan_and_the_path_are_drawn_where_they_are() -> N
     (corner,) = pose_from_ros(np.array([[1.0 - 0.5, -2.0 + 1.0, 0.0]]))[:, :2]
     drawn = (walls.get_transform() - axes.transData).transform([2.0, 1.0])
     assert drawn == pytest.approx(corner, abs=1e-9)
-    assert np.abs(surroundings.points[2:] - corner).sum(axis=1).min() == pytest.approx(0.0, abs=1e-9)
-    assert len(surroundings.points) == 2 + 4
-
-
-def test_a_plan_without_walls_draws_nothing() -> None:
+    (low_x, high_x), (high_z, low_z) = axes.get_xlim(), axes.get_ylim()
+    for x, z in (corner, driven[1, :2]):
+        assert low_x < x < high_x and low_z < z < high_z
     free = np.ones((2, 2), dtype=bool)
-    assert len(pictures.Surroundings(None, FloorPlan(~free, free, 0.1, np.zeros(3))).points) == 0
+    without = pictures.map_figure(landmark_map, "map", None, FloorPlan(~free, free, 0.1, np.zeros(3)))
+    assert np.ptp(without.axes[0].get_xlim()) < 1.0, "a plan without walls reaches nowhere"

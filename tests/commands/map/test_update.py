@@ -48,7 +48,7 @@ def test_gone_and_new_landmarks(tmp_path: Path) -> None:
     often = {drive.landmark_map.ids[k] for k in np.flatnonzero(seen >= 10)} - {drive.landmark_map.ids[missing]}
     assert often <= set(new.ids)
     assert path.read_bytes() == before
-    assert "exists already" in refused("map", "update", path, log, "-o", out)
+    assert "expected a new file" in refused("map", "update", path, log, "-o", out)
 
 
 def test_a_map_of_elsewhere_is_left_alone(tmp_path: Path) -> None:
