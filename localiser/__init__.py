@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from localiser.geometry import Increment, Trajectory, Twist, compose, robot_from_map, wrap_angle
     from localiser.landmarks import LandmarkMap
     from localiser.localiser import Localiser
+    from localiser.mapping import MapBuilt, build_map
     from localiser.motion import MotionModel
     from localiser.observation import Observation, Sighting
     from localiser.particles import Estimate, Particles
@@ -96,6 +97,7 @@ _NAMES_OF = {
     "geometry": ("Increment", "Trajectory", "Twist", "compose", "robot_from_map", "wrap_angle"),
     "landmarks": ("LandmarkMap",),
     "localiser": ("Localiser",),
+    "mapping": ("MapBuilt", "build_map"),
     "motion": ("MotionModel",),
     "observation": ("Observation", "Sighting"),
     "particles": ("Estimate", "Particles"),

@@ -53,7 +53,7 @@ LISTED = {
         map merge mine.yaml -o better.yaml
     """,
     "needs data that do not ship": """
-        map build left_even right_even --poses truth -o room.yaml
+        map build left_even right_even -o room.yaml
         replay left_odd --map room.yaml --start truth --seed 0
     """,
     "stands for a file of one's own": """
@@ -63,7 +63,7 @@ LISTED = {
         convert a.bag b.db3
         convert drive.mp4 logs/drive --odometry odometry.csv --camera camera.yaml --every 0.2s
         replay drive.db3
-        map build monday tuesday --poses truth -o mine.yaml
+        map build monday tuesday -o mine.yaml
         map build logs/corridor --poses mine.tum -o mine.yaml
         map plan building.yaml -o mine.yaml
         map align plan.yaml mine.yaml -o mine_in_plan.yaml
@@ -72,8 +72,8 @@ LISTED = {
         map merge grid.yaml house.yaml --align -o whole.yaml
         map update mine.yaml logs/today -o newer.yaml
         odometry fit monday tuesday -o robot.yaml
-        map build drive.mcap --poses slam -o house.yaml --trajectory path.tum
-        map check house.yaml --log drive.mcap --poses path.tum
+        map build drive.mcap -o house.yaml
+        map check house.yaml --log drive.mcap
         replay drive.mcap --map house.yaml
     """,
 }
