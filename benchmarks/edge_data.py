@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -38,24 +38,11 @@ def rendered(world_file: Path, every: int = 1) -> Iterator[Scene]:
         yield Scene(image, log.camera, ends, visible.fraction, _is_counted(image, ends, visible.fraction), alone)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HouseView:
-    """An image of the rendered house, the robot's pose (3,) and what is visible: landmarks, V of them.
+def house(folder: Path, every: int = 1) -> Iterator[Scene]:
+    """Yield scenes of a rendered log with the exact visibility of its landmarks.
 
-    ends_px: (V, 2, 2). share: (V,) visible part. points: (P, 2) exact edges, landmark: (P,) which one each is part of.
+    A landmark may stand for several edges up to 2 cm apart; bearings are judged where it stands for one.
     """
-
-    image: Array
-    camera: Camera
-    pose: Array
-    ends_px: Array
-    share: Array
-    points: Array
-    landmark: Array
-
-
-def house_views(folder: Path, every: int = 1) -> Iterator[HouseView]:
-    """Yield the images of a rendered log with the exact visibility of its landmarks."""
     camera = _camera_of(folder / "camera.yaml")
     exact, visible = defaultdict(list), defaultdict(list)
     for row in _rows(folder / "edges_exact.csv"):
@@ -66,35 +53,20 @@ def house_views(folder: Path, every: int = 1) -> Iterator[HouseView]:
         int(row["t_ns"]): np.array([float(row[key]) for key in ("x", "z", "heading")])
         for row in _rows(folder / "groundtruth.csv")
     }
-    for index, row in enumerate(_rows(folder / "images.csv")):
-        if index % every:
-            continue
-        known = visible[index]
-        keys = ("u_bottom", "v_bottom", "u_top", "v_top")
+    keys = ("u_bottom", "v_bottom", "u_top", "v_top")
+    for index, row in list(enumerate(_rows(folder / "images.csv")))[::every]:
+        known, pose = visible[index], poses[int(row["t_ns"])]
         ends = np.array([[float(edge[key]) for key in keys] for edge in known]).reshape(-1, 2, 2)
         share = np.array([float(edge["visible_fraction"]) for edge in known])
         image = cv2.imread(str(folder / row["file"]), cv2.IMREAD_GRAYSCALE)
-        points = [exact[edge["landmark_id"]] for edge in known]
-        landmark = np.repeat(np.arange(len(points)), [len(each) for each in points])
-        flat = np.array([point for each in points for point in each]).reshape(-1, 2)
-        yield HouseView(image, camera, poses[int(row["t_ns"])], ends, share, flat, landmark)
-
-
-def house(folder: Path, every: int = 1) -> Iterator[Scene]:
-    """Yield scenes of a rendered log with the exact visibility of its landmarks.
-
-    A landmark may stand for several edges up to 2 cm apart; bearings are judged where it stands for one.
-    """
-    for view in house_views(folder, every):
-        edges_of = np.bincount(view.landmark, minlength=len(view.ends_px))
-        single = edges_of == 1
+        edges_of = [exact[edge["landmark_id"]] for edge in known]
+        single = np.array([len(each) == 1 for each in edges_of], dtype=bool)
         # Landmarks stand in the middle of their edges, rounded; those of one edge are moved to where that is.
-        first = np.full((len(single), 2), np.nan)
-        first[view.landmark[::-1]] = view.points[::-1]
-        at_edge = _at_points(view.ends_px, first, view.camera, view.pose)
-        ends = np.where(single[:, None, None], at_edge, view.ends_px)
-        alone = _is_alone(ends, view.camera, _tangent(view.points, view.camera, view.pose)) & single
-        yield Scene(view.image, view.camera, ends, view.share, _is_counted(view.image, ends, view.share), alone)
+        first = np.array([each[0] if each else [np.nan, np.nan] for each in edges_of]).reshape(-1, 2)
+        ends = np.where(single[:, None, None], _at_points(ends, first, camera, pose), ends)
+        points = np.array([point for each in edges_of for point in each]).reshape(-1, 2)
+        alone = _is_alone(ends, camera, _tangent(points, camera, pose)) & single
+        yield Scene(image, camera, ends, share, _is_counted(image, ends, share), alone)
 
 
 def york_urban(folder: Path) -> Iterator[Scene]:

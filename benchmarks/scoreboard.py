@@ -39,7 +39,7 @@ from io import BytesIO
 from pathlib import Path
 from time import perf_counter
 
-from figures.program import ONE_THREAD, ROOT
+from program import ONE_THREAD, ROOT
 
 os.environ |= dict.fromkeys(ONE_THREAD, "1")
 sys.path.insert(0, os.environ.get("LOCALISER_SOURCE", str(ROOT)))  # whatever is installed, this source runs

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from edge_light import Light
-from figures.program import fingerprint
+from edge_scenes import Light
 from mrclam import MrclamReader
+from program import fingerprint
 
 from board import racks
 from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from edge_light import LIGHTS, Light
+from edge_scenes import Light
 
 from board import changes
 from board.drives import REAL_MAPS, drive_of, is_there, on_map, third_of
@@ -195,9 +195,10 @@ def _faults() -> Iterator[Row]:
         for off in (-0.5, 0.5):
             drive = partial(_off, name, off, 0.0)
             yield Row("faults", f"tilt {off:+.1f}°, {name}", (name,), partial(tracked, drive, "truth", "line"))
-    for label in ("gain 2.5", "noise 20", "blur 3 px"):
+    lights = {"gain 2.5": Light(gain=2.5), "noise 20": Light(noise_sigma=20.0), "blur 3 px": Light(blur_px=3.0)}
+    for label, light in lights.items():
         for name in ("house", "bookstore"):
-            drive = partial(_lit, name, LIGHTS[label])
+            drive = partial(_lit, name, light)
             yield Row("faults", f"{label}, {name}", (name,), partial(tracked, drive, "truth", "line"))
     for name in ("corridor", "house"):
         drive = partial(_late, name)
@@ -219,8 +220,7 @@ def _late(name: str, _: int) -> Drive:
 def york_urban(_: int) -> Values:
     """Return recall and precision of edges in photographs, and how well tilt and roll follow from them."""
     from edge_data import york_urban as photographs
-    from edge_mount import MountScore
-    from edge_score import Score
+    from edge_score import MountScore, Score
 
     from board.drives import DATA
     from localiser import EdgeParameters, find_edges

@@ -42,7 +42,7 @@ _FAINT_GREY = 4.0
 _TYPICAL_RANGE_M = 4.0
 _TYPICAL_HEIGHT_M = 0.75
 LOG_ODDS = {"always": 3.5, "height": -1.0, "range": -0.7, "junction": -0.7, "near": -2.4, "far": -1.5}
-"""Logistic regression on furnished rooms, two worlds and a rendered house: `benchmarks/edge_feet.py --fit`."""
+"""Logistic regression on furnished rooms, two worlds and a rendered house: docs/notes/edges.md."""
 _MOST_PROBABLE = 0.85
 """What was said to be likelier than this was not found to be, in buildings that the regression had not seen."""
 

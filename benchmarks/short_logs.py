@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-
-from figures.program import ROOT
+from program import ROOT
 
 CORRIDOR = ROOT / "logs" / "corridor"
 

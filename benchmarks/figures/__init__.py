@@ -1,1 +1,0 @@
-"""What the baseline measures: a group of figures a file."""
