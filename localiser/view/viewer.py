@@ -46,7 +46,20 @@ VIEWER_MEMORY, SERVER_MEMORY = "2GB", "512MB"
 """What viewer and server may keep; then the oldest frames go."""
 
 _LOCALHOST = "127.0.0.1"
-_VIEWER = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"  # `-m rerun_cli` always ends with 0
+_VIEWER = """
+import os, signal, sys, threading, time
+from rerun_cli.__main__ import main
+def watch(run):
+    while os.getppid() == run:
+        time.sleep(0.5)
+    os.killpg(0, signal.SIGTERM)
+run = int(sys.argv.pop(1))
+if run:
+    threading.Thread(target=watch, args=(run,), daemon=True).start()
+sys.exit(main())
+"""
+"""Starts Rerun's viewer, which `-m rerun_cli` does as well but always ends with 0. The first argument is the process of
+the run: when it is gone, however it was ended, so is the viewer; 0 for a viewer that stays."""
 _REMOTE = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9.]+|localhost):([1-9][0-9]{0,4})")
 
 
@@ -178,10 +191,11 @@ def _remote(kind: Kind) -> tuple[str, str]:
 def viewer_command(kind: Kind, recording: str = "-") -> tuple[list[str], str | None]:
     """Return the command of Rerun's viewer, and the address to watch it at.
 
-    recording: a file; by default the viewer reads its standard input.
+    recording: a file; by default the viewer reads its standard input. Then a window stays when this process ends.
     """
     limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
-    command = [sys.executable, "-c", _VIEWER, *limits]
+    run = 0 if (kind, recording) == ("native", "-") else os.getpid()
+    command = [sys.executable, "-c", _VIEWER, str(run), *limits]
     if kind == "native":
         return [*command, "--bind", _LOCALHOST, "--port", "auto", "--hide-welcome-screen", recording], None
     if kind == "web":

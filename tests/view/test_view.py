@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
@@ -498,3 +499,26 @@ def test_the_address_of_the_page_cannot_be_guessed_by_pages_elsewhere() -> None:
     """A page that gives its own name one of our addresses must know which: names are not checked by Rerun."""
     hosts = {(viewer_command("web")[1] or "").split("/")[2].split(":")[0] for _ in range(20)}
     assert len(hosts) == 20 and "127.0.0.1" not in hosts
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes as Linux lists them")
+def test_a_viewer_does_not_outlive_a_run_that_is_killed() -> None:
+    code = "from localiser.view.viewer import Feed; feed = Feed('web', None, print); print(feed._viewer.pid); input()"
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True) as run:
+        assert run.stdout is not None
+        group = int(run.stdout.readline())
+        while len(processes_of(group)) < 2:  # the viewer, and what started it
+            assert run.poll() is None
+            time.sleep(0.05)
+        run.kill()
+    end = time.monotonic() + 60
+    while processes_of(group):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def processes_of(group: int) -> list[str]:
+    """Return the processes of a group that run."""
+    found = [one.read_text().rsplit(")", 1)[1].split() for one in Path("/proc").glob("[0-9]*/stat") if one.exists()]
+    return [fields[0] for fields in found if int(fields[2]) == group and fields[0] != "Z"]
