@@ -325,7 +325,7 @@ LINES = {
     "map-build": ("edges", "map build IN --poses odometry --out OUT/new.yaml"),
     "map-update": ("edges", "map update SAMPLES/map.yaml IN --poses truth --out OUT/new.yaml"),
     "camera-tilt": ("log", "camera tilt IN --quiet"),
-    "doctor": ("log", "doctor --map IN/map.yaml --camera IN/camera.yaml --at 1,1"),
+    "doctor": ("log", "doctor IN"),
 }
 """Commands whose files are changed: the good file or folder, and the command."""
 
@@ -352,7 +352,7 @@ camera calibrate --draw-board board.png --board charuco --squares 8x6 --square-m
 camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m 0.03 --out cam.yaml --name x
 camera tilt {samples}/log --out levelled --images 3 --set edges.min_contrast=0.1
 config show --config {samples}/config.yaml --set mcl.particles=100 --set motion.alpha1=0.1
-doctor --map {samples}/map.yaml --camera {samples}/camera.yaml --at 1,2 --seconds 0.5 --picture x.png
+doctor {samples}/log --camera {samples}/camera.yaml --seconds 0.5 --picture x.png
 pose set 1,2,3 --sigma 0.1,3 --set live.connect=tcp/127.0.0.1:1
 """
 """Commands whose options are changed, a line each."""

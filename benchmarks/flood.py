@@ -70,7 +70,7 @@ def measured(kind: str, network: Network, topic: Topic, times: int) -> None:
     """Print how a run got over some floods of messages on a topic."""
     content = message(topic)
     live = ("live", "--map", LOG / "map.yaml", "--start", START, "--json", *SETTINGS)
-    robot = ("simulate", LOG, "--serve", "--odometry-hz", 50, "--quiet", "--wait")
+    robot = ("simulate", LOG, "--serve", "--quiet")
     rows = []
     with (
         program(*live, *network.arguments) as run,

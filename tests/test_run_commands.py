@@ -30,7 +30,8 @@ LISTED = {
     """,
     "asks the network or a camera of this computer; tests/commands and tests/live run it": """
         doctor
-        doctor --set live.connect=tcp/192.168.1.5:7447 --map maps/house.yaml --at 1.5,-2
+        doctor --set live.connect=tcp/192.168.1.5:7447
+        doctor drive.db3
         doctor --image 0 --picture camera.png
     """,
     "takes more than 2 s; tests/batch runs it on a few images": """

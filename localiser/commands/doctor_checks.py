@@ -1,4 +1,4 @@
-"""Setup help: what is installed, what a robot sends, and whether camera, clock, mount and map fit together."""
+"""What `localiser doctor` looks at: what is installed, a camera, the topics of a robot or a bag, clocks and mount."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import platform
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from threading import Event, Lock
@@ -15,24 +16,53 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from localiser import __version__, mapping
-from localiser.calibration import check_mount, clock_offset
+from localiser import __version__
+from localiser.calibration import check_mount, clock_offset, spread
 from localiser.camera import Camera
 from localiser.commands.edge_picture import save_picture as save_edge_picture
-from localiser.config import Config
+from localiser.config import Config, LiveParameters
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
-from localiser.landmarks import LandmarkMap
-from localiser.live import Arrival, CameraSource, Transport, message_of, topic_for, type_of
-from localiser.storage import Image, check_whole, decoded, encode_image, write_bytes
-from localiser.storage.bags import CameraFinder, floor_pose, grey_image, image_file, stamp_of
+from localiser.live import (
+    Arrival,
+    CameraSource,
+    Transport,
+    input_topics,
+    message_of,
+    open_transport,
+    prefix_of,
+    topic_for,
+    type_of,
+)
+from localiser.storage import Image, Log, check_whole, decoded, encode_image, write_bytes
+from localiser.storage.bags import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    ODOMETRY,
+    POSE,
+    Bag,
+    BagReader,
+    CameraFinder,
+    floor_pose,
+    grey_image,
+    image_file,
+    stamp_of,
+)
 
-State = Literal["ok", "warning", "missing"]
-LIBRARIES = ("numpy", "opencv-python-headless", "numba", "rosbags", "rerun-sdk", "eclipse-zenoh")
+State = Literal["ok", "optional", "warning", "missing"]
+LIBRARIES = ("numpy", "opencv-python-headless", "numba", "rosbags", "rerun-sdk")
+OF_A_ROBOT = {"eclipse-zenoh": "live", "cyclonedds": "dds"}
+"""What only a running robot needs, with the extra that installs it."""
+
 MOST_KEPT = 400
+MOST_IMAGES, MOST_PAIRS = 60, 30  # of a log, whose edges are found
 CLOCK_S = 0.2
+GAP_S, GAP_INTERVALS = 1.0, 5.0  # what is longer than both is a gap, in seconds and in usual intervals
+_STAMPED = (IMAGE, COMPRESSED, CAMERA_INFO, ODOMETRY, POSE)
 _SOURCE = Path("image")
 
 
@@ -48,12 +78,15 @@ class Finding:
 def versions() -> Iterator[Finding]:
     """Yield what is installed."""
     yield Finding("localiser", "ok", f"{__version__}, Python {platform.python_version()} on {platform.system()}")
-    for library in LIBRARIES:
+    for library in (*LIBRARIES, *OF_A_ROBOT):
         try:
             yield Finding(library, "ok", metadata.version(library))
         except metadata.PackageNotFoundError:
-            hint = "; pip install 'eclipse-zenoh<2'" if library == "eclipse-zenoh" else ""
-            yield Finding(library, "missing", f"not installed{hint}")
+            if extra := OF_A_ROBOT.get(library):
+                text = f"not installed; for a running robot: pip install '.[{extra}]' in a clone"
+                yield Finding(library, "optional", text)
+            else:
+                yield Finding(library, "missing", "not installed")
 
 
 def camera_check(address: str, seconds: float) -> tuple[Finding, Image | None]:
@@ -133,6 +166,14 @@ class Heard:
                 continue
 
 
+def listened(live: LiveParameters, seconds: float) -> Heard:
+    """Return what was heard on a robot's network in some time. Raises InputError."""
+    heard = Heard(input_topics(live.topics, prefix_of(live)))
+    with closing(open_transport(live, "localiser_doctor")) as transport:
+        heard.listen(transport, seconds)
+    return heard
+
+
 def topic_checks(heard: Heard) -> Iterator[Finding]:
     """Yield every topic with its rate, and which are missing."""
     for role, topic in heard.topics.items():
@@ -184,34 +225,60 @@ def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
     return finder.camera, finder.problem
 
 
-def mount_check(heard: Heard, camera: Camera, config: Config) -> Iterator[Finding]:
-    """Yield what the edges say of tilt and roll against what is stated, and of the clocks."""
+def camera_finding(camera: Camera) -> Finding:
+    """Return what is known of a camera."""
+    mount = camera.mount
+    tilt, roll = np.rad2deg([mount.tilt_rad, mount.roll_rad])
+    text = f"{camera.width}×{camera.height} pixels, {mount.height_m:.2f} m high, tilt {tilt:.1f}°, roll {roll:.1f}°"
+    return Finding("camera", "ok", text)
+
+
+def heard_checks(heard: Heard, camera: Camera, config: Config) -> Iterator[Finding]:
+    """Yield what the edges say of tilt, roll and clocks of a robot that was heard."""
     wheels = {stamp_of(message): floor_pose(message) for _, message in heard.messages("odometry")}
     if len(wheels) < 2:
         return
     track = Trajectory(np.array(sorted(wheels)), np.array([wheels[t_ns] for t_ns in sorted(wheels)]))
     fits = (camera.height, camera.width)
     images = [(t_ns, image) for t_ns, image in _images(heard, camera) if image.shape == fits]
-    frames = [find_edges(image, camera, config.edges, twist=camera.twist_at(track, t_ns)) for t_ns, image in images]
+    yield from edge_checks([t_ns for t_ns, _ in images], lambda k: images[k][1], track, camera, config)
+
+
+def edge_checks(
+    times: Sequence[int], image_of: Callable[[int], Image], track: Trajectory, camera: Camera, config: Config
+) -> Iterator[Finding]:
+    """Yield what the edges of images say of tilt and roll against what is stated, and of the clocks.
+
+    times: of the images, by the clock of the odometry, `track`. image_of: returns an image (H, W) by its number.
+    """
+
+    @cache
+    def edges_of(k: int) -> Edges:
+        return find_edges(image_of(k), camera, config.edges, twist=camera.twist_at(track, times[k]))
+
+    chosen = spread(len(times), MOST_IMAGES)
+    frames = [edges_of(k) for k in chosen]
     if not any(len(edges) for edges in frames):
         yield Finding("edges", "warning", "no vertical edge in any image")
         return
     yield Finding("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
-    poses = track.sampled([t_ns for t_ns, _ in images]).poses
+    poses = track.sampled([times[k] for k in chosen]).poses
     check = check_mount(frames, poses, camera, config.edges.mount_sigma_rad)
     stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"
         yield Finding(name, "warning" if check.disagrees else "ok", text)
-    yield offset_finding([t_ns for t_ns, _ in images], frames, track, camera)
+    yield offset_finding(times, edges_of, track, camera)
 
 
-def offset_finding(times: Sequence[int], frames: Sequence[Edges], track: Trajectory, camera: Camera) -> Finding:
+def offset_finding(
+    times: Sequence[int], edges_of: Callable[[int], Edges], track: Trajectory, camera: Camera
+) -> Finding:
     """Return by how much images are stamped later than wheels, by the turns that both of them show."""
-    found = clock_offset(times, frames.__getitem__, track, camera)
+    found = clock_offset(times, edges_of, track, camera, most=MOST_PAIRS)
     text = f"images are stamped {found.text} than wheels, by {np.rad2deg(found.turned_rad):.0f}° of turning"
     if found.problem:
-        text = "the turns do not tell the offset of images against wheels: turn the robot, with --seconds 15"
+        text = "the turns do not tell the offset of images against wheels: the robot must turn for a while"
     return Finding("offset of clocks", "warning" if found.disagrees() else "ok", text)
 
 
@@ -235,9 +302,89 @@ def _images(heard: Heard, camera: Camera) -> list[tuple[int, Image]]:
     return found
 
 
-def map_check(landmark_map: LandmarkMap, camera: Camera, place: tuple[float, float]) -> Finding:
-    """Return how many landmarks are in view from a place (x, z), over all headings."""
-    count = mapping.in_view(landmark_map, camera, np.array([place]))[0]
-    few = float((count < mapping.ENOUGH).mean())
-    text = f"{np.median(count):.0f} landmarks in view at ({place[0]:.1f}, {place[1]:.1f}); fewer than {mapping.ENOUGH} "
-    return Finding("map", "ok" if few < 0.25 else "warning", f"{text}from {few:.0%} of all headings")
+# -- a log ------------------------------------------------------------------------------------------------------------
+
+
+def topics_of(path: Path) -> Iterator[Finding]:
+    """Yield the topics of a bag with their rates, gaps and clocks; nothing for another log. Raises InputError.
+
+    Clocks and gaps are told of the messages that a log is made of.
+    """
+    if not BagReader().recognises(path):
+        return
+    with Bag(path) as bag:
+        topics = bag.topics
+        times: dict[str, list[tuple[int, int]]] = {topic.name: [] for topic in topics}
+        try:
+            for message in bag.messages([topic for topic in topics if topic.msgtype in _STAMPED]):
+                times[message.topic].append((message.stamp_ns, message.t_ns))
+        except InputError as error:
+            yield Finding("bag", "warning", str(error))
+    for topic in topics:
+        kind = f"{topic.count} × {topic.msgtype}"
+        if not times[topic.name]:
+            yield Finding(topic.name, "ok", kind)
+            continue
+        stamps, recorded = np.array(times[topic.name], dtype=np.int64).T
+        if not stamps.any():
+            yield Finding(topic.name, "warning", f"{kind}; headers without stamps")
+            continue
+        finding = times_finding(topic.name, stamps, kind)
+        lag_s = float(np.median(recorded - stamps)) / 1e9
+        yield replace(finding, text=f"{finding.text}; stamps are {lag_s:.3f} s older than the recording")
+
+
+def times_finding(what: str, stamps_ns: Sequence[int] | NDArray[np.int64], text: str) -> Finding:
+    """Return the rate of something, and where it was missing for long or went back in time."""
+    times_s = np.asarray(stamps_ns, dtype=np.int64) / 1e9
+    if len(times_s) < 2 or times_s.max() == times_s.min():
+        return Finding(what, "ok", text)
+    steps_s = np.diff(times_s)
+    usual_s = float(np.median(steps_s))
+    text += f", {1 / usual_s:.1f} Hz" if usual_s > 0 else ""
+    gaps = np.flatnonzero(steps_s > max(GAP_S, GAP_INTERVALS * usual_s))
+    back = int((steps_s <= 0).sum())
+    if len(gaps):
+        longest = gaps[steps_s[gaps].argmax()]
+        since_s = times_s[longest] - times_s[0]
+        text += (
+            f"; {len(gaps)} gap{'s' * (len(gaps) > 1)}, the longest of {steps_s[longest]:.1f} s after {since_s:.1f} s"
+        )
+    if back:
+        text += f"; {back} stamp{'s' * (back > 1)} not later than the one before"
+    return Finding(what, "warning" if back or len(gaps) else "ok", text)
+
+
+def log_checks(log: Log, config: Config) -> Iterator[Finding]:
+    """Yield what a log that can be read has, whether its camera and clocks fit, and what a replay still needs."""
+    kind = "images" if log.has_images else "images, of which the log has the edges"
+    times = [frame.t_ns for frame in log.frames]
+    yield times_finding("images", times, f"{len(times)} {kind}, {(times[-1] - times[0]) / 1e9:.1f} s")
+    if len(log.odometry):
+        way_m = float(np.hypot(*np.diff(log.odometry.poses[:, :2], axis=0).T).sum())
+        text = f"{len(log.odometry)} poses, {way_m:.1f} m"
+        yield times_finding("odometry", log.odometry.t_ns, text)
+        outside = sum(not log.odometry.covers(t_ns) for t_ns in times)
+        if outside:
+            yield Finding("odometry", "warning", f"does not reach {outside} of {len(times)} images, which are left out")
+    else:
+        yield Finding("odometry", "optional", "none: the images alone tell how the robot moved")
+    yield camera_finding(log.camera)
+    if log.mount_moves:
+        yield Finding("mount", "ok", "moves on the robot; each image has its own")
+    elif log.has_images and len(log.odometry) > 1:
+        images = log.images
+        yield from edge_checks(times, lambda k: images[k].load(), log.odometry, log.camera, config)
+    if log.fault is not None:
+        yield Finding("damage", "warning", str(log.fault))
+    truth = "none: errors cannot be told; it is given as a topic of a bag or a file of the folder"
+    yield Finding(
+        "truth", "optional" if log.groundtruth is None else "ok", truth if log.groundtruth is None else "known"
+    )
+    start = "unknown: looked for on the whole map; --start x,z,heading_deg states it"
+    yield Finding("start", "optional" if log.start is None else "ok", start if log.start is None else "stated")
+    if log.landmark_map is None:
+        text = f"none: `localiser map build {log.path} -o map.yaml` makes one; replay takes it by --map map.yaml"
+        yield Finding("map", "missing", text)
+    else:
+        yield Finding("map", "ok", f"{len(log.landmark_map)} landmarks")

@@ -52,7 +52,6 @@ Record = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Write every pose as a line of JSON on standard output.")]
-Seconds = Annotated[float | None, typer.Option(min=0.1, metavar="S", help="End after this time.")]
 LiveView = Annotated[
     str,
     typer.Option(
@@ -87,12 +86,12 @@ def live(
     json: Json = False,
     view: LiveView = "none",
     checkpoint: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Save the state here every few seconds; replaces what is there.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Save the state here every few seconds, and go on from what is there, unless --start says otherwise.",
+        ),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the state in --checkpoint, if there is one.")
-    ] = False,
-    seconds: Seconds = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
 ) -> None:
@@ -109,8 +108,6 @@ def live(
 
     if map_file is None:
         raise InputError("expected a map", field="--map")
-    if resume and checkpoint is None:
-        raise InputError("expected --checkpoint FILE to go on from", field="--resume")
     options = LiveOptions(
         map_file,
         read_config(config, with_options(overrides, live__connect=connect, live__dds=dds, live__domain=domain)),
@@ -121,9 +118,8 @@ def live(
         sys.stdout.fileno() if json else None,
         view,
         checkpoint,
-        resume,
     )
-    _run(options, seconds)
+    _run(options)
 
 
 @live_app.command(epilog="Example: `localiser live demo --view web`")
@@ -138,8 +134,6 @@ def demo(
     record: Record = None,
     json: Json = False,
     view: LiveView = "none",
-    seconds: Seconds = None,
-    config: ConfigFile = None,
     overrides: Overrides = None,
 ) -> None:
     """Show the live mode with no robot: a stand-in sends a log over zenoh or DDS, as if it were driving now."""
@@ -156,12 +150,12 @@ def demo(
     driven = driven_log(log, 0)
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")
-    settings = read_config(config, overrides or [], driven.settings)
+    settings = read_config(None, overrides or [], driven.settings)
     reached = [f"live.dds={settings.live.dds}", f"live.interface={settings.live.interface}"]
     if settings.live.dds < 0:
         endpoint = _free_endpoint()
         reached = [f"live.listen={endpoint}"]
-        settings = read_config(config, [*(overrides or []), f"live.connect={endpoint}"], driven.settings)
+        settings = read_config(None, [*(overrides or []), f"live.connect={endpoint}"], driven.settings)
     with TemporaryDirectory() as folder:
         map_file = Path(folder) / "map.yaml"
         write_map(driven.landmark_map, map_file)
@@ -174,7 +168,7 @@ def demo(
             view=view,
         )
         with _stand_in(log, reached):
-            _run(options, seconds)
+            _run(options)
 
 
 def _start_of(log: Log) -> Start:
@@ -192,8 +186,11 @@ def _start_of(log: Log) -> Start:
 @contextmanager
 def _stand_in(log: Path, reached: list[str]) -> Iterator[None]:
     """Run the robot's stand-in as a process of its own."""
-    command = [sys.executable, "-m", "localiser", "simulate", str(log), "--serve", "--quiet"]
-    command += ["--odometry-hz", "100", "--wait", *(word for setting in reached for word in ("--set", setting))]
+    from localiser.view import owned_python
+
+    main = owned_python("from localiser.commands.main import main; main()")
+    command = [*main, "simulate", str(log), "--serve", "--quiet"]
+    command += [word for setting in reached for word in ("--set", setting)]
     robot = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     try:
         yield
@@ -210,8 +207,11 @@ def _free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def _run(options: LiveOptions, seconds: float | None) -> None:
-    """Run until the time is over, Ctrl-C or SIGTERM, with a line that says how it goes; then say what it came to."""
+def _run(options: LiveOptions) -> None:
+    """Run until Ctrl-C or SIGTERM, with a line that says how it goes; then say what it came to.
+
+    Exit code 1 when neither images nor odometry have come.
+    """
     from rich.console import Console
 
     from localiser.live import end_table, open_run, status_line
@@ -220,17 +220,18 @@ def _run(options: LiveOptions, seconds: float | None) -> None:
     console = Console(stderr=True)
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
     with asked_to_stop() as stop, open_run(options, partial(say, console)) as run:
-        end = float("inf") if seconds is None else time.monotonic() + seconds
         with shown_status(
             console, lambda: status_line(run.outputs.monitor), shown=console.is_terminal and not shared
         ) as refresh:
 
             def ended() -> bool:
                 refresh()
-                return stop.is_set() or time.monotonic() >= end
+                return stop.is_set()
 
             run.run(ended)
         console.print(end_table(run))
+        if run.outputs.monitor.heard_nothing:
+            raise typer.Exit(1)
 
 
 @contextmanager

@@ -93,7 +93,7 @@ _SETTINGS = {
     "--namespace": ("live.namespace=NAME", _NETWORK),
     "--interface": ("live.interface=NAME", _NETWORK),
     "--zenoh-config": ("live.zenoh_config=FILE", _NETWORK),
-    "--topic": ("live.topics.KIND=NAME", ("live", "doctor", "pose")),
+    "--topic": ("live.topics.KIND=NAME", ("live", "pose")),
     "--publish": ("live.publish.KIND=NAME", _NETWORK),
     "--service": ("live.services.KIND=NAME", _NETWORK),
     "--frame": ("live.map_frame=NAME or live.odom_frame=NAME", _NETWORK),
@@ -118,6 +118,13 @@ _GONE = {
     "--poses": ("is gone: `localiser map show MAP --path LOG|FILE` draws a path", ("map show", "map check")),
     "--plan": ("is gone: `localiser map show MAP --plan PLAN` draws walls", ("map check",)),
     "--scale": ("is gone: a map and a plan have metres; scale one by its YAML first", ("map align",)),
+    "--resume": ("is gone: --checkpoint goes on from what is there, unless --start says otherwise", ("live",)),
+    "--seconds": ("is gone: Ctrl-C or SIGTERM end a run, as `timeout 60 localiser live …` does", ("live", "live demo")),
+    "--wait": ("is gone: a stand-in drives off as soon as someone listens", ("simulate",)),
+    "--odometry-hz": ("is gone: a stand-in sends 100 poses a second", ("simulate",)),
+    "--config": ("is gone: --set NAME=VALUE", ("simulate", "live demo")),
+    "--map": ("is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
+    "--at": ("is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
     "--report": ("is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
 }
 """Options that are gone, what to do instead, and of which commands they were."""

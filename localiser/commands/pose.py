@@ -44,7 +44,7 @@ def send_pose(pose: str, sigma: str, live: LiveParameters) -> str:
     """
     import numpy as np
 
-    from localiser.live import Topic, endpoints_of, input_topics, open_transport, prefix_of
+    from localiser.live import Topic, input_topics, network_of, open_transport, prefix_of
     from localiser.replay import given_pose
     from localiser.storage.bags import POSE, Messages
 
@@ -63,8 +63,7 @@ def send_pose(pose: str, sigma: str, live: LiveParameters) -> str:
         end = time.monotonic() + PATIENCE_S
         while not transport.is_heard(topic):
             if time.monotonic() > end:
-                where = ", ".join(endpoints_of(live)) if live.dds < 0 else f"domain {live.dds} of DDS"
-                raise InputError(f"expected a live run that listens to {topic.name}, found none at {where}")
+                raise InputError(f"expected a live run that listens to {topic.name}, found none at {network_of(live)}")
             time.sleep(0.05)
         for _ in range(REPEATS):  # who has just joined a network is not reached by all at once
             transport.publish(topic, content)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.convert import to_folder
-from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress
+from localiser.commands.options import Overrides, is_quiet, progress
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,22 +33,17 @@ def simulate(
         bool,
         typer.Option("--serve", help="Send the drive over zenoh in real time, to and fro, in place of a robot."),
     ] = False,
-    odometry_hz: Annotated[
-        float | None,
-        typer.Option(min=1, max=1000, help="Rate of the odometry that is sent; by default as the log has it."),
-    ] = None,
-    config: ConfigFile = None,
     overrides: Overrides = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Do not drive off before someone listens.")] = False,
 ) -> None:
     """Render a log from a WORLD: images, odometry with its errors, truth and map. Or be a robot, with --serve.
 
-    The settings `live.*` say where it is reached; by default tcp/127.0.0.1:7447.
+    The robot drives off as soon as someone listens to its images. The settings `live.*` say where it is reached; by
+    default tcp/127.0.0.1:7447.
     """
     if serve:
         from localiser.config import read_config
 
-        _serve(world, seed, read_config(config, overrides or []).live, odometry_hz, wait=wait)
+        _serve(world, seed, read_config(None, overrides or []).live)
         return
     if out is None:
         raise InputError("expected --out LOG, or --serve", field="--out")
@@ -76,11 +71,11 @@ def driven(world_or_log: Path, seed: int) -> Log:
     return log
 
 
-def _serve(world: Path, seed: int, live: LiveParameters, odometry_hz: float | None, *, wait: bool) -> None:
+def _serve(world: Path, seed: int, live: LiveParameters) -> None:
     from contextlib import closing
     from dataclasses import replace
 
-    from localiser.live import ENDPOINT, Passage, StandIn, open_transport, prefix_of
+    from localiser.live import ENDPOINT, Passage, StandIn, network_of, open_transport, prefix_of
     from localiser.replay import asked_to_stop
 
     if not (live.connect or live.listen):
@@ -90,11 +85,8 @@ def _serve(world: Path, seed: int, live: LiveParameters, odometry_hz: float | No
         log = driven(world, seed)
         with closing(open_transport(live, "robot")) as transport:
             if not is_quiet():
-                where = ", ".join([*live.connect, *live.listen]) if live.dds < 0 else f"domain {live.dds} of DDS"
-                typer.echo(
-                    f"{log.name}: {log.duration_s:.0f} s there and as long back, at {where}, until Ctrl-C", err=True
-                )
-            robot = StandIn(transport, Passage.of(log, odometry_hz), prefix_of(live))
-            if wait:
-                robot.wait_for_listener(stop)
+                ways = f"{log.duration_s:.0f} s there and as long back"
+                typer.echo(f"{log.name}: {ways}, at {network_of(live)}, until Ctrl-C", err=True)
+            robot = StandIn(transport, Passage.of(log), prefix_of(live))
+            robot.wait_for_listener(stop)
             robot.run(stop)

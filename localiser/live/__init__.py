@@ -5,4 +5,4 @@ from localiser.live.inbox import TOPICS, Arrival, check_outputs, input_topics, m
 from localiser.live.monitor import end_table, status_line
 from localiser.live.prepare import LiveOptions, open_run
 from localiser.live.stand_in import Passage, StandIn
-from localiser.live.transport import ENDPOINT, Topic, Transport, endpoints_of, open_transport, prefix_of
+from localiser.live.transport import ENDPOINT, Topic, Transport, network_of, open_transport, prefix_of

@@ -292,6 +292,10 @@ class DdsTransport:
         self._node = Node(self._participant, node, namespace or "/", humble)
         self._readers = Readers(self._participant, self._tell)
 
+    def is_joined(self) -> bool:
+        """See `Transport`."""
+        return True
+
     def report_to(self, report: Callable[[str], None]) -> None:
         """See `Transport`."""
         self._report = report

@@ -25,7 +25,8 @@ AGAIN_S = 10.0
 LIT_EVERY = 5
 """Of how many images one is looked at for its light."""
 
-SILENT_S = 1.0
+SILENT_S, AWAITED_S = 1.0, 5.0
+"""After how long a source that was heard has gone silent, and one that never was is asked after."""
 _NO_WARNINGS = ("located", "sure", "edges", "matched")
 MOST_FIGURES = 100_000
 RECENT = 20  # images whose rate is that of now
@@ -33,9 +34,13 @@ RECENT = 20  # images whose rate is that of now
 
 @dataclass(slots=True, eq=False)
 class Monitor:
-    """Messages and figures of a run. say: takes a message and its level, INFO or WARNING."""
+    """Messages and figures of a run. say: takes a message and its level, INFO or WARNING.
+
+    advice: returns what to start or to set where nothing was heard of some roles.
+    """
 
     say: Callable[[str, str], None]
+    advice: Callable[[list[str]], str] = lambda roles: f"nothing heard yet of {' and '.join(roles)}"
     counts: Counter[str] = field(default_factory=Counter)
     latency_ms: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FIGURES))
     work_ms: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_FIGURES))
@@ -46,7 +51,8 @@ class Monitor:
     _heard: dict[str, float] = field(default_factory=dict)
     _silent: dict[str, float] = field(default_factory=dict)
     _awaited: dict[str, float] = field(default_factory=dict)
-    _told: set[str] = field(default_factory=set)
+    _begun: float | None = None
+    _advised: bool = False
     _first: float = 0.0
     _last: float = 0.0
 
@@ -78,16 +84,20 @@ class Monitor:
             self.inform(f"{role}: back after {now - self._silent.pop(role):.1f} s")
         self._heard[role] = now
 
+    @property
+    def heard_nothing(self) -> bool:
+        """Whether neither images nor odometry have come."""
+        return not self._heard
+
     def watch(self, expected: tuple[str, ...]) -> None:
-        """Say which of the sources have gone silent, and which are still awaited."""
+        """Say which of the sources have gone silent; and once, what to do about those that nothing was heard of."""
         now = time.monotonic()
-        for role in expected:
-            if role not in self._heard:
-                if now - self._awaited.setdefault(role, now) > SILENT_S and role not in self._told:
-                    self._told.add(role)
-                    self.inform(f"{role}: waiting for the first message")
-                continue
-            since = self._heard[role]
+        self._begun = now if self._begun is None else self._begun
+        if not self._advised and now - self._begun > AWAITED_S:
+            self._advised = True
+            if missing := [role for role in expected if role not in self._heard]:
+                self.say(self.advice(missing), "WARNING")
+        for role, since in self._heard.items():
             if role not in self._silent and now - since > SILENT_S:
                 self._silent[role] = since
                 self.counts[f"{role} silent"] += 1

@@ -27,7 +27,7 @@ from localiser.live.recording import Recording
 from localiser.live.run import LiveRun
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.tracker import Tracker
-from localiser.live.transport import Reply, Take, Transport, open_transport, prefix_of
+from localiser.live.transport import Reply, Take, Transport, network_of, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
@@ -45,8 +45,8 @@ class LiveOptions:
 
     config: its section `live` says how to take part in the robot's network, and under which names. image: a camera or
     stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
-    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved.
-    resume: whether to go on from there, if it is there.
+    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved, and
+    gone on from where it is there and no start is given.
     """
 
     map_file: Path
@@ -58,7 +58,6 @@ class LiveOptions:
     json: int | None = None
     view: str = "none"
     checkpoint: Path | None = None
-    resume: bool = False
 
 
 @contextmanager
@@ -90,7 +89,8 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         return localiser
 
     with ExitStack() as stack:
-        inbox, monitor = Inbox(), Monitor(tell)
+        inbox = Inbox()
+        monitor = Monitor(tell, lambda roles: advice(options, topics, roles, joined=transport.is_joined()))
         recording = start_recording(options, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
@@ -119,6 +119,24 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         yield LiveRun(inbox, tracker, clocks, told, begun_map.parent, live.map_frame)
 
 
+def advice(options: LiveOptions, topics: Mapping[str, str], roles: list[str], *, joined: bool) -> str:
+    """Return what to start or to set where nothing is heard of some roles. joined: whether the network is there."""
+    live = options.config.live
+    sources = {**topics, "image": options.image or topics["image"]}
+    awaited = " and ".join(f"{role} ({sources[role]})" for role in roles)
+    text = f"nothing heard yet of {awaited}, at {network_of(live)}; "
+    if not joined:
+        return (
+            f"{text}no zenoh router answers there: start one (`ros2 run rmw_zenoh_cpp rmw_zenohd`, or without a robot "
+            "`localiser simulate LOG --serve`), or say where it is: --connect tcp/HOST:7447; over DDS: --dds DOMAIN"
+        )
+    beyond = "" if live.dds < 0 or live.interface != "lo" else "; beyond this machine: --set live.interface=eth0"
+    return (
+        f"{text}is the robot on, and in the same domain? Other names: --set live.topics.{roles[0]}=NAME{beyond}. "
+        "`localiser doctor` with the same settings lists what is sent there"
+    )
+
+
 def serve(transport: Transport, inbox: Inbox, namespace: str, names: Mapping[str, str | None]) -> None:
     """Let the requests of all services come into the inbox. names: in place of those in SERVICES, None for none.
 
@@ -141,7 +159,7 @@ def state_to_resume(options: LiveOptions, say: Callable[[str, str], None]) -> tu
 
     Raises InputError where the state is damaged.
     """
-    if options.checkpoint is None or not (options.resume and options.checkpoint.exists()):
+    if options.checkpoint is None or options.start is not None or not options.checkpoint.exists():
         return options, None
     resumed, map_file = Resumed(options.checkpoint), options.map_file
     belongs = resumed.map_file(map_file)

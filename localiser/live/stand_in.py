@@ -21,6 +21,7 @@ IMAGE, INFO = Topic("/camera/image_raw/compressed", COMPRESSED, depth=5), Topic(
 WHEELS, TRUTH = Topic("/odom", ODOMETRY), Topic("/ground_truth/odom", ODOMETRY)
 FIXED = Topic("/tf_static", TRANSFORMS, latched=True, depth=1)
 MOVING = Topic("/tf", TRANSFORMS, depth=100)
+ODOMETRY_HZ = 100.0  # to which a log's odometry is interpolated
 LONGEST_PAUSE_NS = 60_000_000_000  # in a log, such as where its clock jumps; what is longer is cut
 _FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
 _NS = 1_000_000_000
@@ -36,17 +37,15 @@ class Passage:
     wheels: Trajectory
 
     @classmethod
-    def of(cls, log: Log, odometry_hz: float | None = None) -> Passage:
-        """Return the whole log; odometry_hz: rate to which its odometry is interpolated. Raises InputError."""
+    def of(cls, log: Log) -> Passage:
+        """Return the whole log. Raises InputError."""
         if not log.has_images:
             raise InputError("expected a log with images, found edges", path=log.path)
         require_odometry(log, "a stand-in robot")
         log = _without_pauses(log)
         first, last = int(log.odometry.t_ns[0]), int(log.odometry.t_ns[-1])
-        if odometry_hz is None:
-            return cls(log, first, last - first, log.odometry)
-        steps = int((last - first) * odometry_hz / _NS)
-        times = first + np.round(np.arange(steps + 1) * (_NS / odometry_hz)).astype(np.int64)
+        steps = int((last - first) * ODOMETRY_HZ / _NS)
+        times = first + np.round(np.arange(steps + 1) * (_NS / ODOMETRY_HZ)).astype(np.int64)
         return cls(log, first, last - first, log.odometry.sampled(times))
 
     def messages(self, there: bool) -> Iterator[tuple[int, Topic, int]]:

@@ -55,6 +55,9 @@ class Transport(Protocol):
     def listen_to_all(self, take: Callable[[str, str | None, bytes], None]) -> None:
         """Hand over topic, type where the network tells it, and content of every message, also of unknown topics."""
 
+    def is_joined(self) -> bool:
+        """Whether the network is there, as a router of zenoh must be; True where that cannot be known."""
+
     def report_to(self, report: Callable[[str], None]) -> None:
         """Tell of what keeps messages from passing from now on, in any thread, where the network tells it."""
 
@@ -97,6 +100,14 @@ def open_transport(live: LiveParameters, node: str = "localiser", *, wait: bool 
 def endpoints_of(live: LiveParameters) -> tuple[str, ...]:
     """Return the routers to connect to: where nothing says where the network is, one on this machine."""
     return live.connect or (() if live.listen or live.zenoh_config else (ENDPOINT,))
+
+
+def network_of(live: LiveParameters) -> str:
+    """Return in words where a run is reached."""
+    if live.dds >= 0:
+        return f"domain {live.dds} of DDS on the interface {live.interface}"
+    where = ", ".join([*endpoints_of(live), *live.listen]) or live.zenoh_config
+    return f"{where}, domain {_domain(live)}"
 
 
 def _domain(live: LiveParameters) -> int:

@@ -76,6 +76,10 @@ class ZenohLink:
                 return
         act(self._session)
 
+    def is_joined(self) -> bool:
+        """Whether a router is there, or this is one."""
+        return self._session is not None and bool(self._listen or self._session.info.routers_zid())
+
     def close(self) -> None:
         """Leave the network."""
         self._stop.set()
@@ -141,9 +145,11 @@ def _from_file(path: Path) -> Any:
 
 def _zenoh() -> Any:
     try:
+        import xxhash  # noqa: F401  # which `gid_of` needs
         import zenoh
-    except ImportError:
-        raise InputError("expected the package eclipse-zenoh; install it with: pip install 'eclipse-zenoh<2'") from None
+    except ImportError as error:
+        problem = f"expected the packages eclipse-zenoh and xxhash ({error}); install them with: pip install '.[live]'"
+        raise InputError(f"{problem} in a clone") from None
     return zenoh
 
 
@@ -330,6 +336,10 @@ class ZenohTransport:
 
         everything = f"{self._names.domain}/**"
         self._link.when_open(lambda session: self._held.append(session.declare_subscriber(everything, handle)))
+
+    def is_joined(self) -> bool:
+        """See `Transport`."""
+        return self._link.is_joined()
 
     def report_to(self, report: Callable[[str], None]) -> None:
         """See `Transport`. Nothing is told here: zenoh has no quality of service that could differ."""

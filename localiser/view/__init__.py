@@ -5,4 +5,4 @@ from localiser.view.context import Context
 from localiser.view.file import RrdFile
 from localiser.view.mapping import Finished, Growing, MapFile, building_context
 from localiser.view.palette import MATCHED, UNMATCHED, VISIBLE, Colour
-from localiser.view.viewer import Kind, LiveView, RecordingViewer, check_kind
+from localiser.view.viewer import Kind, LiveView, RecordingViewer, check_kind, owned_python

@@ -46,20 +46,17 @@ VIEWER_MEMORY, SERVER_MEMORY = "2GB", "512MB"
 """What viewer and server may keep; then the oldest frames go."""
 
 _LOCALHOST = "127.0.0.1"
-_VIEWER = """
+_WATCHED = """
 import os, signal, sys, threading, time
-from rerun_cli.__main__ import main
-def watch(run):
-    while os.getppid() == run:
+def watch(owner):
+    while os.getppid() == owner:
         time.sleep(0.5)
     os.killpg(0, signal.SIGTERM)
-run = int(sys.argv.pop(1))
-if run:
-    threading.Thread(target=watch, args=(run,), daemon=True).start()
-sys.exit(main())
+owner = int(sys.argv.pop(1))
+if owner:
+    threading.Thread(target=watch, args=(owner,), daemon=True).start()
 """
-"""Starts Rerun's viewer, which `-m rerun_cli` does as well but always ends with 0. The first argument is the process of
-the run: when it is gone, however it was ended, so is the viewer; 0 for a viewer that stays."""
+_VIEWER = "from rerun_cli.__main__ import main; sys.exit(main())"  # `-m rerun_cli` always ends with 0
 _REMOTE = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9.]+|localhost):([1-9][0-9]{0,4})")
 
 
@@ -194,8 +191,7 @@ def viewer_command(kind: Kind, recording: str = "-") -> tuple[list[str], str | N
     recording: a file; by default the viewer reads its standard input. Then a window stays when this process ends.
     """
     limits = ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", SERVER_MEMORY]
-    run = 0 if (kind, recording) == ("native", "-") else os.getpid()
-    command = [sys.executable, "-c", _VIEWER, str(run), *limits]
+    command = [*owned_python(_VIEWER, stays=(kind, recording) == ("native", "-")), *limits]
     if kind == "native":
         return [*command, "--bind", _LOCALHOST, "--port", "auto", "--hide-welcome-screen", recording], None
     if kind == "web":
@@ -209,6 +205,14 @@ def viewer_command(kind: Kind, recording: str = "-") -> tuple[list[str], str | N
     host = _LOCALHOST if host == "localhost" else host
     served = ["--bind", host.strip("[]"), "--serve-grpc", "--port", number]
     return [*command, *served, recording], f"rerun+http://{host}:{number}/proxy"
+
+
+def owned_python(code: str, *, stays: bool = False) -> list[str]:
+    """Return the begin of a command that runs Python code, which has `sys`; its arguments follow.
+
+    Started in a session of its own, it ends with this process, however that is ended, unless it stays.
+    """
+    return [sys.executable, "-c", f"{_WATCHED}{code}", str(0 if stays else os.getpid())]
 
 
 def _secret_host() -> str:

@@ -468,6 +468,8 @@ def test_doctor_takes_the_configuration_of_zenoh(localiser: Localiser, tmp_path:
         (("live", "--map", "map.yaml", "--namespace=robot1"), "--namespace: is a setting now: --set live.namespace="),
         (("live", "demo", "--dds", "7"), "--dds: is a setting now: --set live.dds=DOMAIN"),
         (("pose", "set", "1,2,3", "--ros-distro", "humble"), "--ros-distro: is the environment's ROS_DISTRO now"),
+        (("live", "--map", "map.yaml", "--resume"), "--resume: is gone: --checkpoint goes on"),
+        (("simulate", "log", "--serve", "--odometry-hz=50"), "--odometry-hz: is gone: a stand-in sends 100 poses"),
         (("replay", "log", "--format", "bag"), "--format: is gone: the format is found out"),
         (("camera", "tilt", "log", "--format=bag"), "--format: is gone: the format is found out"),
         (("convert", "log", "out", "--to", "mcap"), "--to: is gone: OUT says it by .mcap"),

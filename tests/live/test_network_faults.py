@@ -27,7 +27,7 @@ FLOOD = 40_000
 COUNT = 5
 FAR_NS = 2 * 10**18  # a stamp in 2033
 LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--start", START, "--json", *SETTINGS)
-ROBOT = ("simulate", CORRIDOR, "--serve", "--odometry-hz", 50, "--quiet", "--wait")
+ROBOT = ("simulate", CORRIDOR, "--serve", "--quiet")
 
 
 @pytest.fixture(params=KINDS)

@@ -35,7 +35,7 @@ def endpoint() -> str:
 
 @pytest.fixture(scope="module")
 def robot(endpoint: str) -> Iterator[Program]:
-    with program("simulate", CORRIDOR, "--serve", "--set", f"live.listen={endpoint}", "--odometry-hz", 50) as running:
+    with program("simulate", CORRIDOR, "--serve", "--set", f"live.listen={endpoint}") as running:
         running.wait_to_say("until Ctrl-C")
         yield running
 
@@ -65,7 +65,7 @@ def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
     lost_s = (lines[-1]["t_ns"] - int(track.t_ns[-1])) / 1e9
     assert lost_s < 3.0, "a second, and what a busy machine adds to it"
 
-    with program(*LIVE, *saving, "--resume") as live:
+    with program(*LIVE, *saving) as live:
         lines = live.poses(5)
         live.wait_to_say("resumed; the wheels tell")
         assert max(line["p_correct"] for line in lines) > 0.7 and min(line["cov"][0] for line in lines) < 0.2
@@ -138,12 +138,21 @@ def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser:
 
 @pytest.mark.slow  # quick: tests/live/test_sources.py and tests/commands/test_main.py run it in part
 def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path) -> None:
-    options = ("--seconds", 2, "--map", CORRIDOR / "map.yaml", "--at", "0,0", "--picture", tmp_path / "seen.png")
+    options = ("--seconds", 2, "--picture", tmp_path / "seen.png")
     result = localiser("doctor", "--set", f"live.connect={endpoint}", *options)
     assert result.exit_code == 0, result.out
     picture = cv2.imread(str(tmp_path / "seen.png"))
     assert picture is not None and picture.shape[1] > open_log(CORRIDOR).camera.width
-    assert "stated" in result.out and "landmarks in view" in result.out and "/odom" in result.out
+    assert "stated" in result.out and "/odom" in result.out
+
+
+@pytest.mark.slow  # quick, without its exit code: tests/live/test_status.py
+def test_a_run_that_hears_nothing_says_what_to_do_and_ends_with_1() -> None:
+    endpoint = free_endpoint()
+    with program(*LIVE, "--connect", endpoint) as live:
+        live.wait_to_say("nothing heard yet of image")
+        assert live.end() == 1
+    assert f"at {endpoint}, domain 0; no zenoh router answers there: start one" in live.all_said()
 
 
 @pytest.mark.slow

@@ -142,13 +142,14 @@ def test_a_run_that_is_resumed_goes_on_with_the_map_that_was_loaded(tmp_path: Pa
     feed.tracker.checkpoints.close(feed.tracker.localiser, 0)
     assert Resumed(tmp_path / "state").map_file(begun) == loaded
 
-    options = LiveOptions(begun, feed.config, checkpoint=tmp_path / "state", resume=True)
+    options = LiveOptions(begun, feed.config, checkpoint=tmp_path / "state")
     said: list[str] = []
     again, resumed = state_to_resume(options, lambda text, level: said.append(text))
     assert again.map_file == loaded and "upstairs.yaml, which was loaded in the place of" in said[-1]
     on = RobotLocaliser(shifted, LOG.camera, feed.config)
     assert resumed is not None and resumed.begin(on, Timeline(lambda _: None), feed.now_ns).mean[0] > 90
 
+    assert state_to_resume(replace(options, start=LOG.start), lambda text, level: None)[1] is None, "the start counts"
     other, resumed = state_to_resume(
         replace(options, map_file=CORRIDOR / "map.yaml"), lambda text, level: said.append(text)
     )

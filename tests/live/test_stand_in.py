@@ -20,9 +20,8 @@ from localiser.storage import open_log
 from localiser.storage.bags.frames import FrameTree, mount_of
 
 
-@pytest.mark.parametrize("rate", [None, 100.0])
-def test_the_way_back_is_the_way_there_mirrored(rate: float | None) -> None:
-    passage = Passage.of(LOG, rate)
+def test_the_way_back_is_the_way_there_mirrored() -> None:
+    passage = Passage.of(LOG)
     there, back = list(passage.messages(there=True)), list(passage.messages(there=False))
     for way in (there, back):
         for topic in (IMAGE, WHEELS):
@@ -33,7 +32,7 @@ def test_the_way_back_is_the_way_there_mirrored(rate: float | None) -> None:
 
 
 def test_odometry_that_is_sent_more_often_goes_the_same_way() -> None:
-    dense = Passage.of(LOG, 200.0).wheels
+    dense = Passage.of(LOG).wheels
     moved = between(dense.poses[:-1], dense.poses[1:])
     assert np.hypot(moved[:, 0], moved[:, 1]).max() < 0.01
     np.testing.assert_allclose(dense.sampled(LOG.odometry.t_ns[:50]).poses, LOG.odometry.poses[:50], atol=1e-9)
@@ -47,7 +46,7 @@ def test_a_clock_that_jumps_by_decades_is_not_waited_for() -> None:
 
     frames = [replace(frame, t_ns=frame.t_ns + decades * (frame.t_ns > middle_ns)) for frame in LOG.frames]
     log = replace(LOG, odometry=jumped(LOG.odometry), groundtruth=jumped(LOG.groundtruth), frames=frames)
-    passage, plain = Passage.of(log, 100.0), Passage.of(LOG, 100.0)
+    passage, plain = Passage.of(log), Passage.of(LOG)
     assert plain.length_ns < passage.length_ns < plain.length_ns + 1.01 * LONGEST_PAUSE_NS
     assert len(list(passage.messages(there=True))) < len(passage.wheels) + 1 + len(LOG.frames)
 

@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
+from short_log import CORRIDOR
 
 from localiser.commands.live import say, shown_status
+from localiser.config import read_config
 from localiser.geometry import Increment, compose
-from localiser.live import end_table, status_line
+from localiser.live import LiveOptions, end_table, status_line
 from localiser.live.monitor import Monitor
+from localiser.live.prepare import advice
 
 
 @pytest.fixture
@@ -34,11 +37,28 @@ def at(seconds: float) -> AbstractContextManager[object]:
 
 
 def test_nothing_alarming_while_the_first_message_is_awaited(monitor: Monitor, said: list[tuple[str, str]]) -> None:
-    for seconds in (100.0, 100.5, 102.0, 150.0):
+    for seconds in (100.0, 100.5, 104.0):
         with at(seconds):
-            monitor.watch(("image",))
-    assert said == [("image: waiting for the first message", "INFO")]
+            monitor.watch(("image", "odometry"))
+    assert said == [] and monitor.heard_nothing
+    for seconds in (105.5, 150.0):
+        with at(seconds):
+            monitor.watch(("image", "odometry"))
+    assert said == [("nothing heard yet of image and odometry", "WARNING")]
     assert monitor.warnings == 0
+
+
+def test_what_is_silent_from_the_begin_is_told_with_what_to_do() -> None:
+    settings = read_config(None, ["live.topics.image=/cam", "live.dds=7"])
+    options, topics = LiveOptions(CORRIDOR / "map.yaml", settings), {"image": "/cam", "odometry": "/odom"}
+    text = advice(options, topics, ["image", "odometry"], joined=True)
+    assert text.startswith(
+        "nothing heard yet of image (/cam) and odometry (/odom), at domain 7 of DDS on the interface"
+    )
+    assert "--set live.topics.image=NAME" in text and "--set live.interface=eth0" in text
+    options = replace(options, config=read_config(None, ["live.connect=tcp/robot:7447"]), image="0")
+    text = advice(options, topics, ["image"], joined=False)
+    assert "image (0), at tcp/robot:7447, domain 0; no zenoh router answers" in text and "rmw_zenohd" in text
 
 
 def test_a_source_that_was_heard_and_falls_silent_is_a_warning(monitor: Monitor, said: list[tuple[str, str]]) -> None:

@@ -22,7 +22,6 @@ from localiser.live.transport import Topic, Transport
 from localiser.storage import open_log
 from localiser.storage.bags import ODOMETRY, floor_pose, stamp_of, typestore
 
-ODOMETRY_HZ = 50
 EVERY = {IMAGE: 7, WHEELS: 3}
 """One of so many messages goes wrong."""
 
@@ -89,7 +88,7 @@ def _without_end(content: bytes) -> bytes:
 def main(log: Path, endpoint: str) -> None:
     with closing(open_transport(LiveParameters([], [endpoint]))) as transport:
         faulty, stop = FaultyTransport(transport), Event()
-        robot = StandIn(faulty, Passage.of(open_log(log), ODOMETRY_HZ))
+        robot = StandIn(faulty, Passage.of(open_log(log)))
         robot.wait_for_listener(stop)
         running = Thread(target=robot.run, args=(stop,))
         running.start()

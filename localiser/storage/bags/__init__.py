@@ -13,6 +13,7 @@ from localiser.storage.bags.bag import (
     POSES,
     TEXT,
     TRANSFORMS,
+    Bag,
     typestore,
 )
 from localiser.storage.bags.camera_finder import CameraFinder

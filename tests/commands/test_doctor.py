@@ -1,0 +1,90 @@
+"""`localiser doctor`: an installation, and what a log has before it is replayed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from short_log import CORRIDOR, Localiser
+from small_bag import Recorder, bag, recording
+from small_log import write_edge_log
+
+from localiser.commands import doctor_checks
+
+
+def test_a_plain_installation_lacks_nothing(localiser: Localiser, monkeypatch: pytest.MonkeyPatch) -> None:
+    """zenoh and DDS are extras, for a running robot."""
+
+    def version(name: str) -> str:
+        if name in doctor_checks.OF_A_ROBOT:
+            raise metadata.PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(metadata, "version", version)
+    result = localiser("doctor")
+    assert result.exit_code == 0
+    assert "optional" in result.out and "pip install '.[live]'" in result.out and "missing" not in result.out
+
+
+@pytest.mark.parametrize("package", ["zenoh", "xxhash"])
+def test_a_package_of_the_extra_that_lacks_is_told(package: str) -> None:
+    code = f"import sys; sys.modules[{package!r}] = None; from localiser.commands.main import main; main()"
+    words = ["pose", "set", "1,2,3", "--set", "live.connect=tcp/127.0.0.1:9"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "pip install '.[live]'" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_log_that_has_all_is_ready(localiser: Localiser) -> None:
+    result = localiser("doctor", CORRIDOR)
+    assert result.exit_code == 0
+    rows = {row.split()[1]: " ".join(row.split()) for row in result.out.splitlines()}
+    assert "640×480 pixels, 0.90 m high, tilt 20.0°" in rows["camera"]
+    assert "5.0 Hz" in rows["images"] and "20.0 Hz" in rows["odometry"]
+    assert rows["tilt"].startswith("ok") and rows["map"].startswith("ok")
+
+
+def test_a_log_of_edges_without_a_map_lacks_that(localiser: Localiser, tmp_path: Path) -> None:
+    path = write_edge_log(tmp_path / "edges")
+    (path / "log.yaml").write_text(
+        "".join(
+            line for line in (path / "log.yaml").read_text().splitlines(keepends=True) if not line.startswith("map:")
+        )
+    )
+    result = localiser("doctor", path)
+    assert result.exit_code == 1
+    assert f"localiser map build {path} -o map.yaml" in " ".join(result.out.split())
+
+
+def record(recorder: Recorder) -> None:
+    for k in range(10):
+        recorder.image(k * 10**8 if k < 5 else k * 10**8 + 3 * 10**9, recorded_ns=k * 10**8 + 4 * 10**9)
+    recorder.image(0, topic="/other/image")
+
+
+def test_a_bag_is_told_topic_by_topic_and_what_to_choose(localiser: Localiser, tmp_path: Path) -> None:
+    path = bag(tmp_path / "drive.mcap", record)
+    result = localiser("doctor", path)
+    said = " ".join(result.out.split())
+    assert result.exit_code == 1 and "choose with --topic image=/cam/image" in said
+    assert "/cam/image 10 × sensor_msgs/msg/Image, 10.0 Hz; 1 gap, the longest of 3.1 s after 0.4 s" in said
+    assert "/odom 11 × nav_msgs/msg/Odometry, 10.0 Hz; stamps are 0.000 s older than the recording" in said
+    assert "/other/image 1 × sensor_msgs/msg/Image; headers without stamps" in said
+    result = localiser("doctor", path, "--topic", "image=/cam/image")
+    said = " ".join(result.out.split())
+    assert "camera 8×6 pixels, 0.70 m high" in said and "does not reach 5 of 10 images" in said
+    assert "no vertical edge in any image" in said
+    assert result.exit_code == 1 and "missing map none: `localiser map build" in said
+
+
+def test_what_a_bag_lacks_is_told_with_how_to_give_it(localiser: Localiser, tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    with recording(path) as recorder:
+        for k in range(11):
+            recorder.image(k * 10**8)
+            recorder.odometry(k * 10**8)
+    result = localiser("doctor", path)
+    said = " ".join(result.out.split())
+    assert result.exit_code == 1 and "give camera and mount with --camera FILE" in said
