@@ -47,7 +47,7 @@ def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
     """The robot falls silent for a while as well."""
     bag, state = tmp_path / "drive.db3", tmp_path / "state"
     saving = ("--connect", endpoint, "--checkpoint", state)
-    with program(*LIVE, *saving, "--record", bag) as live:
+    with program(*LIVE, *saving, "--start", START, "--record", bag) as live:
         lines = live.poses(5)
         robot.process.send_signal(signal.SIGSTOP)
         live.wait_to_say("image: nothing")
