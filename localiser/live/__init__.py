@@ -1,7 +1,15 @@
 """A running robot: messages in, poses out; the same filter as in a replay."""
 
-from localiser.live.camera_source import CameraSource
-from localiser.live.inbox import TOPICS, Arrival, check_outputs, input_topics, message_of, topic_for, type_of
+from localiser.live.inbox import (
+    TOPICS,
+    Arrival,
+    CameraSource,
+    check_outputs,
+    input_topics,
+    message_of,
+    topic_for,
+    type_of,
+)
 from localiser.live.monitor import end_table, status_line
 from localiser.live.prepare import LiveOptions, open_run
 from localiser.live.stand_in import Passage, StandIn

@@ -18,12 +18,10 @@ from localiser.documents import nearest, read_text
 from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
-from localiser.live.camera_source import CameraSource
 from localiser.live.clock import Clocks, SimulatedTime
-from localiser.live.inbox import Arrival, Inbox, check_outputs, input_topics, topic_for
+from localiser.live.inbox import Arrival, CameraSource, Inbox, check_outputs, input_topics, topic_for
 from localiser.live.monitor import Monitor
-from localiser.live.outputs import JsonLines, Outputs, Published, Publisher
-from localiser.live.recording import Recording
+from localiser.live.outputs import JsonLines, Outputs, Published, Publisher, Recording
 from localiser.live.run import LiveRun
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.tracker import Tracker

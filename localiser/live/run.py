@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +24,6 @@ _IDLE_S = 0.05
 _EXPECTED = ("image", "odometry")
 _OF_ONE = ("image", "odometry", "camera_info", "groundtruth")  # whose topics have one publisher
 _MOST_SENDERS = 1000
-_MOST_OVERTAKING = 200  # messages that come before /clock begins anew
 _REPEATED_NS = 2_000_000_000  # the same pose stated again so soon is a repetition, as careful senders have it
 
 
@@ -41,7 +39,6 @@ class LiveRun:
     map_frame: str = MAP
     _stated: tuple[bytes, int] = (b"", 0)
     _senders: dict[str, tuple[bytes, set[bytes]]] = field(default_factory=dict)
-    _overtaking: deque[tuple[Arrival, Any]] = field(default_factory=lambda: deque(maxlen=_MOST_OVERTAKING))
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Run until `ended` says so."""
@@ -70,13 +67,10 @@ class LiveRun:
                 elif self._is_in_time(self.clocks.simulated, arrival, message):
                     self._take(replace(arrival, at_ns=self.clocks.now_ns), message)
             except ValueError as error:
-                self._warn_of_message(arrival, error)
+                self.outputs.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
 
     def _take(self, arrival: Arrival, message: Any) -> None:
         getattr(self, f"_take_{arrival.role}")(arrival, message)
-
-    def _warn_of_message(self, arrival: Arrival, error: ValueError) -> None:
-        self.outputs.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
 
     def _note_sender(self, arrival: Arrival) -> None:
         """Tell of a topic on which two publish in turn; one that takes another's place has been started again."""
@@ -121,8 +115,8 @@ class LiveRun:
     def _is_in_time(self, simulated: SimulatedTime, arrival: Arrival, message: Any) -> bool:
         """Whether a message is to be taken now, by the simulated time.
 
-        Where /clock begins anew, messages of other topics may come before it, which wait for it, or after it though
-        they were sent before, which are left out. Neither tells of a jump of the robot's clock.
+        Where /clock begins anew, messages of other topics may come before it, or after it though they were sent before.
+        Both are left out, so that neither tells of a jump of the robot's clock.
         """
         if arrival.role in ("clock", "transforms", "moving_transforms", "camera_info"):
             return True
@@ -131,34 +125,21 @@ class LiveRun:
             return False
         if arrival.role == "initialpose":
             return True
-        if self.clocks.robot.is_late(stamp_of(message)):
-            self._overtaking.append((replace(arrival, at_ns=simulated.now_ns), message))
-            return False
-        return not (simulated.has_just_begun and self.clocks.robot.is_early(stamp_of(message), simulated.now_ns))
+        robot, stamp_ns = self.clocks.robot, stamp_of(message)
+        early = simulated.has_just_begun and robot.is_early(stamp_ns, simulated.now_ns)
+        return not (early or robot.is_late(stamp_ns))
 
     def _take_clock(self, _arrival: Arrival, message: Any) -> None:
         simulated, robot = self.clocks.simulated, self.clocks.robot
         if simulated is None:
             return
         clock_ns = message.clock.sec * 10**9 + message.clock.nanosec
-        stamps_ns = (stamp_of(waiting) for _, waiting in self._overtaking)
-        first_ns = min((ns for ns in stamps_ns if clock_ns - LATE_NS <= ns <= clock_ns), default=clock_ns)
-        back_ns = simulated.take(clock_ns, robot.newest_ns + 1 - (first_ns + robot.offset_ns))
+        back_ns = simulated.take(clock_ns, robot.newest_ns + 1 - (clock_ns + robot.offset_ns))
         if back_ns:
             robot.shift(back_ns)
             self.outputs.decide(clock_decision(robot.offset_ns))
             self.outputs.monitor.inform(f"/clock went back by {back_ns / 1e9:.1f} s: the robot begins anew")
             self.tracker.begin_anew()
-        self._take_overtaking(simulated.now_ns, anew=back_ns > 0)
-
-    def _take_overtaking(self, now_ns: int, *, anew: bool) -> None:
-        """Take the messages that came before /clock began anew; those for which it does not do so are late."""
-        while self._overtaking and (anew or now_ns - self._overtaking[0][0].at_ns > LATE_NS):
-            arrival, message = self._overtaking.popleft()
-            try:
-                self._take(replace(arrival, at_ns=now_ns) if anew else arrival, message)
-            except ValueError as error:
-                self._warn_of_message(arrival, error)
 
     def _time(self, arrival: Arrival, message: Any) -> int | None:
         """Return the time of a message by its stamp, None when that cannot be true."""

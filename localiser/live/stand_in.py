@@ -12,7 +12,7 @@ from threading import Event
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.geometry import Trajectory, without_pauses
+from localiser.geometry import Trajectory
 from localiser.live.transport import Topic, Transport
 from localiser.storage import ImageEvent, Log, require_odometry
 from localiser.storage.bags import CAMERA_INFO, COMPRESSED, MAP, ODOM, ODOMETRY, TRANSFORMS, Messages
@@ -22,7 +22,6 @@ WHEELS, TRUTH = Topic("/odom", ODOMETRY), Topic("/ground_truth/odom", ODOMETRY)
 FIXED = Topic("/tf_static", TRANSFORMS, latched=True, depth=1)
 MOVING = Topic("/tf", TRANSFORMS, depth=100)
 ODOMETRY_HZ = 100.0  # to which a log's odometry is interpolated
-LONGEST_PAUSE_NS = 60_000_000_000  # in a log, such as where its clock jumps; what is longer is cut
 _FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
 _NS = 1_000_000_000
 
@@ -42,7 +41,6 @@ class Passage:
         if not log.has_images:
             raise InputError("expected a log with images, found edges", path=log.path)
         require_odometry(log, "a stand-in robot")
-        log = _without_pauses(log)
         first, last = int(log.odometry.t_ns[0]), int(log.odometry.t_ns[-1])
         steps = int((last - first) * ODOMETRY_HZ / _NS)
         times = first + np.round(np.arange(steps + 1) * (_NS / ODOMETRY_HZ)).astype(np.int64)
@@ -60,18 +58,6 @@ class Passage:
         else:  # where it turns, the robot has just been
             back = heapq.merge(wheels[-2::-1], images[::-1], key=lambda message: -message[0])
             yield from ((end_ns - t_ns, topic, k) for t_ns, topic, k in back if self.begin_ns < t_ns < end_ns)
-
-
-def _without_pauses(log: Log) -> Log:
-    """Return a log in which at least every `LONGEST_PAUSE_NS` something was measured."""
-    tracks = [log.odometry, log.groundtruth or log.odometry]
-    frames_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
-    before = np.unique(np.concatenate([frames_ns, *(track.t_ns for track in tracks)]))
-    after = without_pauses(before, LONGEST_PAUSE_NS)
-    odometry, truth = (replace(track, t_ns=after[np.searchsorted(before, track.t_ns)]) for track in tracks)
-    times = after[np.searchsorted(before, frames_ns)]
-    frames = [replace(frame, t_ns=int(t_ns)) for frame, t_ns in zip(log.frames, times, strict=True)]
-    return replace(log, odometry=odometry, groundtruth=truth if log.groundtruth else None, frames=frames)
 
 
 class StandIn:

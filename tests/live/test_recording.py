@@ -11,7 +11,7 @@ import pytest
 from recorded_texts import text, texts
 
 from localiser.errors import InputError
-from localiser.live.recording import Recording
+from localiser.live.outputs import Recording
 from localiser.storage.bags import TEXT
 
 PATIENCE_S = 60.0

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from short_log import Localiser
 
 from localiser.errors import InputError
-from localiser.live.camera_source import CameraSource
-from localiser.live.inbox import Arrival, Inbox
+from localiser.live.inbox import Arrival, CameraSource, Inbox
 
 PATIENCE_S = 30.0
 
