@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from functools import cache
-from threading import Event, Lock, Thread
+from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
 
@@ -37,8 +37,6 @@ _POLICIES = {
 _MOST_AT_ONCE, _LONGEST_NS = 64, 10**9  # messages that are handed over before others have their turn
 _DISCOVERY = "ros_discovery_info"
 _INFO, _NODE, _GID = (f"rmw_dds_common/msg/{name}" for name in ("ParticipantEntitiesInfo", "NodeEntitiesInfo", "Gid"))
-_LOOK_S = 0.1
-_MOST_NEWS = 100
 ASKER_BYTES = 16
 """What stands before a request and its answer, after the four bytes of CDR's own: who asked, and how often before."""
 
@@ -139,14 +137,14 @@ class Readers:
         """Begin with none. report: takes what went wrong."""
         core = dds().core
         self._report, self._stopped = report, False
-        self._taken: list[tuple[Any, Any, Take]] = []
+        self._taken: list[tuple[Any, Any, Callable[[Any], None]]] = []
         self._wait, self._stop = core.WaitSet(participant), core.GuardCondition(participant)
         self._wait.attach(self._stop)
         self._thread = Thread(target=self._run, name="dds", daemon=True)
         self._thread.start()
 
-    def add(self, reader: Any, take: Take) -> None:
-        """Hand over all that a reader has, and will receive."""
+    def add(self, reader: Any, take: Callable[[Any], None]) -> None:
+        """Hand over every sample that a reader has, and will receive."""
         core = dds().core
         anything = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
         condition = core.ReadCondition(reader, anything)
@@ -172,7 +170,7 @@ class Readers:
                 if not self._stopped and condition.triggered:
                     self._hand_over(reader, take)
 
-    def _hand_over(self, reader: Any, take: Take) -> None:
+    def _hand_over(self, reader: Any, take: Callable[[Any], None]) -> None:
         """Take what a reader has, and no more at once than leaves time for the others."""
         try:
             samples = reader.take(_MOST_AT_ONCE)
@@ -180,8 +178,7 @@ class Readers:
             self._report(f"{reader.topic.name}: messages could not be read: {error}")
             return
         for sample in samples:
-            if content := getattr(sample, "content", b""):  # none: news of a publisher that goes
-                take(content, struct.pack("<Q", sample.sample_info.publication_handle))
+            take(sample)
 
 
 class Node:
@@ -229,34 +226,6 @@ class Node:
         return make(np.frombuffer(entity.get_guid().bytes.ljust(length, b"\0"), dtype=np.uint8))
 
 
-class Publications:
-    """Finds the topics of ROS 2 that others publish, in a thread of its own."""
-
-    def __init__(self, participant: Any, found: Callable[[str, str], None]) -> None:
-        """Begin. found: takes name and type of every topic, once."""
-        package = dds()
-        self._reader = package.builtin.BuiltinDataReader(participant, package.builtin.BuiltinTopicDcpsPublication)
-        self._own, self._found = participant.get_guid(), found
-        self._known: set[str] = set()
-        self._stop = Event()
-        self._thread = Thread(target=self._look, name="dds topics", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop."""
-        self._stop.set()
-        self._thread.join()
-        self._reader._delete(self._reader._ref)
-
-    def _look(self) -> None:
-        while not self._stop.wait(_LOOK_S):
-            for one in self._reader.take(_MOST_NEWS):
-                name = one.topic_name or ""
-                if one.participant_key != self._own and name.startswith("rt/") and name not in self._known:
-                    self._known.add(name)
-                    self._found(name.removeprefix("rt"), ros_type(one.type_name))
-
-
 class DdsTransport:
     """Takes part in a DDS domain as a node. interface: of the network; by default nothing leaves this machine.
 
@@ -278,7 +247,6 @@ class DdsTransport:
         self._lock = Lock()
         self._writers: dict[str, Any] = {}
         self._held: list[Any] = []
-        self._publications: list[Publications] = []
         try:
             self._domain = package.domain.Domain(domain, _configuration(interface))
             ours = package.core.Qos(package.core.Policy.Userdata(b"enclave=/;"))
@@ -333,18 +301,24 @@ class DdsTransport:
 
     def listen_to_all(self, take: Callable[[str, str | None, bytes], None]) -> None:
         """See `Transport`. Topics whose types are not known are left out."""
+        own, known = self._participant.get_guid(), set[str]()
 
-        def found(name: str, msgtype: str) -> None:
+        def found(publication: Any) -> None:
+            name, msgtype = publication.topic_name or "", ros_type(publication.type_name or "")
+            if publication.participant_key == own or not name.startswith("rt/") or name in known:
+                return
+            known.add(name)
             if msgtype in typestore(ros1=False).fielddefs:
-                topic = Topic(name, msgtype, reliable=False)
-                self.subscribe(topic, lambda content, source: take(name, msgtype, content))
+                topic = Topic(name.removeprefix("rt"), msgtype, reliable=False)
+                self.subscribe(topic, lambda content, source: take(topic.name, msgtype, content))
 
-        self._publications.append(Publications(self._participant, found))
+        package = dds().builtin
+        reader = package.BuiltinDataReader(self._participant, package.BuiltinTopicDcpsPublication)
+        self._held.append(reader)
+        self._readers.add(reader, found)
 
     def close(self) -> None:
         """See `Transport`."""
-        for publications in self._publications:
-            publications.close()
         self._readers.close()
         for entity in [*self._held, self._participant, self._domain]:
             entity._delete(entity._ref)  # children first; its own way is to wait for the garbage collection
@@ -371,7 +345,12 @@ class DdsTransport:
         reader = dds().sub.DataReader(self._participant, made, _qos(topic), listener=listener)
         self._held.append(reader)
         self._node.has(reader=reader)
-        self._readers.add(reader, take)
+
+        def hand_over(sample: Any) -> None:
+            if content := getattr(sample, "content", b""):  # none: news of a publisher that goes
+                take(content, struct.pack("<Q", sample.sample_info.publication_handle))
+
+        self._readers.add(reader, hand_over)
 
     def _send(self, name: str, writer: Any, content: bytes) -> None:
         error_kind = dds().core.DDSException

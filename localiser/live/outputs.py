@@ -222,9 +222,13 @@ class Recording:
             self._bytes += len(content)
             self._changed.notify()
 
+    def send(self, topic: str, msgtype: str, content: bytes) -> None:
+        """Record a message that goes out now; never waits."""
+        self.write(topic, msgtype, time.time_ns(), content)
+
     def tell(self, topic: str, text: str) -> None:
         """Record what no message says."""
-        self.write(topic, TEXT, time.time_ns(), self._messages.encode(self._messages.text(text)))
+        self.send(topic, TEXT, self._messages.encode(self._messages.text(text)))
 
     def close(self) -> None:
         """Write what waits, and end."""

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +81,7 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         localiser = Localiser(landmark_map, camera, options.config)
         localiser.measure(np.zeros((camera.height, camera.width), dtype=np.uint8))  # makes the tables of its lens
         if options.view != "none":
-            viewers.append(view.LiveView(options.view, view.Context("live", camera, landmark_map)))
-            if viewers[0].address:
-                how = "Watch with `rerun {}`" if options.view != "web" else "Watch at {}"
-                say(how.format(viewers[0].address), "INFO")
+            viewers.append(_viewer(options.view, camera, landmark_map, say))
         return localiser
 
     with ExitStack() as stack:
@@ -105,12 +103,16 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         say("ready; waiting for the robot", "INFO")
         finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
         clocks = Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
-        told = Outputs(monitor, _publisher(live, transport, outputs, recording), recording, publish, viewers)
+        frames = Frames(live.map_frame, live.odom_frame)
+        tolerance_ns, record = round(live.transform_tolerance_s * 1e9), None if recording is None else recording.send
+        publisher = Publisher(transport, outputs, frames, tolerance_ns, record)
+        told = Outputs(monitor, publisher, recording, publish, viewers)
         checkpoints = _checkpoints(options, begun_map, monitor)
         tracker = Tracker(finder, localiser_of, clocks, told, options.start, resumed, checkpoints)
         serve(transport, inbox, prefix_of(live), live.services)
+        not_heard = {"image": options.image is not None, "clock": not live.use_sim_time}
         for role, topic in topics.items():
-            if _is_listened_to(role, options):
+            if not not_heard.get(role):
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
@@ -169,18 +171,20 @@ def state_to_resume(options: LiveOptions, say: Callable[[str, str], None]) -> tu
     return replace(options, map_file=belongs), resumed
 
 
+def _viewer(kind: str, camera: Camera, landmark_map: LandmarkMap, say: Callable[[str, str], None]) -> view.LiveView:
+    """Return a viewer, and say where to watch."""
+    viewer = view.LiveView(kind, view.Context("live", camera, landmark_map))
+    if viewer.address:
+        say(f"Watch at {viewer.address}" if kind == "web" else f"Watch with `rerun {viewer.address}`", "INFO")
+    return viewer
+
+
 def _checkpoints(options: LiveOptions, begun_map: Path, monitor: Monitor) -> Checkpoints | None:
     """Return what saves the state. begun_map: that the command names, which the options may have another one than."""
     if options.checkpoint is None:
         return None
     loaded_map = options.map_file if options.map_file != begun_map else None
-    return Checkpoints(options.checkpoint, lambda why: monitor.warn("no checkpoint", why), begun_map, loaded_map)
-
-
-def _is_listened_to(role: str, options: LiveOptions) -> bool:
-    if role == "image":
-        return options.image is None
-    return role != "clock" or options.config.live.use_sim_time
+    return Checkpoints(options.checkpoint, partial(monitor.warn, "no checkpoint"), begun_map, loaded_map)
 
 
 def _names(live: LiveParameters) -> tuple[dict[str, str], dict[str, Output]]:
@@ -189,18 +193,6 @@ def _names(live: LiveParameters) -> tuple[dict[str, str], dict[str, Output]]:
     topics, outputs = input_topics(live.topics, prefix), outputs_named(live.publish, prefix)
     check_outputs(topics, outputs)
     return topics, outputs
-
-
-def _publisher(
-    live: LiveParameters, transport: Transport, outputs: Mapping[str, Output], recording: Recording | None
-) -> Publisher:
-    """Return what publishes results."""
-    publisher = Publisher(
-        transport, outputs, Frames(live.map_frame, live.odom_frame), round(live.transform_tolerance_s * 1e9)
-    )
-    if recording is not None:
-        publisher.record = lambda topic, msgtype, content: recording.write(topic, msgtype, time.time_ns(), content)
-    return publisher
 
 
 def into(inbox: Inbox, role: str, topic: str) -> Take:

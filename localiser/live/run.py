@@ -43,9 +43,8 @@ class LiveRun:
     def run(self, ended: Callable[[], bool]) -> None:
         """Run until `ended` says so."""
         while not ended():
-            self._take_all(self.inbox.take(_IDLE_S if self.tracker.is_idle else 0.0))
-            self.outputs.monitor.watch(_EXPECTED)  # now, when nothing waits that was not looked at
-            self.tracker.weigh_next()
+            self.turn(self.inbox.take(_IDLE_S if self.tracker.is_idle else 0.0))
+            self.outputs.monitor.watch(_EXPECTED)
         self.tracker.close()
 
     def turn(self, arrivals: Iterable[Arrival]) -> None:
