@@ -16,6 +16,7 @@ import os
 import pickle
 import platform
 import re
+import secrets
 import stat
 import sys
 import tempfile
@@ -37,7 +38,7 @@ _RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp
 _FOREIGN = ("builtins", "math", "numpy", "numba")  # told apart by their versions
 _KEPT_FILES = 1000  # of about 70 kB; those used last stay
 _CHECKSUM_BYTES = 32
-_OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}")
+_OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a draft
 
 
 # -- how loops are compiled -------------------------------------------------------------------------------------------
@@ -99,10 +100,10 @@ def private_folder(name: str) -> Path | None:
     """Return the folder of this name in which results are kept between runs; None where none can be.
 
     That is `$LOCALISER_CACHE/NAME`, else `localiser/NAME` in the user's cache folder, else a folder in the one for
-    temporary files. It is the first that can be written and belongs to this user alone, because this process trusts
-    what is in it: it executes the code.
+    temporary files. It is the first that can be written and that no other user can put anything into, because this
+    process trusts what is in it: it executes the code.
     """
-    return next((place for place in _places(name) if _is_private(place)), None)
+    return next((private for place in _places(name) if (private := _private(place))), None)
 
 
 def _places(name: str) -> Iterator[Path]:
@@ -114,19 +115,25 @@ def _places(name: str) -> Iterator[Path]:
         yield Path(tempfile.gettempdir()) / f"localiser-{name}-{_user()}"
 
 
-def _is_private(place: Path) -> bool:
-    """Make a folder where there is none, and tell whether it is a real one that this user alone can use."""
+def _private(place: Path) -> Path | None:
+    """Make a folder where there is none, and return it without links; None where another user could change it.
+
+    Whoever can write to a folder on the way there could put another in its place, but for what is in one like /tmp.
+    """
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):
-            place.mkdir(mode=0o700)
-        found = place.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != _user() or stat.S_IMODE(found.st_mode) & 0o077:
-            return False
+        place = place.parent.resolve() / place.name
+        for folder in (*reversed(place.parents), place):
+            if not folder.exists():
+                with suppress(FileExistsError):
+                    folder.mkdir(mode=0o700)
+            found = folder.lstat()
+            others_write = found.st_mode & 0o022 and (folder == place or not found.st_mode & stat.S_ISVTX)
+            if not stat.S_ISDIR(found.st_mode) or found.st_uid not in (0, _user()) or others_write:
+                return None
         tempfile.TemporaryFile(dir=place).close()
-    except OSError:
-        return False
-    return True
+    except (OSError, RuntimeError):  # a link to itself
+        return None
+    return place if found.st_uid == _user() else None
 
 
 def _user() -> int:
@@ -197,13 +204,16 @@ def write_kept(path: Path, content: bytes, most: int) -> None:
 
     path: in a folder of `private_folder`, and named `NAME-DIGEST`, with 40 characters of the digest.
     """
+    draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(hashlib.sha256(content).digest() + content)
-        Path(file.name).replace(path)
+        draft.write_bytes(hashlib.sha256(content).digest() + content)
+        draft.replace(path)
         _forget_oldest(path.parent, most)
     except OSError:
         return
+    finally:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
 
 
 def _forget_oldest(where: Path, most: int) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 import localiser
-from localiser.geometry import compiled
+from localiser.geometry import compiled, private_folder, write_kept
 
 PACKAGE = Path(str(localiser.__file__)).parent
 NOWHERE = "/proc/nonexistent"  # where nobody can make a folder, root neither
@@ -65,20 +65,18 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture
-def chosen(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def chosen(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Tell which folder is chosen in an environment, or where the user has no home."""
 
-    def choose(**environment: object) -> Path | None:
-        for name in ("LOCALISER_CACHE", "XDG_CACHE_HOME"):
-            monkeypatch.delenv(name, raising=False)
-        for name, value in environment.items():
-            monkeypatch.setenv(name, str(value))
+    def choose(name: str = "compiled", **environment: object) -> Path | None:
+        for variable in ("LOCALISER_CACHE", "XDG_CACHE_HOME"):
+            monkeypatch.delenv(variable, raising=False)
+        for variable, value in environment.items():
+            monkeypatch.setenv(variable, str(value))
         monkeypatch.setattr("tempfile.tempdir", None)
-        compiled.folder.cache_clear()
-        return compiled.folder()
+        return private_folder(name)
 
-    yield choose
-    compiled.folder.cache_clear()
+    return choose
 
 
 class Modules:
@@ -311,3 +309,55 @@ def test_a_folder_that_others_could_write_into_is_not_used(chosen: Any, tmp_path
         os.chown(own, 65534, 65534)
     assert chosen(HOME=NOWHERE, TMPDIR=temporary) is None
     assert not own.is_dir() or not list(own.iterdir())
+
+
+@pytest.mark.parametrize("name", ["compiled", "edges"])
+@pytest.mark.parametrize("fault", ["open to others", "of another user", "a link to what another user owns"])
+def test_a_folder_in_one_that_others_can_change_is_not_used(chosen: Any, tmp_path: Path, fault: str, name: str) -> None:
+    """Whoever may write to a parent can put a folder of that user's own in the place of the cache."""
+    theirs, stated = tmp_path / "theirs", tmp_path / "theirs" / "a" / "b"
+    (stated / name).mkdir(parents=True, mode=0o700)
+    if fault == "open to others":
+        theirs.chmod(0o777)
+    elif os.getuid() != 0:
+        pytest.skip("only root can give a folder away")
+    else:
+        os.chown(theirs, 65534, 65534)
+    if fault.startswith("a link"):
+        (tmp_path / "link").symlink_to(stated)
+        stated = tmp_path / "link"
+    temporary = tmp_path / "t"
+    temporary.mkdir()
+    assert chosen(name, LOCALISER_CACHE=stated, HOME=NOWHERE, TMPDIR=temporary).parent == temporary
+    theirs.chmod(0o1777)  # as /tmp is: what is there stays its owner's
+    os.chown(theirs, 0, 0) if os.getuid() == 0 else None
+    assert chosen(name, LOCALISER_CACHE=stated, HOME=NOWHERE, TMPDIR=temporary) == stated.resolve() / name
+
+
+def test_what_is_made_on_the_way_is_the_users_alone(chosen: Any, tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert chosen(LOCALISER_CACHE=tmp_path / "a" / "b") == tmp_path / "a" / "b" / "compiled"
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o700
+
+
+def test_a_disk_that_is_full_keeps_no_draft(tmp_path: Path) -> None:
+    code = """
+        import resource, sys
+        from pathlib import Path
+        from localiser.geometry import write_kept
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        write_kept(Path(sys.argv[1]) / ("part-" + 40 * "0"), bytes(5000), 10)
+    """
+    subprocess.run([sys.executable, "-c", dedent(code), str(tmp_path)], check=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_drafts_of_a_process_that_was_killed_go_with_the_oldest_files(tmp_path: Path) -> None:
+    draft = tmp_path / f"part-{40 * '0'}.0123abcd"
+    draft.write_bytes(b"")
+    os.utime(draft, (1, 1))
+    write_kept(tmp_path / f"part-{40 * '1'}", b"", 1)
+    assert not draft.exists()
