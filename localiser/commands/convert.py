@@ -57,7 +57,7 @@ def convert(
     Images are copied as they are, poses to a billionth of a metre. A video becomes a log with --camera and, where
     there is any, --odometry; without it a replay takes the motion from the images. The log gets the name of OUT.
     """
-    from localiser.documents import encodable
+    from localiser.documents import plain_name
     from localiser.storage import is_video, open_log, read_video, thinned, write_bag
     from localiser.storage.bags import FILE_KINDS
 
@@ -74,7 +74,7 @@ def convert(
         log = open_log(source, topics=topics_by_role(topics), camera=camera)
     target = FILE_KINDS.get(out.suffix, FOLDER)
     path = out.resolve()
-    log = replace(log, name=encodable(path.name if target == FOLDER else path.stem))
+    log = replace(log, name=plain_name(path.name if target == FOLDER else path.stem))
     if every_s is not None:
         log = thinned(log, every_s)
     with progress("Converting", len(log.frames)) as advance:

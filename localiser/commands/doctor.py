@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, Topics, open_with_settings, show, topics_by_role
+from localiser.errors import one_paragraph
 
 if TYPE_CHECKING:
     from localiser.commands.doctor_checks import Finding
@@ -96,5 +97,7 @@ def _show(findings: list[Finding]) -> None:
 
     table = Table(box=None, show_header=False)
     for finding in findings:
-        table.add_row(Text(finding.state, style=_COLOURS[finding.state]), Text(finding.what), Text(finding.text))
+        table.add_row(
+            Text(finding.state, style=_COLOURS[finding.state]), Text(finding.what), Text(one_paragraph(finding.text))
+        )
     show(table)

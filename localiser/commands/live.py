@@ -217,7 +217,7 @@ def _run(options: LiveOptions) -> None:
     from localiser.live import end_table, open_run, status_line
     from localiser.replay import asked_to_stop
 
-    console = Console(stderr=True)
+    console = Console(stderr=True, markup=False)
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
     with asked_to_stop() as stop, open_run(options, partial(say, console)) as run:
         with shown_status(
@@ -262,4 +262,6 @@ def say(console: Console, text: str, level: str) -> None:
     """Write a message, above the line that `shown_status` keeps: so both must write by the same console."""
     from rich.text import Text
 
-    console.print(Text(text, style="yellow" if level == "WARNING" else ""), soft_wrap=True)
+    from localiser.errors import one_paragraph
+
+    console.print(Text(one_paragraph(text), style="yellow" if level == "WARNING" else ""), soft_wrap=True)

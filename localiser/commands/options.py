@@ -83,7 +83,7 @@ def show(renderable: object) -> None:
     from localiser.evaluate import fit_width
 
     # A pipe has no width: then a table is as wide as it wants.
-    console = Console(width=None if sys.stdout.isatty() else 160)
+    console = Console(width=None if sys.stdout.isatty() else 160, markup=False)
     for part in fit_width(renderable, console) if isinstance(renderable, Table) else (renderable,):
         console.print(part)
 

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import yaml
+from pydantic import BeforeValidator
 
-from localiser.errors import InputError
+from localiser.errors import InputError, one_paragraph
 
 Key = tuple[str | int, ...]
+LONGEST_NAME = 200
+_NO_MARKS = str.maketrans("<>|`", "____")
 
 FLOAT_TAG = "tag:yaml.org,2002:float"
 _EXPONENT = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
@@ -129,14 +132,27 @@ def _dumped(value: Any) -> str:
     return _dump(value, True)
 
 
-def encodable(text: str) -> str:
-    """Return a text that UTF-8 can tell; the bytes of a file's name that are no text become their escapes."""
+def plain_name(name: str) -> str:
+    """Return a name from a file or a network as text that is nothing else, wherever it is shown: cleaned, 200 long.
+
+    What a terminal would act on is escaped; what HTML and Markdown would, and a formula's first sign, becomes _.
+    """
+    line = one_paragraph(name[: 2 * LONGEST_NAME]).translate(_NO_MARKS)
+    line = f"_{line[1:]}" if line[:1] in ("=", "+", "-", "@") else line
+    return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
+
+
+is_name = BeforeValidator(lambda name: plain_name(name) if isinstance(name, str) else name)
+"""Said of a field of a file: `Annotated[str, is_name]`."""
+
+
+def _encodable_text(text: str) -> str:
     return text if text.isascii() else text.encode(errors="backslashreplace").decode()
 
 
 def _encodable(value: Any) -> Any:
     if isinstance(value, str):
-        return encodable(value)
+        return _encodable_text(value)
     if isinstance(value, dict):
         return {_encodable(key): _encodable(part) for key, part in value.items()}
     return [_encodable(part) for part in value] if isinstance(value, (list, tuple)) else value

@@ -14,6 +14,7 @@ from localiser.errors import InputError
 _MAX_DEPTH = 40
 MOST_VALUES = 1_500_000  # each takes some 600 bytes of memory while a document is read
 _MAX_DIGITS = 100
+_LARGEST = 2**63
 _NUMBERS = {FLOAT_TAG, "tag:yaml.org,2002:int"}
 _Loader = with_exponents(getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
@@ -81,6 +82,12 @@ class _Parser:
             if not isinstance(event, yaml.ScalarEvent):
                 raise self._place(event).error(key, "expected a name as key, found a list or a mapping")
             name = self._scalar(key, event)
+            if isinstance(name, (int, float)) and not isinstance(
+                name, bool
+            ):  # which can be chosen so that they collide
+                raise self._place(event).error(
+                    key, f"expected a name as key, found {event.value!r}, which needs quotes"
+                )
             if name in mapping:
                 raise self._place(event).error((*key, name), "given twice")
             self._places[(*key, name)] = self._place(event)
@@ -98,7 +105,10 @@ class _Parser:
         if tag in _NUMBERS and len(event.value) > _MAX_DIGITS:
             raise self._place(event).error(key, f"expected a number of at most {_MAX_DIGITS} characters")
         try:
-            return self._loader.construct_object(yaml.ScalarNode(tag, event.value))
+            value = self._loader.construct_object(yaml.ScalarNode(tag, event.value))
+            if isinstance(value, int) and abs(value) >= _LARGEST:
+                raise self._place(event).error(key, f"expected a whole number of at most 64 bits, found {event.value}")
+            return value
         except (ValueError, OverflowError, yaml.constructor.ConstructorError):
             raise self._place(event).error(key, f"cannot be read as a value: {shown(event.value)}") from None
 

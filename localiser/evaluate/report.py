@@ -31,6 +31,7 @@ WIDE = 2.0  # a map at least this many times wider than high gets the whole widt
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so the picture is the same everywhere
     "font.size": 10.5,
+    "text.parse_math": False,  # names of logs and maps are no formulas
     "text.color": panels.INK,
     "axes.labelcolor": panels.MUTED,
     "axes.edgecolor": panels.LANDMARK,

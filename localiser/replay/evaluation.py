@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from localiser import evaluate, storage
-from localiser.documents import shown
+from localiser.documents import plain_name, shown
 from localiser.errors import InputError
 from localiser.evaluate import Track
 from localiser.geometry import Trajectory
@@ -65,6 +65,8 @@ def _checked(recorded: dict[str, Any], path: Path) -> dict[str, Any]:
             continue
         if value is not None and (isinstance(value, bool) or not isinstance(value, kinds)):
             raise InputError(f"expected {expected} or null, found {shown(value)}", path=path, field=name)
+        if isinstance(value, str):
+            recorded[name] = plain_name(value)
     return recorded
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from localiser.documents import is_name
 from localiser.simulate.robot import (
     CameraSpec,
     Degrees,
@@ -168,7 +169,7 @@ class World(Model):
     """A building and a drive through it."""
 
     format: Literal["localiser-world/1"]
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1), is_name]
     ceiling_m: Positive = 2.6
     materials: dict[str, Material]
     floor: Surface

@@ -12,6 +12,7 @@ from localiser.camera import DISTORTION_COUNTS, Camera, Mount, RollingShutter
 from localiser.documents import (
     Document,
     dump,
+    is_name,
     load,
     shown,
     validate,
@@ -69,7 +70,7 @@ class CameraFile(BaseModel):
     image_height: Pixels
     camera_matrix: MatrixFile
     mount: MountFile
-    camera_name: str = ""
+    camera_name: Annotated[str, is_name] = ""
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant", "none"] = "none"
     distortion_coefficients: MatrixFile | None = None
     rectification_matrix: MatrixFile | None = None

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from localiser.camera import Camera, Mount
-from localiser.documents import drafted, dump, load, validate, write_bytes, write_text
+from localiser.documents import drafted, dump, is_name, load, validate, write_bytes, write_text
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.geometry import Trajectory
@@ -53,7 +53,7 @@ class LogFile(BaseModel):
     model_config = FileModel
 
     format: Literal["localiser-log/1"]
-    name: Annotated[str, Field(min_length=1, max_length=200)]
+    name: Annotated[str, Field(min_length=1), is_name]
     camera: FileName
     odometry: FileName | None = None
     images: FileName | None = None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Mount
-from localiser.documents import open_regular, read_bytes
+from localiser.documents import open_regular, plain_name, read_bytes
 from localiser.errors import InputError
 from localiser.image_files import PNG_SIGNATURE, decode, measure
 
@@ -58,7 +58,11 @@ def image_event(
 
     path, field: where the image is from, for errors. by_wheels, mount: see there.
     """
-    return ImageEvent(t_ns, name, lambda: decoded(encoded(), size, path=path, field=field), encoded, by_wheels, mount)
+
+    def load() -> Image:
+        return decoded(encoded(), size, path=path, field=field)
+
+    return ImageEvent(t_ns, plain_name(name), load, encoded, by_wheels, mount)
 
 
 def whole_image(path: Path, size: tuple[int, int]) -> bytes:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
 
-from localiser.documents import Document, dump, parse, read_text, shown, validate, write_text
+from localiser.documents import Document, dump, is_name, parse, read_text, shown, validate, write_text
 from localiser.geometry import Array, private_folder, read_kept, write_kept
 from localiser.landmarks import FRAME, LandmarkMap, Quality
 from localiser.storage.packing import decode, encode, form_of
@@ -48,14 +48,14 @@ class LandmarkFile(BaseModel):
 
     model_config = Open
 
-    id: StrictInt | StrictStr
+    id: StrictInt | Annotated[StrictStr, is_name]
     x: Metres
     z: Metres
     cov: CovFile | None = None
     bottom_m: Metres = math.nan
     top_m: Metres = math.nan
     polarity: Literal[-1, 1] | None = None
-    source: Annotated[str, Field(min_length=1)] = ""
+    source: Annotated[str, Field(min_length=1), is_name] = ""
     sightings: Annotated[int, Field(ge=0)] | None = None
     parallax_deg: Annotated[float, Field(ge=0, le=360)] = math.nan
     existence: Annotated[float, Field(ge=0, le=1)] = math.nan
@@ -91,7 +91,7 @@ class MapFile(BaseModel):
 
     format: Literal["localiser-map/1"]
     landmarks: Annotated[list[LandmarkFile], Field(min_length=1, max_length=MOST_LANDMARKS)]
-    name: str = ""
+    name: Annotated[str, is_name] = ""
     frame: dict[str, Any] = Field(default_factory=lambda: dict(FRAME))
     drive: DriveFile | None = None
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from localiser.documents import field_name, shown, write_text
-from localiser.errors import InputError
+from localiser.errors import InputError, one_paragraph
 from localiser.storage.runs import read_json
 from localiser.storage.tables import Column, csv_of, read_table
 
@@ -97,7 +97,8 @@ def _cell(value: Any) -> str:
 def _parsed(name: str, cell: str) -> Any:
     if not cell:
         return None
-    value = _type_of(name)(cell)
-    if isinstance(value, float) and not math.isfinite(value):
+    kind = _type_of(name)
+    value = one_paragraph(cell) if kind is str else kind(cell)
+    if not isinstance(value, str) and not abs(value) < _LARGEST:
         raise ValueError
     return value

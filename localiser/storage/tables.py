@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.documents import nearest, read_text, shown
+from localiser.documents import nearest, plain_name, read_text, shown
 from localiser.errors import InputError
 from localiser.geometry import Array
 
@@ -110,8 +110,8 @@ def integer(cell: str) -> int:
 
 
 def name_or_none(cell: str) -> str:
-    """Return a name of at most 255 characters, "" for an empty cell or -1."""
-    return "" if cell.strip() in ("", "-1") else text(cell)
+    """Return a name, "" for an empty cell or -1."""
+    return "" if cell.strip() in ("", "-1") else plain_name(text(cell))
 
 
 def sign(cell: str) -> int:

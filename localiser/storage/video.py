@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.documents import encodable, require_regular, text_of
+from localiser.documents import plain_name, require_regular, text_of
 from localiser.errors import InputError
 from localiser.image_files import MOST_SCANS
 from localiser.storage.cameras import read_camera
@@ -44,7 +44,7 @@ def read_video(path: Path, odometry: Path | None, camera: Path, start_ns: int | 
         for index, t_ns in enumerate(_times_ns(path, known))
     ]
     settings = {} if len(poses) else VISION_ALONE
-    return require_overlap(Log(encodable(path.stem), path, known, poses, frames, settings=settings))
+    return require_overlap(Log(plain_name(path.stem), path, known, poses, frames, settings=settings))
 
 
 def is_video(path: Path) -> bool:

@@ -76,6 +76,20 @@ def test_a_document_of_too_many_values_is_told_before_it_fills_the_memory(monkey
     assert "expected at most 10 values, found more" in problem("name: a\nwheels:\n" + "- {spokes: 1}\n" * 9)
 
 
+@pytest.mark.parametrize("key", ["1", "2305843009213693951", "1.5", "0x10", ".inf"])
+def test_keys_are_names(key: str) -> None:
+    """Numbers can be chosen so that thousands of them collide in a table of keys, which then takes hours."""
+    with pytest.raises(InputError, match="which needs quotes"):
+        documents.parse(f"{key}: 1", "file")
+    assert documents.parse(f"'{key}': 1", "file").value == {key: 1}
+
+
+def test_whole_numbers_have_64_bits() -> None:
+    assert documents.parse(f"[{2**63 - 1}, -{2**63 - 1}]", "file").value == [2**63 - 1, 1 - 2**63]
+    with pytest.raises(InputError, match=r"file:1:5: \[1\]: expected a whole number of at most 64 bits"):
+        documents.parse(f"[1, {2**63}]", "file")
+
+
 def test_several_problems_are_counted_and_the_first_is_named() -> None:
     # What is misspelt is also missing, which would be the less helpful thing to say.
     assert problem("nam: a") == "cart.yaml:1:1: nam: unknown key; the nearest known is 'name' (and 1 more)"
@@ -103,7 +117,7 @@ def test_upper_document_replaces_values_and_lists_but_not_mappings() -> None:
 
 
 plain_data = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats(allow_nan=False) | st.text(max_size=20),
+    st.none() | st.booleans() | st.integers(1 - 2**63, 2**63 - 1) | st.floats(allow_nan=False) | st.text(max_size=20),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=12,
 )

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from map_texts import NEWER
 
-from localiser.documents import Document, Place, dump, parse
+from localiser.documents import Document, Place, dump, parse, plain_name
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
 from localiser.storage import read_map, write_map
@@ -25,11 +25,12 @@ extra = st.dictionaries(
 )
 
 
+NAMES = st.text(max_size=8).map(plain_name)
+
+
 @st.composite
 def maps(draw: st.DrawFn) -> LandmarkMap:
-    ids = draw(
-        st.lists(st.integers(-5, 10**6) | st.text(min_size=1, max_size=6), min_size=1, max_size=5, unique_by=str)
-    )
+    ids = draw(st.lists(st.integers(-5, 10**6) | NAMES.filter(bool), min_size=1, max_size=5, unique_by=str))
     count = len(ids)
 
     def column(values: st.SearchStrategy[Any]) -> list[Any]:
@@ -43,14 +44,14 @@ def maps(draw: st.DrawFn) -> LandmarkMap:
         for d in deviations
     ]
     return LandmarkMap(
-        name=draw(st.text(max_size=10)),
+        name=draw(NAMES),
         ids=tuple(ids),
         points=np.array(column(st.tuples(coordinate, coordinate))),
         cov=np.array(cov),
         bottom_m=np.array(column(st.floats(0, 2) | st.just(np.nan))),
         top_m=np.array(column(st.floats(2, 4) | st.just(np.nan))),
         polarity=np.array(column(st.sampled_from([-1, 0, 1])), dtype=np.int8),
-        source=tuple(column(st.text(max_size=8))),
+        source=tuple(column(NAMES)),
         extra=tuple(column(extra)),
         header=draw(extra),
     )

@@ -150,13 +150,14 @@ def calibrate_by(
     Raises InputError.
     """
     from localiser.calibration import FEWEST_VIEWS, calibrate, mount_over_board
+    from localiser.documents import plain_name
     from localiser.storage import read_image
 
     paths = in_order([*images, *([floor] if floor is not None else [])])
     size = common_size(paths)
     found: dict[Path, BoardView | None] = {}
     for path in paths:
-        found[path] = board.find(read_image(path, size), path.name)
+        found[path] = board.find(read_image(path, size), plain_name(path.name))
         advance()
     without = [path for path, view in found.items() if view is None]
     wanted = f"expected a {board.kind} of {board.size} squares"
@@ -174,7 +175,7 @@ def calibrate_by(
     intrinsics = calibrate(list(views.values()), size, lens)
     return Calibration(
         intrinsics=intrinsics,
-        without_board=tuple(path.name for path in without),
+        without_board=tuple(plain_name(path.name) for path in without),
         floor=None if floor is None else mount_over_board(intrinsics, list(views).index(floor)),
     )
 

@@ -52,7 +52,7 @@ def sync(
     import numpy as np
 
     from localiser.calibration import MOST_PAIRS
-    from localiser.documents import encodable
+    from localiser.documents import plain_name
     from localiser.storage import require_new
 
     if out is not None:
@@ -79,7 +79,7 @@ def sync(
         )
     earlier_ns = round(found.offset_s * 1e9)
     images = [replace(image, t_ns=image.t_ns - earlier_ns) for image in recorded.images]
-    to_folder(replace(recorded, name=encodable(out.name), frames=images), out)
+    to_folder(replace(recorded, name=plain_name(out.name), frames=images), out)
     typer.echo(f"The log with its images by the clock of the wheels is in {out}")
 
 

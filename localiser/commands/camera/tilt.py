@@ -37,7 +37,7 @@ def tilt(
     from dataclasses import replace
 
     from localiser.config import read_config
-    from localiser.documents import encodable
+    from localiser.documents import plain_name
     from localiser.storage import open_log, require_new
 
     if out is not None:
@@ -53,7 +53,7 @@ def tilt(
         _require_certain(found, settings, recorded)
         tilt_rad, roll_rad = (float(angle) for angle in found.mount)
         camera = recorded.camera.with_mount(tilt_rad=tilt_rad, roll_rad=roll_rad)
-        to_folder(replace(recorded, name=encodable(out.name), camera=camera), out)
+        to_folder(replace(recorded, name=plain_name(out.name), camera=camera), out)
         typer.echo(f"The log with this tilt and roll is in {out}")
 
 

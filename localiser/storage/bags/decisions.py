@@ -17,6 +17,7 @@ from localiser.filter import Anywhere, Start
 from localiser.storage.bags.frames import check_start
 
 _LAST_NS = 2**62
+_MOST = 10**8  # messages of a topic; larger numbers could be chosen to fall into one place of a set
 
 
 def image_decision(number: int, t_ns: int, unused: str = "", *, by_wheels: bool = True) -> str:
@@ -73,12 +74,12 @@ class Decisions:
         except RecursionError as error:
             raise ValueError("expected a decision") from error
         match data:
-            case {"image": int(number), "used": bool(used)}:
+            case {"image": int(number), "used": bool(used)} if 0 <= number < _MOST:
                 if used:
                     self.images.add(number)
                 if data.get("by_wheels") is False:
                     self.blind.add(number)
-            case {"odometry": int(number), "used": False}:
+            case {"odometry": int(number), "used": False} if 0 <= number < _MOST:
                 self.unused_odometry.add(number)
             case {"clock": int(offset_ns)} if abs(offset_ns) < _LAST_NS:
                 self.offset_ns = offset_ns

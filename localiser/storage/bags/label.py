@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field
 
 from localiser.camera import Camera, Mount, MountSigma
-from localiser.documents import MAX_DOCUMENT_BYTES, Document, dump, parse
+from localiser.documents import MAX_DOCUMENT_BYTES, Document, dump, is_name, parse
 from localiser.errors import InputError
 from localiser.storage.cameras import FileModel, ShutterFile, shutter_data, shutter_of
 from localiser.storage.folder import StartFile, start_data
@@ -24,8 +24,8 @@ class Label(BaseModel):
     model_config = FileModel
 
     format: Literal["localiser-bag/1"]
-    name: Annotated[str, Field(min_length=1, max_length=200)]
-    camera_name: Annotated[str, Field(max_length=200)] = ""
+    name: Annotated[str, Field(min_length=1), is_name]
+    camera_name: Annotated[str, is_name] = ""
     start: StartFile | None = None
     motion: dict[str, Any] | None = None
     rolling_shutter: ShutterFile | None = None

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from localiser.camera import Camera, Mount
-from localiser.documents import Document, validate
+from localiser.documents import Document, plain_name, validate
 from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.geometry import Trajectory
@@ -195,7 +195,7 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
     places = sorted(content.images, key=lambda place: place.stamp_ns)
     _distinct([place.stamp_ns for place in places], path, topic.name)
     odometry = content.odometry.trajectory(path)
-    label = content.label or Label(format=FORMAT, name=path.resolve().stem)
+    label = content.label or Label(format=FORMAT, name=plain_name(path.resolve().stem))
     mounts: Sequence[Mount | None] = [None] * len(places)
     if given is None and not content.finder.is_given:
         mounts = _made(content, lambda: content.finder.mounts([place.stamp_ns for place in places]))
