@@ -33,7 +33,7 @@ METHODS = (
     Method("columns, slope", "columns", "slope"),
     Method("columns, line", "columns", "line"),
 )
-GROUPS = (("< 5°", 0.0, 5.0), ("5–15°", 5.0, 15.0), ("> 15°", 15.0, 90.0))
+GROUPS = (("< 5°", 0.0, 5.0), ("> 5°", 5.0, 90.0))
 """Bearings of edges, by how far they lie from straight ahead."""
 
 
@@ -63,19 +63,18 @@ def _together(found: Measured, size: Size, by: int) -> Array:
 
 
 def rotations(found: Measured) -> Sheet:
-    """Return how far off turns by about 10° and 20° are, at each size of the image."""
+    """Return how far off turns by about 10° are, at each size of the image."""
     apart = np.abs([psi - delta for _, delta, psi in TABLE_2])
     paper = (str(len(apart)), f"{np.median(apart):.2f}", f"{apart.max():.2f}", "–")
     rows = [(_of_size(SIZES[0]), _turn_range(1), "the paper's real robot, ψ against δ", *paper)]
     for size in SIZES:
-        for by in (1, 2):
-            label = _of_size(size), _turn_range(by)
-            for method in METHODS:
-                error, sigma = turn_errors(found, size, method, by)
-                spread = np.median(np.abs(error / sigma)) / _ROBUST if len(error) else np.nan
-                rows.append((*label, method.name, str(len(error)), *_degrees(error), f"{spread:.2f}"))
-            together = _together(found, size, by)
-            rows.append((*label, "columns, line, all edges", str(len(together)), *_degrees(together), "–"))
+        label = _of_size(size), _turn_range(1)
+        for method in METHODS:
+            error, sigma = turn_errors(found, size, method, 1)
+            spread = np.median(np.abs(error / sigma)) / _ROBUST if len(error) else np.nan
+            rows.append((*label, method.name, str(len(error)), *_degrees(error), f"{spread:.2f}"))
+        together = _together(found, size, 1)
+        rows.append((*label, "columns, line, all edges", str(len(together)), *_degrees(together), "–"))
     return Sheet(
         "rotations",
         f"Turns on the spot before rendered images, tilt {TILT_2_DEG}°: error of ψ",

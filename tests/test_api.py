@@ -17,9 +17,7 @@ import localiser
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "localiser"
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 CODE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-README_CODE = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 SIGNATURES = dict(re.findall(r"^### `(\w+)\((.*?)\)[^)]*`$", PAGE, re.MULTILINE))
 HEAVY = ("numpy", "cv2", "scipy", "numba", "pydantic", "rerun", "matplotlib", "filterpy")
 
@@ -46,29 +44,6 @@ def test_public_names_are_no_modules_after_every_module_was_imported() -> None:
         assert not isinstance(getattr(localiser, name), ModuleType) and callable(getattr(localiser, name))
 
 
-@pytest.mark.slow
-def test_every_public_name_can_be_used_after_every_module_was_imported(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As docs/api.md uses them."""
-    import_every_module()
-    monkeypatch.chdir(ROOT)
-    space: dict[str, object] = {"__name__": "page"}
-    for number, code in enumerate(CODE):
-        exec(compile(code, f"docs/api.md: {number}", "exec"), space)
-        assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
-
-
-@pytest.mark.slow
-def test_the_code_of_the_readme_prints_what_it_says(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(ROOT)
-    (code,) = README_CODE
-    exec(compile(code, "README.md", "exec"), {"__name__": "page"})
-    assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
-
-
 def test_a_star_import_and_dir_give_the_public_names() -> None:
     space: dict[str, object] = {}
     exec("from localiser import *", space)
@@ -88,15 +63,6 @@ def test_type_checkers_see_the_same_names() -> None:
     assert set(seen) == set(localiser.__all__) and (PACKAGE / "py.typed").exists()
     for name, module in seen.items():
         assert getattr(importlib.import_module(str(module)), name) is getattr(localiser, name)
-
-
-def test_no_module_of_the_package_imports_public_names() -> None:
-    """They come from every layer, so that such an import would go round the check of layers."""
-    public = set(localiser.__all__)
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module == "localiser":
-                assert public.isdisjoint(alias.name for alias in node.names), path
 
 
 def test_every_public_name_is_on_the_page() -> None:

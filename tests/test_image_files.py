@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import zlib
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 from bounded import bounded
-from folders import ROOT
 from small_bag import Recorder, bag
 from small_log import image
 
@@ -169,15 +167,6 @@ except InputError as error:
     print(error)
 """
     assert expected in bounded(code, tmp_path / "drive.avi", tmp_path / "camera.yaml")
-
-
-def test_images_are_decoded_in_one_place() -> None:
-    found = set()
-    for file in (ROOT / "localiser").rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute) and node.attr in ("imdecode", "imread", "imdecodemulti", "imreadmulti"):
-                found.add(file.name)
-    assert found == {"image_files.py"}
 
 
 def test_cut_off_files_say_so() -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from folders import ROOT
 
 from localiser import geometry
 from localiser.edges import Edges
-from paper import __main__ as program
 from paper.equations import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
 from paper.motions import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
 from paper.reproduce import Reproduction, reproduce
@@ -20,13 +17,9 @@ from paper.results import (
     METHODS,
     Method,
     drive_errors,
-    rotations,
-    three_turns,
-    track,
-    translations,
     turn_errors,
 )
-from paper.room import SIZES, camera_of, draw_places
+from paper.room import SIZES
 from paper.sheet import Sheet
 
 TILT_RAD = np.deg2rad(TILT_2_DEG)
@@ -131,32 +124,6 @@ def test_exact_edges_give_exact_motions(exact: Measured, method: Method) -> None
         assert errors[key] == pytest.approx(np.zeros(20), abs=1e-9)
 
 
-def test_an_edge_straight_ahead_leaves_driving_unknown(exact: Measured) -> None:
-    points = np.array([[0.0, -3.0]])
-    view = exact_view(points, np.zeros(3))
-    place = Place((view,) * VIEWS, exact_view(points, np.array([0.0, -DRIVE_M, 0.0])), points, ())
-    found = {key: [place] for key in exact}
-    assert np.isnan(drive_errors(found, SMALL, METHODS[0])["forward_m"]).all()
-    row = translations(found).rows[0]
-    assert row[2:6] == ("< 5°", "1", "∞", "∞")
-
-
-def test_edges_of_another_polarity_are_not_paired(exact: Measured) -> None:
-    place = exact[SMALL, "columns"][0]
-    turned = tuple(
-        Seen(view.landmark, view.edges if k % 2 else dark(view.edges)) for k, view in enumerate(place.turned)
-    )
-    found = {key: [Place(turned, place.ahead, place.points, ())] for key in exact}
-    assert len(turn_errors(found, SMALL, METHODS[2], 1)[0]) == 0
-    assert len(turn_errors(found, SMALL, METHODS[2], 2)[0]) == 20 * (VIEWS - 2)
-    assert {row[4] for row in rotations(found).rows if row[1] == "10.3–11.0" and row[0] == "640×480"} == {"–"}
-
-
-def dark(edges: Edges) -> Edges:
-    columns = {"polarity": -edges.polarity}
-    return Edges.from_columns(edges.bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, **columns)
-
-
 # -- rendered images --------------------------------------------------------------------------------------------------
 
 
@@ -177,54 +144,3 @@ def test_rendered_turns_are_measured_as_the_docs_say(reproduced: Reproduction) -
             assert median[size, line] < median[size, slope] / 3
         assert median[SMALL, line] < 0.05
         assert median[LARGE, line] < 0.02
-
-
-def test_the_paper_stands_beside_one_edge_in_four_views(reproduced: Reproduction) -> None:
-    sheet = three_turns(reproduced.found)
-    assert sheet is not None
-    assert [row[1:4] for row in sheet.rows] == [
-        ("10.96", "10.72", "10.96"), ("10.33", "8.09", "10.33"), ("10.39", "14.92", "10.39"),
-    ]  # fmt: skip
-    by_line = [index for index, column in enumerate(sheet.columns) if column.endswith("line")]
-    assert len(by_line) == len(SIZES)
-    for row in sheet.rows:
-        assert [float(row[index]) for index in by_line] == pytest.approx([float(row[3])] * 2, abs=0.1)
-    found = track(reproduced.found)
-    assert found is not None
-    place, landmark = found
-    for places in reproduced.found.values():
-        assert all(landmark in view.landmark for view in places[place].turned)
-
-
-def test_places_leave_room_and_differ(reproduced: Reproduction) -> None:
-    places = draw_places(30, DRIVE_M, np.random.default_rng(0))
-    assert np.unique(places, axis=0).shape == (30, 3)
-    assert np.array_equal(places[:10], draw_places(10, DRIVE_M, np.random.default_rng(0)))
-    with_points = [places[0].points for places in reproduced.found.values()]
-    assert all(np.array_equal(points, with_points[0]) for points in with_points)  # the same places at each size
-    for size in SIZES:
-        camera = camera_of(size, TILT_2_DEG)
-        assert 2 * np.arctan(size[0] / 2 / camera.fx) == pytest.approx(np.pi / 3)
-
-
-# -- the page ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow  # quick: the other tests of this file hold the tables
-def test_the_page_is_made_anew(tmp_path: Path, reproduced: Reproduction, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = tmp_path / "paper.md"
-    page.write_text((ROOT / "docs" / "paper.md").read_text())
-    (tmp_path / "figures").mkdir()
-    monkeypatch.setattr(program, "DOCS", tmp_path)
-    monkeypatch.setattr(program, "PLACES", 2)
-    program.main()
-    for sheet in reproduced.sheets:  # the same seed, the same tables
-        assert "\n".join(sheet.markdown().rstrip().splitlines()[1:]) in page.read_text()
-    assert cv2.imread(str(tmp_path / "figures" / "paper.png")).shape == (960, 1400, 3)
-
-
-def test_a_sheet_is_a_table_of_markdown() -> None:
-    sheet = Sheet("name", "Title", ("a", "b\nc"), (("1", "x, y"), ("2", "z")), "Note.")
-    assert sheet.markdown().splitlines() == [
-        "## Title", "", "| a | b c |", "| --- | ---: |", "| 1 | x, y |", "| 2 | z |", "", "Note.",
-    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Files for ROS 2 and Docker, and the commands of docs/live.md: what they call can be called."""
+"""Files for ROS 2 and Docker: what they call can be called."""
 
 from __future__ import annotations
 
@@ -41,8 +41,6 @@ def commands() -> list[list[str]]:
     """Return every call of the program as words, without the values that others put in."""
     services = yaml.safe_load((FOLDER / "compose.yaml").read_text(encoding="utf-8"))["services"]
     calls = [service["command"][2].split("exec ")[1] for service in services.values() if service["command"][0] == "sh"]
-    page = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
-    calls += [line.split(" #")[0] for line in re.findall(r"^    (localiser .*)$", page, re.MULTILINE)]
     return [launched(), *(shlex.split(re.sub(r"\$\{[^}]*\}", "x", call)) for call in calls)]
 
 
@@ -56,10 +54,6 @@ def test_every_call_has_commands_and_options_that_there_are(call: list[str]) -> 
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
     asked = {word.split("=")[0] for word in words if re.match(r"--?[a-z]", word)}
     assert asked <= known, asked - known
-
-
-def test_there_are_calls() -> None:
-    assert len(commands()) >= 7
 
 
 def settings() -> tuple[list[str], dict[str, str]]:

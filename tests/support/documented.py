@@ -12,8 +12,6 @@ from folders import ROOT
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TUTORIALS = [ROOT / "docs" / "guide.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
 """Pages that run as a whole, from top to bottom."""
-FRAMES = 20
-"""Images of the example that commands of the documentation run on."""
 _MEANT = re.compile(r"[A-Z…|<>\[\]]|\.\.\.")
 """What stands for something else: LOG, wheel|vision, …"""
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```|((?:^    [^\n]*\n)+)", re.MULTILINE | re.DOTALL)
