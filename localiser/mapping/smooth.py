@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from localiser.geometry import Array, compose
 from localiser.mapping.factors import CONSTANTS, Problem, State, Wheels, cost_of, landmark_columns, linearise
 from localiser.mapping.sightings import Index, Sightings, direction_of
-from localiser.mapping.sparse import Factor, Pattern
+from localiser.mapping.sparse import Factor
 
 # -- the scale by feet on the floor -----------------------------------------------------------------------------------
 
@@ -180,10 +180,9 @@ def smooth(
     """
     state = State(poses, points, constants, points)
     linear, cost = linearise(problem, state), cost_of(problem, state)
-    pattern, factor, damping, harder = Pattern.of(linear), Factor(), 1e-4, 2.0
+    factor, damping, harder = Factor(), 1e-4, 2.0
     for _ in range(iterations):
-        pattern = pattern if pattern.holds(linear) else Pattern.of(linear)
-        normal, gradient = linear.normal(pattern)
+        normal, gradient = linear.normal()
         while True:
             factor.update(normal, damping)
             step = factor.solve(gradient)
@@ -201,7 +200,7 @@ def smooth(
         state, cost, linear = moved, new_cost, linearise(problem, moved)
         if max(fell, promised) < converged * cost:
             break
-    factor.update(linear.normal(pattern if pattern.holds(linear) else None)[0])
+    factor.update(linear.normal()[0])
     count = len(problem.bearings.bearing)
     return Smoothed(
         state.poses,

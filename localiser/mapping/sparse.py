@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 Index = NDArray[np.int64]
 
+TOGETHER = 16
+"""Columns of a right side that are substituted at one time."""
 _AT_ONCE = 512  # pairs of columns that are solved at one time
 _REGULAR = 1e-9  # added to the diagonal: no variable is wholly unknown
 
@@ -35,12 +38,12 @@ class Block:
     weight: Array
 
     def jacobian(self, size: int) -> Any:
-        """Return the derivatives (K, V), sparse, by all V variables."""
+        """Return the derivatives (K, V), sparse, by all V variables; those that are 0 are left out."""
         from scipy.sparse import csr_array
 
-        free = self.column >= 0
-        entries = self.value[free], (np.nonzero(free)[0], self.column[free])
-        return csr_array(entries, shape=(len(self.residual), size))
+        told = (self.column >= 0) & (self.value != 0)
+        begin = np.concatenate([[0], np.cumsum(told.sum(axis=1))])
+        return csr_array((self.value[told], self.column[told], begin), shape=(len(self.residual), size))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,54 +70,14 @@ class Linearised:
 
         return vstack([block.jacobian(self.size) for block in self.blocks], format="csr")
 
-    def normal(self, pattern: Pattern | None = None) -> tuple[Any, Array]:
-        """Return the upper triangle of JᵀWJ (V, V), sparse, and JᵀWr (V,). pattern: `Pattern.of` the same columns."""
-        from scipy.sparse import csc_array
+    def normal(self) -> tuple[Any, Array]:
+        """Return the upper triangle of JᵀWJ (V, V), sparse, and JᵀWr (V,)."""
+        from scipy.sparse import csr_array, triu
 
-        from localiser.mapping.sparse_kernel import add_products
-
-        pattern = pattern or Pattern.of(self)
-        value, gradient = np.zeros(len(pattern.row)), np.zeros(self.size)
-        for block, place in zip(self.blocks, pattern.place, strict=True):
-            add_products(block.column, block.value, block.residual, block.weight, place, value, gradient)
-        return csc_array((value, pattern.row, pattern.begin), shape=(self.size, self.size)), gradient
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pattern:
-    """Where an upper triangle JᵀWJ has values: the rows of its columns, which begin at `begin` (V + 1,).
-
-    place: for each block, where the product of each two variables of a measurement goes, (K, C (C + 1) / 2), -1 where
-    one of them has no influence. known: for each block, which derivatives (K, C) may be other than 0.
-    """
-
-    begin: NDArray[np.int32]
-    row: NDArray[np.int32]
-    place: list[NDArray[np.int32]]
-    known: list[NDArray[np.bool_]]
-
-    def holds(self, linear: Linearised) -> bool:
-        """Return whether these measurements have no value where the pattern has none."""
-        return not any((block.value != 0)[~known].any() for block, known in zip(linear.blocks, self.known, strict=True))
-
-    @classmethod
-    def of(cls, linear: Linearised) -> Pattern:
-        """Return the pattern that the columns of measurements make."""
-        from scipy.sparse import triu
-
-        from localiser.mapping.sparse_kernel import find_places
-
-        ones = linear.jacobian
-        ones.data[:] = ones.data != 0
-        upper = triu(ones.T @ ones, format="csc")
-        upper.eliminate_zeros()
-        upper.sort_indices()
-        begin, row, place = upper.indptr.astype(np.int32), upper.indices.astype(np.int32), []
-        for block in linear.blocks:
-            count = block.column.shape[1]
-            place.append(np.full((len(block.column), count * (count + 1) // 2), -1, dtype=np.int32))
-            find_places(block.column, begin, row, place[-1])
-        return cls(begin, row, place, [block.value != 0 for block in linear.blocks])
+        jacobian = self.jacobian
+        weighted = jacobian.data * np.repeat(self.weight, np.diff(jacobian.indptr))
+        transposed = csr_array((weighted, jacobian.indices, jacobian.indptr), shape=jacobian.shape).T
+        return triu(transposed @ jacobian, format="csc"), transposed @ self.residual
 
 
 class Factor:
@@ -147,8 +110,6 @@ class Factor:
 
     def projected(self, columns: Any) -> Array:
         """Return XᵀA⁻¹X (P, 2, 2) of P pairs of columns X, sparse (V, 2 P): YᵀD⁻¹Y with L Y = X."""
-        from localiser.mapping.sparse_kernel import TOGETHER
-
         order, result = self._by_place(columns), np.zeros((columns.shape[1] // 2, 2, 2))
         for begin in range(0, len(order), _AT_ONCE):
             part = order[begin : begin + _AT_ONCE]
@@ -161,8 +122,6 @@ class Factor:
 
     def joint(self, columns: Any) -> Array:
         """Return XᵀA⁻¹X (C, C) of all columns X, sparse (V, C), C even, with each other."""
-        from localiser.mapping.sparse_kernel import TOGETHER
-
         order = self._by_place(columns)
         offset, reached, solved = self._substituted(columns, order)
         row, place = np.unique(reached, return_inverse=True)
@@ -195,17 +154,84 @@ class Factor:
         Rows of a group are those from offset (G + 1,) on: reached (M,), and their values (M, TOGETHER). Only what the
         values of X reach is computed.
         """
-        from localiser.mapping.sparse_kernel import TOGETHER, count_reached, substitute
-
         lower, diagonal, places = self._factors()
         own = columns[:, (2 * pairs[:, None] + np.arange(2)).ravel()]
         ends = np.append(np.arange(0, own.shape[1], TOGETHER), own.shape[1])
         begin, at = own.indptr[ends].astype(np.int64), places[own.indices]
         column = np.repeat(np.arange(own.shape[1]), np.diff(own.indptr)) % TOGETHER
         offset, size = np.zeros(len(begin), dtype=np.int64), len(diagonal)
-        count_reached(lower.indptr, lower.indices, begin, at, np.full(size, -1), offset)
+        compiled(count_reached)(lower.indptr, lower.indices, begin, at, np.full(size, -1), offset)
         reached, solved = np.empty(offset[-1], dtype=np.int64), np.empty((offset[-1], TOGETHER))
         mark, work = np.full(size, -1), np.zeros((size, TOGETHER))
         of_lower = lower.indptr, lower.indices, lower.data
-        substitute(*of_lower, begin, at, column, own.data, mark, work, offset, reached, solved)
+        compiled(substitute)(*of_lower, begin, at, column, own.data, mark, work, offset, reached, solved)
         return offset, reached, solved / np.sqrt(diagonal[reached])[:, None]
+
+
+# -- loops for numba to compile, when they are called ------------------------------------------------------------------
+
+
+def count_reached(begin: Index, row: Index, right_begin: Index, right_row: Index, mark: Index, offset: Index) -> None:
+    """Count the rows in which Y of (I + L) Y = R has values, for each group of columns of R: into `offset` (G + 1,).
+
+    A value at row j reaches the rows of column j of L: they all lie on the way from j to the root of the elimination
+    tree, in which the parent of j is the first row of its column. See `substitute`; mark: (V,) of -1.
+    """
+    for group in range(len(right_begin) - 1):
+        count = 0
+        for entry in range(right_begin[group], right_begin[group + 1]):
+            node = right_row[entry]
+            while node >= 0 and mark[node] != group:
+                mark[node] = group
+                count += 1
+                node = row[begin[node]] if begin[node] < begin[node + 1] else -1
+        offset[group + 1] = offset[group] + count
+
+
+def substitute(
+    begin: Index,
+    row: Index,
+    value: Array,
+    right_begin: Index,
+    right_row: Index,
+    right_column: Index,
+    right_value: Array,
+    mark: Index,
+    work: Array,
+    offset: Index,
+    reached: Index,
+    solved: Array,
+) -> None:
+    """Solve (I + L) Y = R for G groups of `TOGETHER` columns, into rows `reached` (M,), values `solved` (M, TOGETHER).
+
+    begin (V + 1,), row, value: columns of L, strictly below the diagonal, rows in order. right_begin (G + 1,),
+    right_row, right_column (in the group), right_value: the values of R. offset (G + 1,): where the rows of each group
+    begin, see `count_reached`. mark (V,) of -1, work (V, TOGETHER) of 0: as they are lent they are not given back.
+    Columns of a group share what is read of L, so they should reach nearly the same rows.
+    """
+    own = np.empty(TOGETHER)
+    for group in range(len(right_begin) - 1):
+        first = offset[group + 1]
+        for entry in range(right_begin[group], right_begin[group + 1]):
+            node, length = right_row[entry], 0
+            work[node, right_column[entry]] += right_value[entry]
+            while node >= 0 and mark[node] != group:
+                mark[node] = group
+                length += 1
+                node = row[begin[node]] if begin[node] < begin[node + 1] else -1
+            # No row found before comes before these in the tree, so these go in front.
+            first -= length
+            node = right_row[entry]
+            for step in range(length):
+                reached[first + step] = node
+                node = row[begin[node]] if begin[node] < begin[node + 1] else -1
+        for index in range(offset[group], offset[group + 1]):
+            node = reached[index]
+            for column in range(TOGETHER):
+                own[column] = work[node, column]
+                solved[index, column] = own[column]
+                work[node, column] = 0.0
+            for entry in range(begin[node], begin[node + 1]):
+                below, factor = row[entry], value[entry]
+                for column in range(TOGETHER):
+                    work[below, column] -= factor * own[column]

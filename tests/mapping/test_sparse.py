@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csc_array
 
 from localiser.geometry import Array
-from localiser.mapping.sparse import Block, Factor, Linearised, Pattern
+from localiser.mapping.sparse import Block, Factor, Linearised
 
 
 def some_blocks(size: int, count: int, most: int, seed: int) -> list[Block]:
@@ -69,18 +69,3 @@ def test_the_inverse_between_sparse_columns_is_that_of_dense_algebra(pairs: int)
     np.testing.assert_allclose(factor.projected(csc_array(columns)), expected, rtol=1e-6, atol=1e-9)
     whole = columns.T @ np.linalg.inv(dense(blocks, 50)[0]) @ columns
     np.testing.assert_allclose(factor.joint(csc_array(columns)), whole, rtol=1e-6, atol=1e-9)
-
-
-def test_a_pattern_serves_measurements_that_have_no_values_elsewhere() -> None:
-    blocks, others = some_blocks(40, 30, 4, seed=1), some_blocks(40, 30, 4, seed=1)
-    blocks[0].value[:, 1] = 0.0
-    pattern, linear = Pattern.of(Linearised(blocks, 40)), Linearised(others, 40)
-    assert not pattern.holds(linear)
-    others[0].value[:, 1] = 0.0
-    others[0].value[:] *= 3.0
-    assert pattern.holds(linear)
-    upper, right = linear.normal(pattern)
-    matrix, gradient = dense(others, 40)
-    np.testing.assert_allclose(upper.toarray(), np.triu(matrix), atol=1e-12)
-    np.testing.assert_allclose(right, gradient, atol=1e-12)
-    assert len(pattern.row) < len(Pattern.of(Linearised(some_blocks(40, 30, 4, seed=1), 40)).row)
