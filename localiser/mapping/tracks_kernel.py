@@ -1,7 +1,8 @@
 """The inner loop of `tracks`: prediction, scores, assignment and update for every image, as plain loops.
 
-The arithmetic is that of `inverse_depth` and `association`, which say why. Arrays of an image are small, so that
-calls of numpy would take most of the time.
+Scores are those of `association_scores`. Arrays of an image are small, so that calls of numpy would take most of the
+time. A track's state is the heading under which its edge was first seen and the inverse distance from there, which is
+between 1 / nearest_m and 0 within two sigmas at first.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def _wrapped(angle: float) -> float:
 
 @part
 def _predict(state: Array, camera: Array, count: int, expected: Array) -> None:
-    """Write what the camera (3,) should see of tracks; see `inverse_depth.predicted`."""
+    """Write under which heading the camera (3,) should see tracks, and the derivatives of it by their states."""
     for k in range(count):
         sin, cos = np.sin(state[k, HEADING]), np.cos(state[k, HEADING])
         baseline_x, baseline_z = state[k, X] - camera[0], state[k, Z] - camera[1]
@@ -43,7 +44,7 @@ def _predict(state: Array, camera: Array, count: int, expected: Array) -> None:
 
 @part
 def _looks(side: Array, polarity: Signs, one: int, other: int) -> float:
-    """Return what `association.looks_alike` says of two sightings."""
+    """Return what `tracks.looks_alike` says of two sightings."""
     product = polarity[one] * polarity[other]
     if product < 0:
         return -np.inf
@@ -72,7 +73,7 @@ def _score(
     gate: float,
     score: Array,
 ) -> None:
-    """Write the scores (edges, tracks) of all pairs; see `association.association_scores`."""
+    """Write the scores (edges, tracks) of all pairs; see `tracks.association_scores`."""
     low, high = np.inf, -np.inf
     for e in range(edges):
         low, high = min(low, heading[e]), max(high, heading[e])
