@@ -1,13 +1,23 @@
 """Calibration: tilt and roll from edges, all of a camera from a board, clocks, and the quality of odometry."""
 
-from localiser.calibration.board import Board, BoardView
+from localiser.calibration.board import (
+    FEWEST_VIEWS,
+    Board,
+    BoardView,
+    FloorMount,
+    Intrinsics,
+    calibrate,
+    mount_over_board,
+)
 from localiser.calibration.clock import MOST_PAIRS, ClockOffset, clock_offset
-from localiser.calibration.intrinsics import FEWEST_VIEWS, FloorMount, Intrinsics, calibrate, mount_over_board
-from localiser.calibration.lines import Lines, down_in_camera, lines_of, mount_from_down
-from localiser.calibration.log_mount import (
+from localiser.calibration.mount import (
+    Lines,
     LogMount,
     MountCheck,
     check_mount,
+    down_in_camera,
+    lines_of,
+    mount_from_down,
     mount_of_images,
     mount_of_lines,
     spread,

@@ -1,7 +1,12 @@
-"""Calibration boards: chessboard, and ChArUco (chessboard with markers, which may be seen in part)."""
+"""Calibration by a board, chessboard or ChArUco: its corners in images, and the camera that saw them so.
+
+A ChArUco board, a chessboard with markers, may be seen in part. The camera is focal length, principal point and lens
+distortion, with what is uncertain about them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,8 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.calibration.mount import mount_from_down
+from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.geometry import Array
+
+# -- the board --------------------------------------------------------------------------------------------------------
 
 BoardKind = Literal["charuco", "chessboard"]
 FEWEST_CORNERS = 8
@@ -138,3 +147,167 @@ def dictionaries() -> list[str]:
     """Return the names of the known sets of markers."""
     names = (name.removeprefix(_DICTIONARY_PREFIX) for name in dir(cv2.aruco) if name.startswith(_DICTIONARY_PREFIX))
     return sorted({name.replace("h", "H") if name.startswith("APRILTAG") else name for name in names})
+
+
+# -- the camera -------------------------------------------------------------------------------------------------------
+
+FEWEST_VIEWS = 3
+_COEFFICIENTS = {
+    "none": (),
+    "plumb_bob": ("k1", "k2", "p1", "p2", "k3"),
+    "rational_polynomial": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "equidistant": ("k1", "k2", "k3", "k4"),
+}
+_NO_LENS = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+_EARNS_ITS_PLACE_SIGMA = 3.0
+_LEAST_TURNED_DEG = 10.0
+"""A board that faces the camera looks the same from near through a short lens and from far through a long one."""
+_OUTLIER_RATIO = 3.0
+_STEP = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intrinsics:
+    """A camera from V views. camera: its mount means nothing. parameters, values, sigma: (P,) what was found, in px.
+
+    poses, pose_sigma: (V, 6) rotation vector and position (m) of the board in OpenCV's camera frame (right, down,
+    forward). Sigmas are nan for a fisheye lens. rms_px: of all corners; view_rms_px: (V,) of each view's.
+    reach: how far from the centre corners were seen, as a share of the distance to the image's furthest corner.
+    """
+
+    camera: Camera
+    views: tuple[BoardView, ...]
+    parameters: tuple[str, ...]
+    values: Array
+    sigma: Array
+    poses: Array
+    pose_sigma: Array
+    rms_px: float
+    view_rms_px: Array
+    reach: float
+
+    @property
+    def outliers(self) -> list[str]:
+        """The names of the views that fit much worse than the others."""
+        limit = _OUTLIER_RATIO * float(np.median(self.view_rms_px))
+        return [view.name for view, rms in zip(self.views, self.view_rms_px, strict=True) if rms > limit]
+
+
+def calibrate(views: Sequence[BoardView], size: tuple[int, int], lens: str = "plumb_bob") -> Intrinsics:
+    """Return the camera that took the views of a board, size: (width, height) px, lens: as ROS names it, or none.
+
+    The highest coefficient of plumb_bob, k3, is 0 unless the views tell it: it would bend the image's corners.
+    Raises InputError when there are too few views or they do not tell the focal length.
+    """
+    if len(views) < FEWEST_VIEWS:
+        raise InputError(f"expected the board in at least {FEWEST_VIEWS} images, found it in {len(views)}")
+    found = _calibrated(tuple(views), size, lens, _COEFFICIENTS[lens])
+    if lens == "plumb_bob" and not abs(found.values[-1]) > _EARNS_ITS_PLACE_SIGMA * found.sigma[-1]:
+        found = _calibrated(tuple(views), size, lens, _COEFFICIENTS[lens][:-1])
+    normals = np.array([cv2.Rodrigues(pose[:3])[0][:, 2] for pose in found.poses])
+    turned_deg = float(np.rad2deg(np.arccos(np.clip((normals @ normals.T).min(), -1.0, 1.0))))
+    if turned_deg < _LEAST_TURNED_DEG:
+        raise InputError(
+            f"the views do not tell the focal length: the board is turned by {turned_deg:.1f}° at most; take images "
+            "with the board turned by 20° to 50° to the left, right, forward and back"
+        )
+    return found
+
+
+def _calibrated(
+    views: tuple[BoardView, ...], size: tuple[int, int], lens: str, coefficients: tuple[str, ...]
+) -> Intrinsics:
+    try:
+        matrix, distortion, poses, sigma, pose_sigma = _minimised(views, size, lens, coefficients)
+    except cv2.error as error:
+        problem = f"the views do not tell the camera ({' '.join(str(error.err).split())}); take others, at more angles"
+        raise InputError(problem) from None
+    parameters = ("fx", "fy", "cx", "cy", *coefficients)
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion[: len(coefficients)]])
+    fx, fy, cx, cy, *found = (float(value) for value in values)
+    missing = len(_COEFFICIENTS[lens]) - len(found)
+    camera = Camera(*size, fx, fy, cx, cy, Mount(tilt_rad=0.0, height_m=1.0), lens, (*found, *[0.0] * missing))
+    squares = np.array([_squared_error(camera, view, pose) for view, pose in zip(views, poses, strict=True)])
+    corners = np.array([len(view.corners_px) for view in views])
+    return Intrinsics(
+        camera=camera,
+        views=views,
+        parameters=parameters,
+        values=values,
+        sigma=sigma[: len(parameters)],
+        poses=poses,
+        pose_sigma=pose_sigma,
+        rms_px=float(np.sqrt(squares @ corners / corners.sum())),
+        view_rms_px=np.sqrt(squares),
+        reach=_reach(views, camera),
+    )
+
+
+def _minimised(
+    views: tuple[BoardView, ...], size: tuple[int, int], lens: str, coefficients: tuple[str, ...]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return camera matrix (3, 3), coefficients (D,), board poses (V, 6), and the sigmas of parameters and poses."""
+    if lens == "equidistant":
+        on_board = [view.corners_m.reshape(1, -1, 3) for view in views]
+        in_image = [view.corners_px.reshape(1, -1, 2) for view in views]
+        flags = _fisheye_flag("CALIB_RECOMPUTE_EXTRINSIC") | _fisheye_flag("CALIB_FIX_SKEW")
+        _, matrix, distortion, turns, places = cv2.fisheye.calibrate(
+            on_board, in_image, size, np.eye(3), np.zeros((4, 1)), flags=flags
+        )
+        sigma, pose_sigma = np.full(4 + len(coefficients), np.nan), np.full((len(views), 6), np.nan)
+    else:
+        flags = {"none": _NO_LENS, "rational_polynomial": cv2.CALIB_RATIONAL_MODEL}.get(lens, 0)
+        flags |= 0 if "k3" in coefficients else cv2.CALIB_FIX_K3
+        _, matrix, distortion, turns, places, sigma, pose_sigma, _ = cv2.calibrateCameraExtended(
+            [view.corners_m.astype(np.float32) for view in views],
+            [view.corners_px.astype(np.float32) for view in views],
+            size,
+            np.eye(3),
+            np.zeros(5),
+            flags=flags,
+        )
+    poses = np.concatenate([np.reshape(turns, (-1, 3)), np.reshape(places, (-1, 3))], axis=1)
+    return np.asarray(matrix), np.ravel(distortion), poses, np.ravel(sigma), np.reshape(pose_sigma, (-1, 6))
+
+
+def _fisheye_flag(name: str) -> int:
+    # OpenCV 5 has one set of flags, 4 another one for cv2.fisheye.
+    return int(getattr(cv2.fisheye, name, None) or getattr(cv2, name))
+
+
+def _squared_error(camera: Camera, view: BoardView, pose: Array) -> float:
+    """Return the mean square (px²) by which `camera` sees the corners of a board at `pose` (6,) elsewhere."""
+    points = view.corners_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
+    error = camera.pixels_from_image(points[:, :2] / points[:, 2:] * [1.0, -1.0]) - view.corners_px
+    return float((error**2).sum(axis=1).mean())
+
+
+def _reach(views: tuple[BoardView, ...], camera: Camera) -> float:
+    centre = np.array([camera.cx, camera.cy])
+    corners = np.array([[u, v] for u in (0, camera.width - 1) for v in (0, camera.height - 1)])
+    seen = max(float(np.linalg.norm(view.corners_px - centre, axis=1).max()) for view in views)
+    return seen / float(np.linalg.norm(corners - centre, axis=1).max())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorMount:
+    """Where the camera is above a board that lies on the floor: tilt, roll (rad), height (m), values and sigma (3,)."""
+
+    values: Array
+    sigma: Array
+
+
+def mount_over_board(intrinsics: Intrinsics, view: int) -> FloorMount:
+    """Return tilt, roll and height of the camera over the board of one view, which lies flat on the floor."""
+    pose, sigma = intrinsics.poses[view], intrinsics.pose_sigma[view]
+    steps = np.diag(_STEP * np.maximum(np.abs(pose), 1.0))
+    by_pose = np.stack([(_over_board(pose + step) - _over_board(pose - step)) / (2 * step.sum()) for step in steps])
+    return FloorMount(_over_board(pose), np.sqrt((sigma**2) @ by_pose**2))
+
+
+def _over_board(pose: Array) -> Array:
+    """Return tilt, roll and height (3,) over a board at `pose` (6,): down is its normal, away from the camera."""
+    normal = cv2.Rodrigues(pose[:3])[0][:, 2]
+    height = float(normal @ pose[3:])
+    down = np.sign(height) * normal * [1.0, -1.0, -1.0]
+    return np.array([*mount_from_down(down), abs(height)])

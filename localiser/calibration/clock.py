@@ -239,7 +239,7 @@ class _Pairs:
         each = []
         for noise in _WHEEL_NOISE:
             var = sigma**2 + _LEAST_TURN_SIGMA**2 + noise**2 * (np.abs(wheel) + _TURN_A_METRE * way_m)
-            scale, veer = _fitted(turn - wheel, wheel, way_m, var)
+            scale, veer = _fit_scale_and_veer(turn - wheel, wheel, way_m, var)
             residual = turn - (1.0 + scale) * wheel - veer * way_m
             fit = -0.5 * np.log(var) - 0.5 * (_FREEDOM + 1.0) * np.log1p(residual**2 / (_FREEDOM * var))
             prior = -0.5 * ((scale / _SCALE_SIGMA) ** 2 + (veer / _VEER_SIGMA) ** 2)
@@ -247,7 +247,7 @@ class _Pairs:
         return np.asarray(np.logaddexp.reduce(each, axis=0))
 
 
-def _fitted(off: Array, wheel: Array, way_m: Array, var: Array) -> tuple[Array, Array]:
+def _fit_scale_and_veer(off: Array, wheel: Array, way_m: Array, var: Array) -> tuple[Array, Array]:
     """Return scale and veer (G,) that best explain by how much turns are off (P, G): reweighted least squares."""
     scale, veer = np.zeros((2, off.shape[1]))
     for _ in range(_SWEEPS):

@@ -30,10 +30,10 @@ from localiser.mapping.recorded import (
     SLAM,
     TRUTH,
     RecordedLog,
-    drive_told,
+    default_poses,
+    drive_header,
     edges_of_log,
     known_poses,
-    poses_unless_stated,
     turn_sigmas,
     wheels_of,
 )
@@ -236,7 +236,7 @@ def build_map(
     """
     config = config or BuildParameters()
     logs = list(log) if isinstance(log, Sequence) else [log]
-    poses = poses_unless_stated(logs) if poses is None else poses
+    poses = default_poses(logs) if poses is None else poses
     name = poses if isinstance(poses, str) else source
     if len(logs) > 1 and poses != TRUTH:
         problem = f"expected {TRUTH} for several logs, which must share one frame, found {name!r}"
@@ -265,7 +265,7 @@ def build_map(
     require_landmarks(logs[0], landmark_map, sightings, built, parameters)
     header: dict[str, Any] = {"built_from_frames": sightings.frames}
     if len(logs) == 1:
-        header |= {DRIVE: drive_told(logs[0], trajectory)}
+        header |= {DRIVE: drive_header(logs[0], trajectory)}
     kept = np.array(landmark_map.ids, dtype=np.int64)
     landmark_map = replace(landmark_map, ids=tuple(range(len(kept))), header=header)
     return MapBuilt(landmark_map, kept, trajectory, sightings, built, [one.edges for one in seen], slam)
@@ -298,7 +298,7 @@ def _seen(
 ) -> _Seen:
     """Return the edges of the images of a log, and where they were seen from. Raises InputError."""
     known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
-    inside, trajectory = sampled_at_images(log, known)
+    inside, trajectory = poses_at_images(log, known)
     require_motion(log, trajectory)
     exact = name not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
@@ -311,7 +311,7 @@ def _seen(
     return _Seen(log, trajectory, turn_sigma, edges, sightings)
 
 
-def sampled_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
+def poses_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
     """Return the indices of the images within the time of the known poses, and the poses at these images."""
     t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
     inside = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))

@@ -42,7 +42,7 @@ def compatible(difference: Array, cov: Array, noise_m: float) -> Mask:
     for seed in range(len(difference)):
         # A pair of a set that was found grows the same set or one that is nearly the same.
         if not any(found[seed] for found in sets):
-            sets.append(_grown(seed, difference, cov, noise_m))
+            sets.append(_grow(seed, difference, cov, noise_m))
     kept = best = max(sets, key=lambda found: int(found.sum()), default=np.zeros(0, dtype=bool))
     for other in sets:
         contrary = best & ~other
@@ -51,7 +51,7 @@ def compatible(difference: Array, cov: Array, noise_m: float) -> Mask:
     return kept
 
 
-def _grown(seed: int, difference: Array, cov: Array, noise_m: float) -> Mask:
+def _grow(seed: int, difference: Array, cov: Array, noise_m: float) -> Mask:
     """Return the pairs (P,) that agree with the pair `seed` and with each other; those that agree best come first.
 
     Each pair taken is a measurement of its own difference. What it tells of all others is a factor (2 P, 2): the
@@ -146,7 +146,7 @@ def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
     one, other, sigma, score = one[agree], other[agree], sigma[agree], score[agree]
     clear = np.flatnonzero(_clear(one, other, score, count))
     clear = clear[np.argsort(sigma[clear], kind="stable")]
-    return _united(one, other, clear, count)
+    return _unite(one, other, clear, count)
 
 
 def without_outvoted_tracks(built: Built, weight: Array, track: Index) -> Index:
@@ -240,7 +240,7 @@ def _clear(one: Index, other: Index, score: Array, count: int) -> NDArray[np.boo
     return clear
 
 
-def _united(one: Index, other: Index, order: Index, count: int) -> Index:
+def _unite(one: Index, other: Index, order: Index, count: int) -> Index:
     """Return for each landmark (L) the first of those it is one with; all of which may be one with each other.
 
     order: the pairs (P,) to unite, as long as that holds.

@@ -58,7 +58,7 @@ def align(first: Array, second: Array, within_m: float) -> Alignment:
     nearest neighbours, and the one that matches most landmarks wins, then the one that does so best. Raises ValueError
     when fewer than three landmarks match.
     """
-    found = [_refined(first, second, pose, within_m) for pose in _peaks(first, second)]
+    found = [_refine(first, second, pose, within_m) for pose in _peaks(first, second)]
     found.sort(key=lambda one: (-len(one.pairs), float(np.square(one.residual_m).sum())))
     if not found or len(found[0].pairs) < _FEWEST:
         raise ValueError(f"expected at least {_FEWEST} landmarks that match within {within_m:g} m, found fewer")
@@ -80,7 +80,7 @@ def matches(first: Array, second: Array, within_m: float) -> NDArray[np.int64]:
 def _peaks(first: Array, second: Array) -> list[Array]:
     """Return the poses (3,) that most pairs of landmarks vote for."""
     voters = _thinned(first, _MOST_VOTERS), _thinned(second, _MOST_VOTERS)
-    peaks = [(*most_voted(*voters, turn), turn) for turn in np.arange(-np.pi, np.pi, _TURN_STEP_RAD)]
+    peaks = [(*vote_for_shift(*voters, turn), turn) for turn in np.arange(-np.pi, np.pi, _TURN_STEP_RAD)]
     peaks.sort(key=lambda peak: -peak[0])
     chosen: list[Array] = []
     for _, shift, turn in peaks:
@@ -100,7 +100,7 @@ def _thinned(points: Array, most: int) -> Array:
     return np.asarray(points[order[np.linspace(0, len(points) - 1, most).astype(int)]])
 
 
-def most_voted(first: Array, second: Array, turn: float, most_bins: int = _MOST_BINS) -> tuple[int, Array]:
+def vote_for_shift(first: Array, second: Array, turn: float, most_bins: int = _MOST_BINS) -> tuple[int, Array]:
     """Return the number of votes for the best shift (m) of `second` (B, 2) over `first` (A, 2), and that shift (2,).
 
     turn: rad. most_bins: from so many places on only those are counted that have votes.
@@ -111,7 +111,7 @@ def most_voted(first: Array, second: Array, turn: float, most_bins: int = _MOST_
     cell = ((shifts - low) / _BIN_M).astype(np.int64)
     size = cell.max(axis=0) + 2
     if float(size[0]) * float(size[1]) > most_bins:
-        most, place = _most_voted_of_few(cell, int(size[1]))
+        most, place = _vote_for_shift_sparsely(cell, int(size[1]))
         return most, low + _BIN_M * (place + 1.0)
     votes = np.bincount(cell[:, 0] * size[1] + cell[:, 1], minlength=int(size[0] * size[1])).reshape(size)
     # A peak on the border of two bins votes in both.
@@ -120,8 +120,8 @@ def most_voted(first: Array, second: Array, turn: float, most_bins: int = _MOST_
     return int(around[row, column]), low + _BIN_M * np.array([row + 1.0, column + 1.0])
 
 
-def _most_voted_of_few(cell: NDArray[np.int64], columns: int) -> tuple[int, Array]:
-    """Return the most votes and their place (2,), as `most_voted` finds them, of cells (S, 2) that lie far apart."""
+def _vote_for_shift_sparsely(cell: NDArray[np.int64], columns: int) -> tuple[int, Array]:
+    """Return the most votes and their place (2,), as `vote_for_shift` does, of cells (S, 2) that lie far apart."""
     around = np.concatenate([cell - step for step in ([0, 0], [0, 1], [1, 0], [1, 1])])
     around = around[(around >= 0).all(axis=1)]
     key, count = np.unique(around[:, 0] * columns + around[:, 1], return_counts=True)
@@ -129,7 +129,7 @@ def _most_voted_of_few(cell: NDArray[np.int64], columns: int) -> tuple[int, Arra
     return int(count[best]), np.array(divmod(int(key[best]), columns), dtype=np.float64)
 
 
-def _refined(first: Array, second: Array, pose: Array, within_m: float) -> Alignment:
+def _refine(first: Array, second: Array, pose: Array, within_m: float) -> Alignment:
     pairs = np.zeros((0, 2), dtype=np.int64)
     for gate in (*(gate for gate in _GATES_M if gate > within_m), within_m):
         for _ in range(_ROUNDS):
@@ -204,7 +204,7 @@ def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64])
         column = columns[name] = columns[name].copy()
         unknown = values == 0 if name == "polarity" else np.isnan(values)
         column[one] = np.where(unknown, column[one], values)
-    columns["points"][one], columns["cov"][one] = fused_places(first.points[one], first.cov[one], seen.points, seen.cov)
+    columns["points"][one], columns["cov"][one] = fuse_places(first.points[one], first.cov[one], seen.points, seen.cov)
     source = list(whole.source)
     for index, name in zip(one, seen.source, strict=True):
         source[index] = f"{source[index]}; {name}".strip("; ")
@@ -226,7 +226,7 @@ def _with_columns(one: LandmarkMap, columns: dict[str, Any], *, has_quality: boo
     return replace(one, quality=Quality(**columns) if has_quality else None, **plain)
 
 
-def fused_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:
+def fuse_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:
     """Return points (K, 2) and covariances (K, 2, 2) by the information of both; unknown: see `fuse_maps`."""
     known, other_known = _is_known(cov), _is_known(other_cov)
     both = known & other_known
@@ -297,13 +297,17 @@ def _own_cov(cov: Array) -> Array:
 def merge_duplicates(landmark_map: LandmarkMap) -> tuple[LandmarkMap, list[tuple[int | str, int | str]]]:
     """Return the map with its duplicates merged, and the ids of each pair: which stayed, and which went into it.
 
-    The nearest pairs come first, until none is left. Of a pair that landmark stays which more images show; see
-    `_merge_pairs`.
+    The nearest pairs come first, until none is left. Of a pair that landmark stays which more images show, and its
+    place is that of both by their covariances.
     """
     gone: list[tuple[int | str, int | str]] = []
     while len(pairs := _disjoint(landmark_map)):
-        gone += [(landmark_map.ids[kept], landmark_map.ids[other]) for kept, other in pairs]
-        landmark_map = _merge_pairs(landmark_map, pairs)
+        one, other = pairs.T
+        gone += [(landmark_map.ids[i], landmark_map.ids[j]) for i, j in pairs]
+        points, cov = landmark_map.points.copy(), landmark_map.cov.copy()
+        points[one], cov[one] = fuse_places(points[other], cov[other], points[one], cov[one])
+        landmark_map = replace(landmark_map, points=points, cov=cov)
+        landmark_map = landmark_map.take(np.setdiff1d(np.arange(len(landmark_map)), other))
     return landmark_map, gone
 
 
@@ -319,32 +323,3 @@ def _disjoint(landmark_map: LandmarkMap) -> Index:
             taken |= {one, other}
             chosen.append((one, other) if not shown[other] > shown[one] else (other, one))
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
-
-
-def _merge_pairs(landmark_map: LandmarkMap, pairs: Index) -> LandmarkMap:
-    """Return the map with the second of each pair (K, 2) merged into the first.
-
-    Places by their covariances, the middle where none is known. Heights reach as far as either did, and an end is
-    unknown where it is so for either. Sightings add up; existence and parallax are the greater ones.
-    """
-    one, other = pairs.T
-    points, cov = landmark_map.points.copy(), landmark_map.cov.copy()
-    points[one], cov[one] = fused_places(points[one], cov[one], points[other], cov[other])
-    unknown = ~np.isfinite(cov[one]).all(axis=(1, 2))
-    points[one[unknown]] = landmark_map.points[pairs[unknown]].mean(axis=1)
-    bottom, top, polarity = landmark_map.bottom_m.copy(), landmark_map.top_m.copy(), landmark_map.polarity.copy()
-    bottom[one], top[one] = np.minimum(bottom[one], bottom[other]), np.maximum(top[one], top[other])
-    polarity[one] = np.where(polarity[one] == 0, polarity[other], polarity[one])
-    quality = landmark_map.quality
-    if quality is not None:
-        sightings, parallax, existence = (
-            column.copy() for column in (quality.sightings, quality.parallax_rad, quality.existence)
-        )
-        sightings[one] = np.nansum([sightings[one], sightings[other]], axis=0)
-        parallax[one] = np.fmax(parallax[one], parallax[other])
-        existence[one] = np.fmax(existence[one], existence[other])
-        quality = replace(quality, sightings=sightings, parallax_rad=parallax, existence=existence)
-    whole = replace(
-        landmark_map, points=points, cov=cov, bottom_m=bottom, top_m=top, polarity=polarity, quality=quality
-    )
-    return whole.take(np.setdiff1d(np.arange(len(whole)), other))

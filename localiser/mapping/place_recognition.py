@@ -33,7 +33,7 @@ _OTHER_M = 0.4  # moves that differ by more are other moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recognised:
+class Recognition:
     """Which landmarks are older ones, and how everything moves so that they stand where these do.
 
     number: (L,) of the older landmark that each one is; its own where there is none. frame, move: (M,), (M, 3) the
@@ -64,7 +64,7 @@ class Recognised:
         return moved
 
 
-def recognised(points: Array, built: Built, frame: Index) -> Recognised:
+def recognise_groups(points: Array, built: Built, frame: Index) -> Recognition:
     """Return which landmarks (L) are older ones that were seen before.
 
     points: (L, 2) as smoothed. frame: (K,) of the sightings used, in their order. Groups are taken in that order. A
@@ -92,7 +92,7 @@ def recognised(points: Array, built: Built, frame: Index) -> Recognised:
             points[later] = _moved(points[later], move)
             middle.append(min(start + _WINDOW // 2, end))
             moves.append(move[0])
-    return Recognised(number, np.array(middle, dtype=np.int64), np.array(moves).reshape(-1, 3))
+    return Recognition(number, np.array(middle, dtype=np.int64), np.array(moves).reshape(-1, 3))
 
 
 def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tuple[Array, Index, Index]:

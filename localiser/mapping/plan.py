@@ -83,7 +83,7 @@ def plan_landmarks(plan: FloorPlan, name: str = "", source: str = "plan") -> Lan
     if turns > MOST_TURNS:
         raise ValueError(f"expected walls with at most {MOST_TURNS} corners, found outlines that turn {turns} times")
     corners = [corners_of_outline(outline, pieces, bump) for outline, pieces in traced]
-    cells = merged(np.concatenate([np.zeros((0, 2)), *corners]))
+    cells = merge_near(np.concatenate([np.zeros((0, 2)), *corners]))
     cells = cells[_beside_floor(cells, plan.free & ~occupied)]
     points = map_from_cells(plan, cells)
     # A side of a cell stands anywhere within one cell of the wall that it was drawn for.
@@ -171,7 +171,7 @@ def _deviation(outline: Array, turns: NDArray[np.int64], k: int) -> float:
     """Return how far (cells) the outline is from one line in place of the two pieces at the k-th turn."""
     begin, end = turns[k - 1], turns[(k + 1) % len(turns)]
     piece = outline[(begin + np.arange((end - begin) % len(outline) + 1)) % len(outline)]
-    middle, along = fitted_line(piece)
+    middle, along = line_through(piece)
     return float(np.abs((piece - middle) @ np.array([-along[1], along[0]])).max())
 
 
@@ -198,7 +198,7 @@ def _corners_at(outline: Array, turns: NDArray[np.int64], k: int) -> Array:
 
 def _line_from(points: Array) -> tuple[Array, Array]:
     """Return a point of the line through points (P, 2) and its direction (2,) from the first to the last of them."""
-    middle, along = fitted_line(points)
+    middle, along = line_through(points)
     return middle, along * (1.0 if along @ (points[-1] - points[0]) >= 0 else -1.0)
 
 
@@ -225,7 +225,7 @@ def _beside(outline: Array, turn: int, end: int, step: int) -> Array:
     return np.asarray(outline[(turn + step * np.arange(trim, reach + 1)) % len(outline)])
 
 
-def fitted_line(points: Array) -> tuple[Array, Array]:
+def line_through(points: Array) -> tuple[Array, Array]:
     """Return a point (2,) of the line nearest to points (P, 2) by Cauchy's cost, and its direction (2,), a unit."""
     weight = np.ones(len(points))
     for _ in range(_ROUNDS):
@@ -237,7 +237,7 @@ def fitted_line(points: Array) -> tuple[Array, Array]:
     return middle, along
 
 
-def merged(points: Array, within: float = 1.0) -> Array:
+def merge_near(points: Array, within: float = 1.0) -> Array:
     """Return points (K, 2) with those nearer than `within` to each other replaced by their mean."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

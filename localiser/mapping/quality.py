@@ -101,12 +101,12 @@ def existence(
     # A sighting that does not fit is no evidence, for or against.
     evidence = np.bincount(landmark, np.maximum(gain, 0.0) * (built.fit.weight > 0.5), len(built))
     volume = np.log(2 * np.pi * np.sqrt(np.linalg.det(built.cov)) / area)
-    missed = expected(sightings, built, heights, cameras, camera, parameters) - built.count
+    missed = images_expected(sightings, built, heights, cameras, camera, parameters) - built.count
     odds = evidence + np.minimum(volume, 0.0) + np.maximum(missed, 0) * np.log(1 - found)
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_EVIDENCE, _MOST_EVIDENCE))))
 
 
-def expected(
+def images_expected(
     sightings: Sightings,
     built: Built,
     heights: tuple[Array, Array],

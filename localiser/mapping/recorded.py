@@ -79,7 +79,7 @@ class RecordedLog(Protocol):
     def twist_at(self, t_ns: int) -> Twist | None: ...  # noqa: D102
 
 
-def poses_unless_stated(logs: Sequence[RecordedLog]) -> str:
+def default_poses(logs: Sequence[RecordedLog]) -> str:
     """Return what the poses of logs are taken from where nobody says it."""
     return SLAM if len(logs) == 1 and logs[0].groundtruth is None else TRUTH
 
@@ -150,8 +150,8 @@ DRIVE = "drive"
 _SAME_M = 0.01
 
 
-def drive_told(log: RecordedLog, trajectory: Trajectory) -> dict[str, Any]:
-    """Return what a map says of the drive that it was built from, and where that began: see `began_on`."""
+def drive_header(log: RecordedLog, trajectory: Trajectory) -> dict[str, Any]:
+    """Return what a map says of the drive that it was built from, and where that began: see `start_on_map`."""
     pose, begin_ns = trajectory.poses[0], int(trajectory.t_ns[0])
     if log.odometry.covers(begin_ns):  # the pose at the first image, which may be earlier
         first_ns = max(log.frames[0].t_ns, int(log.odometry.t_ns[0]))
@@ -165,7 +165,7 @@ def drive_told(log: RecordedLog, trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def began_on(landmark_map: LandmarkMap, log: RecordedLog) -> Array | None:
+def start_on_map(landmark_map: LandmarkMap, log: RecordedLog) -> Array | None:
     """Return the pose (3,) at which a log begins on a map that was built from it; None on the map of another drive.
 
     It is the same drive when its images begin and end at the same times, and its wheels drove as far.

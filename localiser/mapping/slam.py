@@ -23,9 +23,9 @@ from localiser.mapping.known_poses import reassociate, with_leftovers
 from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, misfit, renumber, same_groups
 from localiser.mapping.loop_checks import contradicting_steps, contradiction, without_contradicting_visits
 from localiser.mapping.loop_closure import same_landmarks, without_outvoted_tracks
-from localiser.mapping.place_recognition import recognised
+from localiser.mapping.place_recognition import recognise_groups
 from localiser.mapping.sightings import Index, Sightings
-from localiser.mapping.smooth import CONVERGED, Scale, Smoothed, dead_reckoned, scale_by_floor_contacts, smooth
+from localiser.mapping.smooth import CONVERGED, Scale, Smoothed, dead_reckoning, scale_by_floor_contacts, smooth
 from localiser.mapping.tracks import MappingParameters, follow
 
 _NARROWING = (1.0, 0.5, 0.25, 0.1, 0.05)  # of the wheels' turn error, in which edges are looked for
@@ -93,8 +93,8 @@ def build_from_log(
 
     prior: of the constant errors of wheels and mount. first_pose: (3,) where the robot began.
     """
-    slam = _tracked(_Solver(sightings, wheels, prior, camera, parameters))
-    clear = _tracked(_Solver(sightings, wheels, prior, camera, parameters, _CLEAR))
+    slam = _track(_Solver(sightings, wheels, prior, camera, parameters))
+    clear = _track(_Solver(sightings, wheels, prior, camera, parameters, _CLEAR))
     if clear.contradicts(slam):
         slam = clear
     tracked = copy(slam)
@@ -105,7 +105,7 @@ def build_from_log(
     return slam.in_map(tracked.poses, first_pose, why)
 
 
-def _tracked(slam: _Solver) -> _Solver:
+def _track(slam: _Solver) -> _Solver:
     """Return the solver with edges tracked and poses smoothed, in gates that narrow as the poses get better."""
     turn = np.concatenate([[_TRUE_TURN_RAD], slam.wheels.turn_sigma])
     noise = _FIRST_BEARING_RAD
@@ -147,7 +147,7 @@ class _Solver:
         self.sightings, self.wheels, self.parameters = sightings, wheels, parameters
         self.robot_from_level, self.stated_prior = sightings.robot_from_level(camera), prior
         self.sigma = _REPEATED * measured_sigma(sightings, camera.focal_px, parameters)
-        self.poses, self.constants = dead_reckoned(wheels), np.zeros(len(CONSTANTS))
+        self.poses, self.constants = dead_reckoning(wheels), np.zeros(len(CONSTANTS))
         self.prior = prior
         self.places = np.full((len(sightings), 2), np.nan)
 
@@ -196,7 +196,7 @@ class _Solver:
         of = np.where(self.built.of >= 0, self.built.of * (len(steps) + 1) + after, -1)
         self.solve(renumber(long_enough(of)), _POSE_BEARING_RAD)
 
-    def joined(self, number: Index) -> Index | None:
+    def relabel(self, number: Index) -> Index | None:
         """Return the landmarks (S,) of sightings when each landmark becomes `number` (L,); None if all stay."""
         if (number == np.arange(len(self.built))).all():
             return None
@@ -205,8 +205,8 @@ class _Solver:
     def close_all_loops(self) -> None:
         """Close large loops, then small ones, and associate all edges again, until nothing changes."""
         for _ in range(_RECOGNITION_ROUNDS):
-            found = recognised(self.smoothed.points, self.built, self.frames_used)
-            of = self.joined(found.number)
+            found = recognise_groups(self.smoothed.points, self.built, self.frames_used)
+            of = self.relabel(found.number)
             if of is None or not found.far(self.smoothed.points, _SMALL_LOOP_M):
                 break
             # From where drift left them, poses may end in a minimum of the cost that is not the least one.
@@ -234,7 +234,7 @@ class _Solver:
         still_m = _STILL_SHARE * self.parameters.place_sigma_m
         for _ in range(rounds):
             before, path = self.built.of, self.poses[:, :2]
-            of = self.joined(same_landmarks(self.smoothed, self.built, self.frames_used))
+            of = self.relabel(same_landmarks(self.smoothed, self.built, self.frames_used))
             if of is None:
                 break
             self.solve(of, _POSE_BEARING_RAD)

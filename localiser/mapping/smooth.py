@@ -213,7 +213,7 @@ def smooth(
     )
 
 
-def dead_reckoned(wheels: Wheels) -> Array:
+def dead_reckoning(wheels: Wheels) -> Array:
     """Return the poses (T, 3) from the wheels alone, the first one at the origin."""
     poses = [np.zeros(3)]
     for motion in wheels.motion:

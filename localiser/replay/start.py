@@ -14,7 +14,7 @@ from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import began_on
+from localiser.mapping import start_on_map
 from localiser.storage import Log
 
 START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
@@ -49,7 +49,7 @@ def has_start(log: Log, option: str | Start | None, landmark_map: LandmarkMap) -
 
 
 def _own_start(log: Log, landmark_map: LandmarkMap | None) -> Start | None:
-    began = began_on(landmark_map, log) if log.start is None and landmark_map is not None else None
+    began = start_on_map(landmark_map, log) if log.start is None and landmark_map is not None else None
     return log.start if began is None else stated_start(began, log.frames[0].t_ns)
 
 

@@ -19,7 +19,7 @@ from localiser.calibration import (
     mount_of_images,
     mount_of_lines,
 )
-from localiser.calibration.lines import PRIOR_SIGMA_RAD, fit_mount
+from localiser.calibration.mount import PRIOR_SIGMA_RAD, fit_mount
 from localiser.edges import EdgeParameters, Edges
 from localiser.storage import open_log
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import agreeing, align, fuse_maps, join_maps, matches
-from localiser.mapping.merge import best_motion, most_voted
+from localiser.mapping.merge import best_motion, vote_for_shift
 
 
 def hall(seed: int, count: int = 40) -> np.ndarray:
@@ -105,8 +105,8 @@ def test_ids_stay_unique() -> None:
 def test_votes_are_counted_alike_whether_or_not_most_places_have_none() -> None:
     for seed in range(5):
         first, second = hall(seed), robot_from_map(np.array([3.0, -2.0, 0.4]), hall(seed, 35))
-        dense = [most_voted(first, second, turn) for turn in (-0.4, 0.0, 0.4)]
-        sparse = [most_voted(first, second, turn, most_bins=0) for turn in (-0.4, 0.0, 0.4)]
+        dense = [vote_for_shift(first, second, turn) for turn in (-0.4, 0.0, 0.4)]
+        sparse = [vote_for_shift(first, second, turn, most_bins=0) for turn in (-0.4, 0.0, 0.4)]
         for (votes, shift), (again, moved) in zip(dense, sparse, strict=True):
             assert votes == again and shift == pytest.approx(moved)
 

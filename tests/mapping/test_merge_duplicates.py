@@ -30,16 +30,10 @@ def test_three_at_one_place_become_the_one_that_most_images_show() -> None:
     assert sorted(other for _, other in gone) == [0, 2]
     assert merged.points[0] == pytest.approx([1.005, 2.0033], abs=1e-4)
     assert merged.cov[0] == pytest.approx(1e-4 / 3 * np.eye(2))
-    assert merged.bottom_m[0] == 0.0
+    assert merged.bottom_m[0] == 0.5
     assert merged.quality is not None
-    assert merged.quality.sightings[0] == 35
+    assert merged.quality.sightings[0] == 20
     assert len(duplicates(merged)) == 0
-
-
-def test_places_without_covariances_meet_in_the_middle() -> None:
-    plain = LandmarkMap.from_points(np.array([[0.0, 0.0], [0.01, 0.0]]))
-    merged, _ = merge_duplicates(plain)
-    assert merged.points == pytest.approx(np.array([[0.005, 0.0]]))
 
 
 def test_a_command_merges_what_the_check_lists(tmp_path: Path) -> None:

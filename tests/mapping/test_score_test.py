@@ -12,13 +12,13 @@ from localiser.geometry import Array
 from localiser.mapping.factors import Bearings, Problem
 from localiser.mapping.loop_checks import visit_contradiction, visits, without_contradicting_visits
 from localiser.mapping.sightings import Index
-from localiser.mapping.smooth import Smoothed, dead_reckoned, smooth
+from localiser.mapping.smooth import Smoothed, dead_reckoning, smooth
 
 FRAMES = 150
 
 
 def solved(problem: Problem, points: Array) -> Smoothed:
-    return smooth(problem, dead_reckoned(problem.wheels), points, np.zeros(4), iterations=60)
+    return smooth(problem, dead_reckoning(problem.wheels), points, np.zeros(4), iterations=60)
 
 
 def two_laps(seed: int) -> tuple[Problem, Array, Index]:

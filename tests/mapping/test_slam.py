@@ -19,9 +19,9 @@ from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.factors import Problem, State, cost_of, linearise
 from localiser.mapping.landmarks import fit_landmarks, triangulate
 from localiser.mapping.loop_closure import same_landmarks
-from localiser.mapping.place_recognition import Recognised, recognised
+from localiser.mapping.place_recognition import Recognition, recognise_groups
 from localiser.mapping.sightings import Index
-from localiser.mapping.smooth import Scale, dead_reckoned, scale_by_floor_contacts, smooth
+from localiser.mapping.smooth import Scale, dead_reckoning, scale_by_floor_contacts, smooth
 from localiser.motion import MotionParameters
 
 
@@ -54,7 +54,7 @@ def test_the_step_goes_down_the_slope_of_the_cost() -> None:
 
 def test_exact_measurements_give_the_exact_state() -> None:
     problem, poses, points = circle(0.0)
-    start = dead_reckoned(problem.wheels)
+    start = dead_reckoning(problem.wheels)
     found = smooth(problem, start, points + 0.05, np.zeros(4), iterations=60)
     assert found.poses[:, :2] == pytest.approx(poses[:, :2], abs=2e-3)
     # On a circle, turns that are too large and a veer are one and the same.
@@ -283,28 +283,28 @@ def visits(drifts: list[Array], repeats: bool = False) -> tuple[Array, Built, In
 
 def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
     points, built, frame = visits([np.array([1.5, -0.8, 0.2])])
-    assert recognised(points, built, frame).number.tolist() == [*range(12), *range(12)]
+    assert recognise_groups(points, built, frame).number.tolist() == [*range(12), *range(12)]
 
 
 def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
     points, built, frame = visits([np.array([0.4, 0.0, 0.0])], repeats=True)
-    assert recognised(points, built, frame).number.tolist() == list(range(len(points)))
+    assert recognise_groups(points, built, frame).number.tolist() == list(range(len(points)))
 
 
 def test_a_third_visit_is_compared_with_the_first_alone() -> None:
     points, built, frame = visits([np.array([1.5, -0.8, 0.2]), np.array([-0.6, 1.1, -0.1])])
-    assert recognised(points, built, frame).number.tolist() == [*range(12)] * 3
+    assert recognise_groups(points, built, frame).number.tolist() == [*range(12)] * 3
 
 
 def test_drift_is_followed_from_visit_to_visit_however_far_it_goes() -> None:
     points, built, frame = visits([number * np.array([2.0, -1.5, 0.25]) for number in range(1, 8)])
-    assert recognised(points, built, frame).number.tolist() == [*range(12)] * 8
+    assert recognise_groups(points, built, frame).number.tolist() == [*range(12)] * 8
 
 
 def test_what_drifted_is_moved_back_and_the_way_to_it_evenly() -> None:
     drift = np.array([1.5, -0.8, 0.2])
     points, built, frame = visits([drift])
-    found = recognised(points, built, frame)
+    found = recognise_groups(points, built, frame)
     poses = np.stack([np.linspace(-1, 1, 200), np.linspace(2, -2, 200), np.linspace(0, 1, 200)], axis=-1)
     cos, sin = np.cos(drift[2]), np.sin(drift[2])
     drifted = np.column_stack([poses[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + drift[:2], poses[:, 2] - drift[2]])
@@ -320,7 +320,7 @@ def test_a_few_landmarks_taken_for_others_are_no_drift() -> None:
     points = np.arange(40.0).reshape(-1, 2)
     number = np.arange(20)
     number[:4] = number[4:8]
-    few = Recognised(number, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    few = Recognition(number, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     assert not few.far(points, 0.2)
     assert replace(few, number=np.where(np.arange(20) < 5, number + 10, number)).far(points, 0.2)
 

@@ -9,7 +9,7 @@ from localiser.geometry import Array
 from localiser.mapping import Prior
 from localiser.mapping.factors import Wheels
 from localiser.mapping.loop_checks import contradicting_steps, contradiction
-from localiser.mapping.smooth import dead_reckoned
+from localiser.mapping.smooth import dead_reckoning
 
 PRIOR = Prior(np.zeros(4), np.array([0.02, 0.03, 0.01, 0.02]))
 SIGMA = np.array([0.01, 0.01, 0.003])
@@ -21,7 +21,7 @@ def driven(seed: int, steps: int = 200) -> tuple[Wheels, Array]:
     cov = np.tile(np.diag(SIGMA**2), (steps, 1, 1))
     exact = Wheels(motion, np.full(steps, 0.1), cov)
     noise = SIGMA * np.random.default_rng(seed).standard_normal((steps, 3))
-    return Wheels(motion + noise, exact.path_m, cov), dead_reckoned(exact)
+    return Wheels(motion + noise, exact.path_m, cov), dead_reckoning(exact)
 
 
 @pytest.mark.parametrize("steps", [200, 20000])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,10 +22,7 @@ from localiser.commands.options import (
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
-    from localiser.calibration import ClockOffset
-    from localiser.config import Config
     from localiser.edges import Edges
-    from localiser.storage import Log
 
 EPILOG = """Examples:
 
@@ -51,17 +47,28 @@ def sync(
 
     import numpy as np
 
-    from localiser.calibration import MOST_PAIRS
+    from localiser.calibration import MOST_PAIRS, clock_offset
     from localiser.documents import plain_name
-    from localiser.storage import require_new
+    from localiser.edges import find_edges
+    from localiser.storage import require_new, require_odometry
 
     if out is not None:
         require_new(out)
     recorded, settings = open_with_settings(
         log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
     )
+    require_odometry(recorded, "comparing the clocks")
+    if not recorded.has_images:
+        raise InputError("expected a log with images, found edges that were measured already", path=recorded.path)
+    images = recorded.images
+
+    def edges_of(index: int) -> Edges:
+        image = images[index]
+        return find_edges(image.load(), recorded.camera, settings.edges, twist=recorded.twist_at(image.t_ns))
+
+    times = np.array([image.t_ns for image in images])
     with progress("Looking", MOST_PAIRS) as advance:
-        found = find_offset(recorded, settings, advance)
+        found = clock_offset(times, edges_of, recorded.odometry, recorded.camera, progress=advance)
     if not is_quiet():
         typer.echo(
             f"Images are stamped {found.text} than wheels (1σ), by {np.rad2deg(found.turned_rad):.0f}° of turning in "
@@ -78,27 +85,6 @@ def sync(
             path=recorded.path,
         )
     earlier_ns = round(found.offset_s * 1e9)
-    images = [replace(image, t_ns=image.t_ns - earlier_ns) for image in recorded.images]
-    to_folder(replace(recorded, name=plain_name(out.name), frames=images), out)
+    moved = [replace(image, t_ns=image.t_ns - earlier_ns) for image in images]
+    to_folder(replace(recorded, name=plain_name(out.name), frames=moved), out)
     typer.echo(f"The log with its images by the clock of the wheels is in {out}")
-
-
-def find_offset(log: Log, config: Config, advance: Callable[[], None]) -> ClockOffset:
-    """Return by how much a log's images are stamped later than its wheels. Raises InputError."""
-    import numpy as np
-
-    from localiser.calibration import clock_offset
-    from localiser.edges import find_edges
-    from localiser.storage import require_odometry
-
-    require_odometry(log, "comparing the clocks")
-    if not log.has_images:
-        raise InputError("expected a log with images, found edges that were measured already", path=log.path)
-    images = log.images
-
-    def edges_of(index: int) -> Edges:
-        image = images[index]
-        return find_edges(image.load(), log.camera, config.edges, twist=log.twist_at(image.t_ns))
-
-    times = np.array([image.t_ns for image in images])
-    return clock_offset(times, edges_of, log.odometry, log.camera, progress=advance)

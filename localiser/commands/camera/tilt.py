@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,6 +35,7 @@ def tilt(
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
     from dataclasses import replace
 
+    from localiser.calibration import mount_of_images
     from localiser.config import read_config
     from localiser.documents import plain_name
     from localiser.storage import open_log, require_new
@@ -45,8 +45,16 @@ def tilt(
     settings = read_config(config, overrides or [])
     recorded = open_log(log, sensor=settings.sensor)
     used = usable_images(recorded, images)
+    poses = recorded.odometry.sampled([image.t_ns for image in used]).poses
     with progress("Looking", len(used)) as advance:
-        found = find_tilt(recorded, used, settings, advance)
+        found = mount_of_images(
+            lambda i: used[i].load(),
+            poses,
+            recorded.camera,
+            settings.edges,
+            advance,
+            lambda i: recorded.twist_at(used[i].t_ns),
+        )
     if not is_quiet():
         _show(found, len(used))
     if out is not None:
@@ -70,16 +78,6 @@ def usable_images(log: Log, most: int) -> list[ImageEvent]:
         problem = "expected a camera that does not move on the robot, found a mount of its own for each image"
         raise InputError(problem, path=log.path, field="images")
     return [images[i] for i in spread(len(images), most)]
-
-
-def find_tilt(log: Log, images: list[ImageEvent], config: Config, advance: Callable[[], None]) -> LogMount:
-    """Return tilt and roll that images of a log tell. Raises InputError when one of them cannot be read."""
-    from localiser.calibration import mount_of_images
-
-    poses = log.odometry.sampled([image.t_ns for image in images]).poses
-    return mount_of_images(
-        lambda i: images[i].load(), poses, log.camera, config.edges, advance, lambda i: log.twist_at(images[i].t_ns)
-    )
 
 
 def _show(found: LogMount, images: int) -> None:

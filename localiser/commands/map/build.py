@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import NewMap, edges_with_progress, poses_named, summary_table, warn
+from localiser.commands.map.options import NewMap, edges_with_progress, parse_poses, summary_table, warn
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
@@ -66,7 +66,7 @@ def build(
 ) -> None:
     """Build a map of the vertical edges that a LOG shows, or several, with what is known of each."""
     from localiser.commands.map.growth import record_growth
-    from localiser.mapping import build_map, poses_unless_stated
+    from localiser.mapping import build_map, default_poses
     from localiser.storage import jump_text, require_new_file, write_map, write_tum
 
     for path in (out, trajectory, rrd):
@@ -81,10 +81,10 @@ def build(
         for log in logs
     ]
     recorded, settings = [log for log, _ in read], read[0][1]
-    named = poses or poses_unless_stated(recorded)
+    named = poses or default_poses(recorded)
     if poses is None and named == "slam" and not is_quiet():
         typer.echo(f"{logs[0]} has no truth: where the robot was is found from the log alone, along with the map.")
-    track, source = poses_named(named)
+    track, source = parse_poses(named)
     built = build_map(recorded, track, settings, edges_of=lambda log: edges_with_progress(log, settings), source=source)
     for log in recorded:
         if log.has_images and len(logs) == 1:

@@ -26,7 +26,7 @@ Picture = Annotated[
 Within = Annotated[float, typer.Option(min=1e-3, max=10.0, metavar="M", help="How near landmarks that are one lie.")]
 
 
-def poses_named(poses: str) -> tuple[str | Trajectory, str]:
+def parse_poses(poses: str) -> tuple[str | Trajectory, str]:
     """Return what `--poses` names, a word or the trajectory of a file, and what to call it. Raises InputError."""
     from localiser.storage import read_poses, read_tum
 

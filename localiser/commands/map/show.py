@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import MapFile, Picture, picture_path, poses_named, summary_table
+from localiser.commands.map.options import MapFile, Picture, parse_poses, picture_path, summary_table
 from localiser.commands.options import is_quiet
 from localiser.commands.options import show as print_table
 
@@ -45,7 +45,7 @@ def poses_of(path: Path) -> Array:
     from localiser.storage import open_log
 
     if path.suffix in (".tum", ".txt", ".csv"):
-        track, _ = poses_named(str(path))
+        track, _ = parse_poses(str(path))
         if not isinstance(track, str):
             return track.poses
     log = open_log(path)

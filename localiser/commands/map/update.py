@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.map.options import MapFile, NewMap, Within, edges_with_progress, poses_named
+from localiser.commands.map.options import MapFile, NewMap, Within, edges_with_progress, parse_poses
 from localiser.commands.options import (
     BagCamera,
     ConfigFile,
@@ -41,7 +41,7 @@ def update(
     recorded, settings = open_with_settings(
         log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
     )
-    track, source = poses_named(poses)
+    track, source = parse_poses(poses)
     built = build_map(recorded, track, settings, edges_of=lambda log: edges_with_progress(log, settings), source=source)
     changed = update_map(old, built, recorded.camera, settings.mapping.tracks.found, within)
     write_map(changed.landmark_map, out)
