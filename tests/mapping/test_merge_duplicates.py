@@ -38,7 +38,7 @@ def test_three_at_one_place_become_the_one_that_most_images_show() -> None:
 
 def test_a_command_merges_what_the_check_lists(tmp_path: Path) -> None:
     write_map(five(), tmp_path / "map.yaml")
-    assert "there twice" in run("map", "check", tmp_path / "map.yaml").output
+    assert "There twice" in run("map", "check", tmp_path / "map.yaml").output
     shown = " ".join(run("map", "merge", tmp_path / "map.yaml", "-o", tmp_path / "better.yaml").output.split())
     assert "0 is part of 1" in shown
     assert "3 landmarks" in shown
