@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 _LONGEST = 2000
@@ -45,6 +46,15 @@ class InputError(LocaliserError):
         place = ":".join(str(part) for part in (path, line, column) if part is not None)
         super().__init__(": ".join(part for part in (place, field, problem) if part))
         self.problem, self.path, self.line, self.column, self.field = problem, path, line, column, field
+
+
+class InputWarning(UserWarning):
+    """Something in a file that was passed over or taken otherwise than it is written; the command line prints it."""
+
+
+def warn(problem: str, *, path: Path | str, line: int | None = None) -> None:
+    """Tell once of something in a file that is no error, as an `InputWarning`."""
+    warnings.warn(InputWarning(str(InputError(problem, path=path, line=line))), stacklevel=3)
 
 
 class OutputError(LocaliserError):

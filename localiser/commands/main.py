@@ -7,8 +7,10 @@ import io
 import os
 import sys
 import traceback
+import warnings
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperArgument, TyperOption
@@ -22,7 +24,7 @@ from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
 from localiser.commands.options import be_quiet
 from localiser.commands.pose import pose_app
-from localiser.errors import InputError, LocaliserError
+from localiser.errors import InputError, InputWarning, LocaliserError
 
 app = typer.Typer(
     name="localiser",
@@ -155,6 +157,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal of ASCII alone, and names of files that are no text
             stream.reconfigure(errors="replace")
+    warnings.showwarning = _shown_by(warnings.showwarning)
     try:
         _check_options(arguments)
         _run([*of_all, *arguments])
@@ -164,6 +167,18 @@ def main() -> None:
         with suppress(OSError):
             typer.secho(f"Error: {_message_of(error)}", fg="red", err=True)
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
+
+
+def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
+    """Return what prints warnings about files as one line, and others as before."""
+
+    def show(message: Warning | str, *where: Any, **how: Any) -> None:
+        if isinstance(message, InputWarning):
+            typer.secho(str(message), fg="yellow", err=True)
+        else:
+            usual(message, *where, **how)
+
+    return show
 
 
 def _run(arguments: list[str]) -> None:

@@ -2,7 +2,7 @@
 
 from localiser.documents import output_errors, write_bytes, write_text
 from localiser.storage.bags import KINDS, check_start, write_bag
-from localiser.storage.bags.label import motion_settings
+from localiser.storage.bags.recorded import motion_settings
 from localiser.storage.cameras import camera_error, read_camera, write_camera
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.files import require_new, require_new_file

@@ -17,13 +17,6 @@ from localiser.storage.bags.bag import (
     typestore,
 )
 from localiser.storage.bags.camera_finder import CameraFinder
-from localiser.storage.bags.decisions import (
-    anywhere_decision,
-    clock_decision,
-    image_decision,
-    odometry_decision,
-    start_decision,
-)
 from localiser.storage.bags.frames import (
     FrameTree,
     check_start,
@@ -33,15 +26,22 @@ from localiser.storage.bags.frames import (
     start_of_message,
 )
 from localiser.storage.bags.images import grey_image, image_file, stated_size
-from localiser.storage.bags.label import live_label_text
 from localiser.storage.bags.messages import MAP, ODOM, OPTICAL, Messages, header
 from localiser.storage.bags.read import BagReader
-from localiser.storage.bags.record import BagRecorder
+from localiser.storage.bags.recorded import (
+    anywhere_decision,
+    clock_decision,
+    image_decision,
+    live_label_text,
+    odometry_decision,
+    start_decision,
+)
 from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC
 from localiser.storage.bags.write import (
     FILE_KINDS,
     KINDS,
     WHEELS_TOPIC,
+    BagRecorder,
     NewBag,
     check_times,
     log_messages,

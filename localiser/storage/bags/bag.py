@@ -1,40 +1,55 @@
-"""Open a bag of any kind: which topics it has, and the messages in the order of recording.
+"""Open a bag of any kind: which topics it has, and its messages in the order of recording.
 
 Messages are decoded by the definitions that ROS ships, never by those that a bag carries: a bag could define anything.
 """
 
 from __future__ import annotations
 
+import os
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from localiser.documents import open_regular, parse, read_text, require_regular
 from localiser.errors import InputError, LocaliserError
+from localiser.storage.bags.database import BESIDE, MAGIC, Database, beside, restored
 from localiser.storage.bags.frames import stamp_of
-from localiser.storage.bags.guarded import rosbag1_reader, rosbag2_reader
-from localiser.storage.bags.limits import Allowance, check_files, check_topics, message_unpacker
+from localiser.storage.bags.records import (
+    TRANSFORMS,
+    Allowance,
+    BrokenOffError,
+    Channel,
+    Packed,
+    Records,
+    check_topics,
+    records_of,
+    zstd,
+)
+from localiser.storage.files import inside
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
-TRANSFORMS, TEXT = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+TEXT = "std_msgs/msg/String"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
 CLOCK = "rosgraph_msgs/msg/Clock"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 METADATA_FILE = "metadata.yaml"
-ROS1_SUFFIX = ".bag"
-SUFFIXES = (ROS1_SUFFIX, ".mcap", ".db3")
+MAX_METADATA_BYTES = 4 * 2**20
+SUFFIXES = (".bag", ".mcap", ".db3", ".active")  # the last one of a recorder of ROS 1 that did not end
 MOST_TRANSFORMS_BYTES = 2**20  # of a message; thousands of transforms, each of which takes 2 kB once it is read
+_NUMBERED = re.compile(r"(?:.*_)?(\d+)\.(?:mcap|db3)")  # files of a bag as ROS 2 names them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +63,16 @@ class Topic:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """A message as recorded. t_ns: when it was recorded, which is not when it was measured. content: its fields."""
+    """A message as recorded. t_ns: when it was recorded, which is not when it was measured. content: its fields.
+
+    place: where it stands in the bag, for `Bag.messages`.
+    """
 
     topic: str
     msgtype: str
     t_ns: int
     content: Any
+    place: tuple[int, int, int]
 
     @property
     def stamp_ns(self) -> int:
@@ -62,28 +81,33 @@ class Message:
 
 
 class Bag:
-    """A bag that is open for reading; to be used as a context manager, or closed."""
+    """A bag that is open for reading, one pass at a time; to be used as a context manager, or closed.
+
+    broken: why the last pass ended before the bag's end; empty where it did not.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open a bag and read which topics it has. Raises InputError."""
-        self.path = path
-        is_ros1 = path.suffix == ROS1_SUFFIX
-        self._store = typestore(ros1=is_ros1)
-        self._decode = self._store.deserialize_ros1 if is_ros1 else self._store.deserialize_cdr
-        if not path.exists():
-            raise InputError("no such bag", path=path)
-        check_files(path, METADATA_FILE)
-        with bag_errors(path), Allowance(path).in_force():
-            self._reader: Any = (rosbag1_reader() if is_ros1 else rosbag2_reader())(path)
-            self._reader.open()
+        self.path, self.broken = path, ""
+        self._files, self._mode = _files_of(path)
+        sizes = {(found.st_dev, found.st_ino): found.st_size for found in map(Path.stat, self._on_disk())}
+        self._size = sum(sizes.values())
+        self._opened: tuple[int, Records | Database] | None = None
+        self._closing = ExitStack()
         try:
             with bag_errors(path):
-                check_topics(len(self._reader.connections))
-                self._unpack = message_unpacker(self._reader)
-                self._connections: list[Connection] = [_checked(found) for found in self._reader.connections]
+                found: Counter[Channel] = Counter()
+                for number in range(len(self._files)):
+                    found.update(self._open(number, Allowance(self._size)).topics())
+                counts: Counter[tuple[str, str]] = Counter()
+                for channel, count in found.items():
+                    counts[channel.topic, channel.msgtype] += count
+                check_topics(len(counts))
         except BaseException:
             self.close()
             raise
+        self.topics = [Topic(*key, count) for key, count in sorted(counts.items())]
+        """The topics, by name; a topic that several nodes published on is one."""
 
     def __enter__(self) -> Bag:
         return self
@@ -93,59 +117,125 @@ class Bag:
 
     def close(self) -> None:
         """Close the bag."""
-        with suppress(Exception):  # a damaged bag that is being left anyway
-            self._reader.close()
+        self._closing.close()
 
-    @property
-    def topics(self) -> list[Topic]:
-        """The topics, by name; a topic that several nodes published on is one."""
-        counts: Counter[tuple[str, str]] = Counter()
-        for found in self._connections:
-            counts[found.topic, found.msgtype] += found.msgcount
-        return [Topic(*key, count) for key, count in sorted(counts.items())]
+    def messages(self, topics: Collection[Topic], first: tuple[int, int, int] = (0, 0, 0)) -> Iterator[Message]:
+        """Yield the messages of some topics in the order of recording, from a place on.
 
-    def messages(self, topics: Collection[Topic], from_ns: int | None = None) -> Iterator[Message]:
-        """Yield the messages of some topics in the order of recording, from a time of recording on.
-
-        Raises InputError for a message that its type cannot be read from.
+        Where a file cannot be read on, `broken` says why. Raises InputError for a message that its type cannot be read
+        from, and for a bag that asks for too much.
         """
         wanted = {(topic.name, topic.msgtype) for topic in topics}
-        connections = [found for found in self._connections if (found.topic, found.msgtype) in wanted]
-        if not connections:
-            return
-        with bag_errors(self.path):
-            read = Allowance(self.path)
-            found = self._reader.messages(connections, start=from_ns)
-            for connection, t_ns, packed in Allowance(self.path).over(found):
-                if (connection.topic, connection.msgtype) not in wanted:
-                    raise ValueError("two topics share a number, so that their messages cannot be told apart")
-                with bag_errors(self.path, f"{connection.topic} at {t_ns} ns"):
-                    data = self._unpack(packed)
-                    read.spend(len(data))
-                    if connection.msgtype == TRANSFORMS and len(data) > MOST_TRANSFORMS_BYTES:
-                        raise ValueError(f"expected at most {MOST_TRANSFORMS_BYTES} bytes, found {len(data)}")
-                    content = self._decode(data, connection.msgtype)
-                yield Message(connection.topic, connection.msgtype, int(t_ns), content)
+        allowance, self.broken = Allowance(self._size), ""
+        for number in range(first[0], len(self._files) if wanted else 0):
+            with bag_errors(self.path):
+                try:
+                    records = self._open(number, allowance)
+                    for found in records.messages(first[1:] if number == first[0] else (0, 0)):
+                        channel = found.channel
+                        if (channel.topic, channel.msgtype) in wanted:
+                            with bag_errors(self.path, f"{channel.topic} at {found.t_ns} ns"):
+                                content = self._decoded(found, allowance)
+                            place = number, *found.place
+                            yield Message(channel.topic, channel.msgtype, found.t_ns, content, place)
+                except BrokenOffError as error:
+                    where = f"{self._files[number].name}: " if len(self._files) > 1 else ""
+                    self.broken = self.broken or f"{where}{error}"
+
+    def _on_disk(self) -> Iterator[Path]:
+        for file in self._files:
+            yield from (found for ending in ("", *BESIDE) if (found := beside(file, ending)).is_file())
+
+    def _open(self, number: int, allowance: Allowance) -> Records | Database:
+        """Return the reader of one of the files; the one before is closed."""
+        if self._opened is None or self._opened[0] != number:
+            self._closing.close()
+            path = self._files[number] if self._mode != "file" else self._unpacked(self._files[number], allowance)
+            file = self._closing.enter_context(open_regular(path, "bag"))
+            reader: Records | Database
+            if file.read(len(MAGIC)) == MAGIC:
+                reader = Database(self._closing.enter_context(restored(path)), allowance)
+                self._closing.callback(reader.close)
+            else:
+                file.seek(0)
+                reader = records_of(file, allowance)
+            self._opened = number, reader
+        self._opened[1].allowance = allowance
+        return self._opened[1]
+
+    def _unpacked(self, path: Path, allowance: Allowance) -> Path:
+        """Return a copy of a file that is compressed as a whole, which lasts until the file is closed."""
+        whole = Path(self._closing.enter_context(TemporaryDirectory(prefix="localiser-")), path.stem)
+        with path.open("rb") as packed, zstd().ZstdFile(packed) as source, whole.open("wb") as copy:
+            while piece := source.read(2**20):
+                allowance.spend(len(piece))
+                copy.write(piece)
+        return whole
+
+    def _decoded(self, found: Packed, allowance: Allowance) -> Any:
+        data, is_whole = bytes(found.data), True
+        if self._mode == "message":
+            data, is_whole = allowance.unpacked(zstd().ZstdDecompressor(), data)
+        if not is_whole:
+            raise ValueError("a compressed message is cut off")
+        if found.channel.msgtype == TRANSFORMS and len(data) > MOST_TRANSFORMS_BYTES:
+            raise ValueError(f"expected at most {MOST_TRANSFORMS_BYTES} bytes, found {len(data)}")
+        if found.channel.encoding == "cdr":
+            return typestore(ros1=False).deserialize_cdr(data, found.channel.msgtype)
+        if found.channel.encoding == "ros1":
+            return typestore(ros1=True).deserialize_ros1(data, found.channel.msgtype)
+        raise ValueError(f"expected messages as ROS packs them, cdr or ros1, found {found.channel.encoding!r:.40}")
 
 
-def _checked(connection: Connection) -> Connection:
-    """Return the connection if its topic has a name, a type and a number of messages.
+def _files_of(path: Path) -> tuple[list[Path], str]:
+    """Return the files of a bag in their order, and what of it is compressed one by one: file, message or nothing.
 
-    Damaged metadata or a damaged database may hold anything there.
+    Aliases in its metadata are refused: a few lines of them can stand for gigabytes. Raises InputError.
     """
-    for text in (connection.topic, connection.msgtype):
-        if not isinstance(text, str) or not text.isprintable():
-            raise ValueError("a topic has no name or no type")
-    if not isinstance(connection.msgcount, int) or connection.msgcount < 0:
-        raise ValueError("a topic has no number of messages")
-    return connection
+    if not path.exists():
+        raise InputError("no such bag", path=path)
+    if not path.is_dir():
+        require_regular(path, "bag")
+        return [path], ""
+    if not (path / METADATA_FILE).exists():
+        return numbered(path), ""
+    metadata = parse(read_text(path / METADATA_FILE, MAX_METADATA_BYTES), str(path / METADATA_FILE))
+    key = ("rosbag2_bagfile_information", "relative_file_paths")
+    found = metadata.value.get(key[0]) if isinstance(metadata.value, dict) else None
+    about = found if isinstance(found, dict) else {}
+    names = about.get(key[1])
+    if not isinstance(names, list) or not names:
+        raise metadata.error(key, "expected the names of a bag's files")
+    files, seen = [], set()
+    for place, name in enumerate(names):
+        try:
+            file = inside(path, PurePath(str(name)).name)
+        except ValueError as error:
+            raise metadata.error((*key, place), str(error)) from None
+        if (real := os.path.realpath(file)) in seen:
+            raise metadata.error((*key, place), "expected each file once, found one twice")
+        if not file.exists():
+            raise metadata.error((*key, place), f"expected a file of the bag's folder, found none named {file.name!r}")
+        require_regular(file)
+        seen.add(real)
+        files.append(file)
+    mode, squeeze = (str(about.get(f"compression_{name}") or "").lower() for name in ("mode", "format"))
+    if mode in ("file", "message") and squeeze != "zstd":
+        raise metadata.error(key[:1], f"expected a bag that is compressed by zstd, found {squeeze!r:.40}")
+    return files, mode
+
+
+def numbered(path: Path) -> list[Path]:
+    """Return the files of a folder that by their names are one bag, which its recorder did not come to describe."""
+    found = [(int(match[1]), file) for file in path.iterdir() if (match := _NUMBERED.fullmatch(file.name))]
+    return [file for _, file in sorted(found)]
 
 
 @contextmanager
 def bag_errors(path: Path, field: str | None = None) -> Iterator[None]:
-    """Turn whatever a damaged bag makes `rosbags` raise into an InputError.
+    """Turn whatever a damaged bag makes libraries raise into an InputError.
 
-    It promises no list of exceptions: bytes that were changed show up as errors of struct, lz4, sqlite, numpy or YAML.
+    They promise no list of exceptions: bytes that were changed show up as errors of struct, sqlite, numpy or YAML.
     """
     try:
         yield
@@ -157,19 +247,12 @@ def bag_errors(path: Path, field: str | None = None) -> Iterator[None]:
         raise InputError(f"expected a {what} that can be read: {reason}", path=path, field=field) from None
 
 
-_MORE_TYPES = {
-    TRANSFORMS: ["geometry_msgs/TransformStamped[] transforms"],
-}
-"""Messages by their fields, where the definitions that ROS ships lack them."""
-
-
 @cache
 def typestore(*, ros1: bool) -> Typestore:
     """Return the message definitions of ROS 1 Noetic or ROS 2 Humble; the messages read here are the same in all."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    for msgtype, fields in _MORE_TYPES.items():
-        if msgtype not in store.fielddefs:
-            store.register(get_types_from_msg("\n".join(fields), msgtype))
+    if TRANSFORMS not in store.fielddefs:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
     return store

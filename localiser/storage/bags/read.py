@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from base64 import b64decode
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,16 +13,15 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.documents import Document, plain_name, validate
-from localiser.errors import InputError
+from localiser.errors import InputError, warn
 from localiser.filter import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Message, Topic
+from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Message, Topic, numbered
 from localiser.storage.bags.camera_finder import CameraFinder
-from localiser.storage.bags.decisions import Decisions
 from localiser.storage.bags.frames import floor_pose
-from localiser.storage.bags.label import FORMAT, Label, document_of, labelled, with_sigma
-from localiser.storage.bags.playback import ImagePlace, Playback
+from localiser.storage.bags.images import image_file
+from localiser.storage.bags.recorded import FORMAT, Decisions, Label, document_of, labelled, with_sigma
 from localiser.storage.bags.topics import (
     CAMERA_TOPIC,
     DECISIONS_TOPIC,
@@ -33,7 +33,7 @@ from localiser.storage.bags.topics import (
 )
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
-from localiser.storage.images import check_size
+from localiser.storage.images import ImageEvent, check_size, check_whole, image_event
 from localiser.storage.log import Log, ReadOptions, require_overlap
 from localiser.storage.maps import map_from_document
 
@@ -46,8 +46,8 @@ class BagReader:
     format, looks_like, options = "bag", "a ROS bag", ("topics", "camera")
 
     def recognises(self, path: Path) -> bool:
-        """Whether `path` is a bag's file, or the folder of a ROS 2 bag."""
-        return path.suffix in SUFFIXES or (path / METADATA_FILE).exists()
+        """Whether `path` is a bag's file, or the folder of a ROS 2 bag, also of one whose recorder was killed."""
+        return path.suffix in SUFFIXES or (path.is_dir() and bool((path / METADATA_FILE).exists() or numbered(path)))
 
     def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; the bag is read once from end to end. Raises InputError."""
@@ -69,6 +69,8 @@ class BagReader:
                 ),
             )
             fault = _taken(content, bag, roles, up_to_fault=is_live and options.up_to_fault)
+            if bag.broken:
+                warn(f"cannot be read to its end: {bag.broken}; the log ends there", path=path)
         return replace(_log(content, image, given), fault=fault)
 
 
@@ -175,9 +177,8 @@ class _Content:
 
     def _take_image(self, message: Message, offset_ns: int) -> None:
         self.finder.take_image(message.content)
-        last = self.images[-1] if self.images else None
-        later = last.later + 1 if last is not None and last.recorded_ns == message.t_ns else 0
-        self.images.append(ImagePlace(message.stamp_ns + offset_ns, message.t_ns, len(self.images), later, offset_ns))
+        stamp_ns = message.stamp_ns + offset_ns
+        self.images.append(ImagePlace(stamp_ns, message.place, len(self.images), offset_ns))
 
 
 # -- from what was collected to a log ---------------------------------------------------------------------------------
@@ -242,3 +243,60 @@ def _distinct(times: list[int], path: Path, topic: str) -> np.ndarray[Any, np.dt
     if len(same):
         raise InputError(f"expected stamps that differ, found {found[same[0]]} ns twice", path=path, field=topic)
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePlace:
+    """Where an image stands in a bag: its `Message.place`. stamp_ns: when it was taken.
+
+    order: how many images of its topic were recorded before it. offset_ns: what was added to the stamp in its message.
+    """
+
+    stamp_ns: int
+    place: tuple[int, int, int]
+    order: int
+    offset_ns: int = 0
+
+
+class Playback:
+    """Fetches images of one topic; in the order of recording each is read once, in any other the bag is searched."""
+
+    def __init__(self, path: Path, topic: Topic, size: tuple[int, int]) -> None:
+        """Prepare to read; the bag is opened when the first image is asked for. size: (width, height) expected."""
+        self._path, self._topic, self._size = path, topic, size
+        self._bag: Bag | None = None
+        self._messages: Iterator[Message] = iter(())
+        self._next = -1
+        self._last: tuple[int, bytes] | None = None
+
+    def event(self, place: ImagePlace, *, by_wheels: bool = True, mount: Mount | None = None) -> ImageEvent:
+        """Return the image as an event of a log; by_wheels, mount: see there."""
+        field = f"{self._topic.name} at {place.stamp_ns} ns"
+
+        def file() -> bytes:
+            """Return the image as a JPEG or PNG file that is whole and of the right size."""
+            if self._last is None or self._last[0] != place.order:
+                try:
+                    data = image_file(self._fetch(place).content)
+                except ValueError as error:
+                    raise InputError(str(error), path=self._path, field=field) from None
+                check_whole(data, self._size, path=self._path, field=field)
+                self._last = (place.order, data)
+            return self._last[1]
+
+        name = f"{self._topic.name}/{place.order:06d}"
+        return image_event(
+            place.stamp_ns, name, file, self._size, path=self._path, field=field, by_wheels=by_wheels, mount=mount
+        )
+
+    def _fetch(self, place: ImagePlace) -> Message:
+        if self._bag is None:
+            self._bag = Bag(self._path)
+            weakref.finalize(self, self._bag.close)
+        if place.order != self._next:
+            self._messages = self._bag.messages([self._topic], place.place)
+        message = next(self._messages, None)
+        if message is None or message.stamp_ns + place.offset_ns != place.stamp_ns:
+            raise InputError("expected the image that was here when the bag was opened", path=self._path)
+        self._next = place.order + 1
+        return message

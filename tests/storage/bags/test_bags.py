@@ -19,7 +19,7 @@ from small_log import CAMERA, write_edge_log, write_small_log
 from localiser.camera import Camera, RollingShutter
 from localiser.errors import InputError, OutputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag
-from localiser.storage.bags import playback
+from localiser.storage.bags import read as read_module
 from localiser.storage.bags.bag import Bag
 from localiser.storage.maps import map_data
 
@@ -517,7 +517,7 @@ def test_a_bag_is_opened_once_in_whatever_order_it_is_read(tmp_path: Path, monke
         opened.append(Bag(path))
         return opened[-1]
 
-    monkeypatch.setattr(playback, "Bag", counted)
+    monkeypatch.setattr(read_module, "Bag", counted)
     for index in (2, 0, 1, 2, 1, 0):
         frame = log.frames[index]
         assert isinstance(frame, ImageEvent)

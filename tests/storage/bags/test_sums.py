@@ -15,6 +15,7 @@ from swelling_bags import SWELLING, clean, one_large_image, two_chunks_in_turn
 from localiser.storage import ImageEvent, open_log
 
 MORE_S, MORE_MB = 2.0, 300.0  # than for a bag that is as it should be
+HARMLESS = ("one_message_many_times", "merged_mappings_of_a_topic")  # what they hold too much of is not read
 READ = """
 import sys
 from pathlib import Path
@@ -65,7 +66,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, float]:
 @pytest.mark.parametrize("harm", SWELLING)
 def test_a_small_bag_takes_little(tmp_path: Path, usual: tuple[float, float], harm: str) -> None:
     said, seconds, memory_mb = read_alone(SWELLING[harm](tmp_path / "bag"))
-    assert "expected" in said or "cannot be read as a value" in said, said
+    assert harm in HARMLESS or "expected" in said or "cannot be read as a value" in said, said
     assert seconds < usual[0] + MORE_S and memory_mb < usual[1] + MORE_MB
 
 
