@@ -24,7 +24,7 @@ from coarse_bearings import CoarseBearings
 from numpy.typing import NDArray
 
 from localiser import geometry
-from localiser.documents import encodable
+from localiser.documents import plain_name
 from localiser.edges import BearingSensor, Edges, complete
 from localiser.errors import InputError
 from localiser.filter import Sighting
@@ -79,7 +79,7 @@ class MrclamReader:
         if not frames:
             problem = "expected measurements while there is odometry and truth, found none"
             raise InputError(problem, path=folder / f"Robot{robot}_Measurement.dat")
-        name = f"{encodable(folder.resolve().name)}-robot{robot}"
+        name = f"{plain_name(folder.resolve().name)}-robot{robot}"
         return Log(
             name=name,
             path=folder,
@@ -141,7 +141,7 @@ def _landmarks(path: Path) -> LandmarkMap:
         if counts[subject] > 1:
             raise table.error(row, "subject", f"landmark {subject} given twice")
     points = table.numbers("x", "y") * [1.0, -1.0]
-    landmark_map = LandmarkMap.from_points(points, name=encodable(path.parent.name), ids=ids, source="motion capture")
+    landmark_map = LandmarkMap.from_points(points, name=plain_name(path.parent.name), ids=ids, source="motion capture")
     return replace(landmark_map, cov=table.numbers("x std-dev", "y std-dev")[..., None] ** 2 * np.eye(2))
 
 
