@@ -57,7 +57,6 @@ def cases_of(data: Path) -> dict[str, Case]:
         "corridor line seed 1": (whole, ("--seed", "1"), None),
         "corridor slope": (whole, slope, None),
         "corridor vision": (shown(60), ("--odometry", "vision"), None),
-        "corridor both": (shown(60), ("--odometry", "both"), None),
         "corridor lsd": (shown(40), ("--set", "edges.detector=lsd"), None),
         "posts known line": (short_logs.posts, known, None),
         "posts known slope": (short_logs.posts, (*known, *slope), None),

@@ -440,7 +440,6 @@ def test_a_camera_that_live_learns_of_later_is_refused_with_the_same_words() -> 
     ("setting", "told"),
     [
         ("increments.source=vision", "increments.source: `vision` follows edges from image to image"),
-        ("increments.source=both", "increments.source: `both` follows edges from image to image"),
         (KNOWN, "observation.association: `known` cannot look for a robot on the whole map"),
     ],
 )

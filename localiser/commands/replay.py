@@ -42,7 +42,7 @@ EPILOG = """Examples:
 
 
 Kind = Literal["line", "slope"]
-Source = Literal["wheel", "vision", "both"]
+Source = Literal["wheel", "vision"]
 View = Literal["native", "web", "none"]
 
 

@@ -48,7 +48,7 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 9.5,
     "legend.borderaxespad": 0.2,
 }
-ODOMETRIES = {"wheel": "wheels", "vision": "vision", "both": "wheels and vision"}
+ODOMETRIES = {"wheel": "wheels", "vision": "vision"}
 # Key in the metrics, how it reads: what tells runs apart, at the top right.
 ABOUT = (
     ("observation", "{}"),

@@ -251,12 +251,11 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
     motion, seen = mcl.motion, state.seen
     delay_s = motion.delay_sigma_s if isinstance(motion, EstimatesConstantErrors) else 0.0
     moves, odometry_pose, jumped = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
-    increment = wheels = reduce(Increment.then, moves)
-    if mcl.odometer is not None and mcl.odometer.follows_edges:
-        seconds, cov = (sighting.t_ns - state.at_ns) / 1e9, covariance_of(motion, wheels)
+    increment, seconds = reduce(Increment.then, moves), (sighting.t_ns - state.at_ns) / 1e9
+    if mcl.odometer is not None and mcl.odometer.follows_edges and seconds > 0:
         before = None if seen is None else seen.edges
-        increment, state.pace = mcl.odometer.increment(wheels, cov, before, sighting.edges, seconds, state.pace)
-        moves = moves if increment is wheels else [increment]
+        increment, state.pace = mcl.odometer.increment(before, sighting.edges, seconds, state.pace)
+        moves = [increment]
     return _Drive(moves, increment, odometry_pose, jumped)
 
 
@@ -522,6 +521,6 @@ def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) ->
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:
-    if mcl.odometer is not None and not mcl.odometer.needs_wheels:
+    if mcl.odometer is not None and mcl.odometer.follows_edges:
         return True
     return bool(state.odometry) and state.odometry[-1].t_ns >= t_ns

@@ -13,7 +13,7 @@ from localiser.geometry.poses import compose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
-    """A motion of the robot between two instants, from wheels, from vision, or from both.
+    """A motion of the robot between two instants, from wheels or from vision.
 
     mean: (3,) motion (right m, backward m, turn rad) in the robot frame at the first instant.
     cov: (3, 3) covariance of `mean`; zeros leave the noise to the motion model.

@@ -1,4 +1,4 @@
-"""Visual odometry: how the robot moved between two images, by their edges, alone or with wheels [Taylor06, sec. 3]."""
+"""Visual odometry: how the robot moved between two images, by their edges [Taylor06, sec. 3]."""
 
 from localiser.visual_odometry.estimate import Belief, Followed, Frames, follow
 from localiser.visual_odometry.odometer import Odometer, seen_increment, twist_of_wheels, with_scale

@@ -118,13 +118,11 @@ class Belief:
     """What may be believed of a twist before edges are followed.
 
     prior: of the twist. starts: twists (3,) to begin at. log_share: of how often the belief is right.
-    way: whether edges tell how far the robot moved, and not only how it turned on a way that the prior knows better.
     """
 
     prior: Gaussian
     starts: Sequence[Array]
     log_share: float = 0.0
-    way: bool = True
 
 
 def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
@@ -197,10 +195,9 @@ class _Solver:
         share = self._belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
         # Edges of one group are one piece of evidence, not many.
         evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
-        twist = Gaussian(mean, cov)
-        if not self._belief.way:
-            twist = twist.with_way_of(prior)
-        return Followed(twist, pairs.first[chosen], pairs.second[chosen], weight, floor, evidence, on_floor)
+        return Followed(
+            Gaussian(mean, cov), pairs.first[chosen], pairs.second[chosen], weight, floor, evidence, on_floor
+        )
 
     def nothing(self) -> Followed:
         """Return what is believed when no edge can be followed."""

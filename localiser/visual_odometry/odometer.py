@@ -1,14 +1,4 @@
-"""Odometry by wheels, by the camera or by both, where wheels may slip unnoticed.
-
-There are two hypotheses: the wheels are right to within their sigma, or they slipped. Under the first one edges are
-tracked from the motion of the wheels, under the second one from the earlier speed of the robot. Each explains the edges
-more or less well, and Bayes' rule weighs them. If wheels and edges agree, the first one is certain. A slip makes pairs
-under it impossible, and the second one wins.
-
-Where the wheels are right, edges are used for the turn alone. Errors of their ranges (skirting boards, the tilt, what
-is typical of a room) stay the same for metres: a hundred images measure the path no better than one, but each would
-count as new information. The ranges are still used for how far edges move across the image.
-"""
+"""Odometry by the camera alone, and what the wheels are judged by."""
 
 from __future__ import annotations
 
@@ -32,20 +22,15 @@ _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometer:
-    """Turns what wheels and two frames say into one increment, by one camera."""
+    """Turns what two frames of one camera say into an increment."""
 
     camera: Camera
     parameters: VisualOdometryParameters
 
     @property
-    def needs_wheels(self) -> bool:
-        """Whether an image must wait until wheels have reached its time."""
-        return self.parameters.source != "vision"
-
-    @property
     def follows_edges(self) -> bool:
-        """Whether anything but wheels counts."""
-        return self.parameters.source != "wheel"
+        """Whether the camera alone says how the robot moves, so that no image waits for the wheels."""
+        return self.parameters.source == "vision"
 
     def warm_up(self) -> None:
         """Compile what follows edges, or load it from the disk, so that no image has to wait for it."""
@@ -54,28 +39,15 @@ class Odometer:
         self.seen(one, one, 1.0, None)
 
     def increment(
-        self,
-        wheel: Increment,
-        wheel_cov: Array,
-        before: Edges | None,
-        after: Edges,
-        seconds: float,
-        pace: Gaussian | None = None,
-    ) -> tuple[Increment, Gaussian | None]:
-        """Return the motion over `seconds`, as wheels, edges or both say, and the pace that the robot goes on with.
+        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
+    ) -> tuple[Increment, Gaussian]:
+        """Return the motion over `seconds` as edges say, and the pace that the robot goes on with.
 
-        wheel_cov: (3, 3), of the wheels' motion. before: the edges of the last image, None when there was none.
-        pace: twist per second at the last image, None when not known.
+        before: the edges of the last image, None when there was none. pace: twist per second at the last image, None
+        when not known.
         """
-        if not self.follows_edges or seconds <= 0:
-            return wheel, pace
-        if self.parameters.source == "vision":
-            motion, pace = self.seen(before, after, seconds, pace)
-            return seen_increment(with_scale(motion, walks=True)), pace
-        frames, beliefs = self._frames(before, after, seconds, pace)
-        found = follow(frames, self._with_wheels(wheel, wheel_cov, beliefs))
-        pace = Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
-        return Increment(found.motion.mean, found.motion.cov, wheel.path_m, wheel.turned_rad), pace
+        motion, pace = self.seen(before, after, seconds, pace)
+        return seen_increment(with_scale(motion, walks=True)), pace
 
     def seen(
         self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None, *, steers: bool = True
@@ -85,34 +57,15 @@ class Odometer:
         steers: whether the robot hardly ever moves sideways. What wheels are judged by must not take that for granted:
         where edges do not tell, the prior would speak against every robot that walks or flies.
         """
-        frames, beliefs = self._frames(before, after, seconds, pace)
-        found = follow(frames, beliefs if steers else beliefs[1:])
-        return found.motion, Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
-
-    def _frames(
-        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
-    ) -> tuple[Frames, list[Belief]]:
-        """Return both frames, and what may be believed of the motion between them, whatever the wheels say."""
         frames = Frames.of(Edges.none() if before is None else before, after, self.camera)
         prior = self.parameters.twist(None if before is None else pace, seconds)
-        return frames, self._from_nothing(frames, prior, seconds)
-
-    def _from_nothing(self, frames: Frames, prior: Gaussian, seconds: float) -> list[Belief]:
-        """Return the beliefs that the robot steers, and that it moves sideways as well as any way."""
-        starts = frames.likely_motions(prior)
-        steers = prior.with_right(0.0, self.parameters.sideways_m_s * seconds)
-        share = self.parameters.sidle_share
-        return [Belief(steers, starts, float(np.log1p(-share))), Belief(prior, starts, float(np.log(share)))]
-
-    def _with_wheels(self, wheel: Increment, wheel_cov: Array, slipped: list[Belief]) -> list[Belief]:
-        """Return the belief that wheels are right to within their noise, and those for when they slipped."""
-        share = self.parameters.slip_share
-        held = twist_of_wheels(wheel, wheel_cov)
-        as_seen = [np.array([*held.mean[:2], start[2]]) for start in slipped[0].starts[:1]]
-        return [
-            Belief(held, [held.mean, *as_seen], float(np.log1p(-share)), way=False),
-            *(replace(belief, log_share=belief.log_share + float(np.log(share))) for belief in slipped),
-        ]
+        starts, share = frames.likely_motions(prior), self.parameters.sidle_share
+        beliefs = [Belief(prior, starts, float(np.log(share)))]
+        if steers:
+            straight = prior.with_right(0.0, self.parameters.sideways_m_s * seconds)
+            beliefs.insert(0, Belief(straight, starts, float(np.log1p(-share))))
+        found = follow(frames, beliefs)
+        return found.motion, Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
 
 
 def twist_of_wheels(wheel: Increment, cov: Array) -> Gaussian:

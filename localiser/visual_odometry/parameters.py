@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from localiser.visual_odometry.twist import Gaussian
 
 LONGEST_S = 600.0
-Source = Literal["wheel", "vision", "both"]
+
+
+def _not_both(source: Any) -> Any:
+    if source == "both":
+        raise ValueError("`both` is gone: edges check the wheels anyway; expected 'wheel' or 'vision'")
+    return source
+
+
+Source = Annotated[Literal["wheel", "vision"], BeforeValidator(_not_both)]
 
 
 @dataclass(frozen=True, slots=True)
 class VisualOdometryParameters:
     """Where increments come from, and how a robot may move."""
 
-    source: Annotated[
-        Source, Field(description="what says how the robot moved: its wheels, its camera alone, or both")
-    ] = "wheel"
+    source: Annotated[Source, Field(description="what says how the robot moved: its wheels, or its camera alone")] = (
+        "wheel"
+    )
     speed_m_s: Annotated[
         float,
         Field(gt=0, le=20, description="speed of the robot in any direction, as far as vision knows (m/s, 1 sigma)"),
@@ -38,7 +46,7 @@ class VisualOdometryParameters:
         float, Field(gt=0, lt=1, description="share of increments in which it moves sideways as fast as any way")
     ] = 0.05
     slip_share: Annotated[
-        float, Field(gt=0, lt=0.5, description="share of increments in which wheels slip beyond their stated noise")
+        float, Field(gt=0, lt=0.5, description="share of images at which wheels begin to slip beyond their noise")
     ] = 1e-3
 
     def twist(self, pace: Gaussian | None, seconds: float) -> Gaussian:

@@ -37,15 +37,6 @@ class Gaussian:
         gain = self.cov[:, 0] / (self.cov[0, 0] + sigma**2)
         return Gaussian(self.mean + gain * (value - self.mean[0]), self.cov - np.outer(gain, self.cov[0]))
 
-    def with_way_of(self, other: Gaussian) -> Gaussian:
-        """Return what is believed of the turn for each way, right and backward, together with the ways of `other`."""
-        gain = np.linalg.solve(self.cov[:2, :2], self.cov[:2, 2])
-        by_way = np.vstack([np.eye(2), gain])
-        mean = by_way @ (other.mean[:2] - self.mean[:2]) + self.mean
-        cov = by_way @ other.cov[:2, :2] @ by_way.T
-        cov[2, 2] += self.cov[2, 2] - gain @ self.cov[:2, 2]
-        return Gaussian(mean, cov)
-
 
 def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
     """Return the Gaussian with mean and covariance of a mixture of K motions; log_weight: (K,), up to a constant."""

@@ -62,7 +62,7 @@ def test_map_is_seen_from_above_with_equal_scales() -> None:
 
 @pytest.mark.parametrize(
     ("source", "named"),
-    [(None, "odometry alone"), ("vision", "odometry alone (vision)"), ("both", "odometry alone (wheels and vision)")],
+    [(None, "odometry alone"), ("wheel", "odometry alone (wheels)"), ("vision", "odometry alone (vision)")],
 )
 def test_it_says_whose_odometry_it_is_and_what_was_run(source: str | None, named: str) -> None:
     given = run()

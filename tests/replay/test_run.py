@@ -286,14 +286,14 @@ def test_edges_measured_beforehand_take_the_place_of_images(localiser: Localiser
 def test_a_run_says_how_it_was_made_and_is_judged_so_again(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=300", "--seed", 1)
     by_wheels = metrics_of(localiser.replay(log, tmp_path / "wheel", *settings))
-    run = localiser.replay(log, tmp_path / "both", "--odometry", "both", *settings)
+    run = localiser.replay(log, tmp_path / "seen", "--odometry", "vision", *settings)
     figures = metrics_of(run)
-    about = {"observation": "line", "association": "unknown", "odometry": "both", "start": "stated", "seed": 1}
+    about = {"observation": "line", "association": "unknown", "odometry": "vision", "start": "stated", "seed": 1}
     assert about.items() <= figures.items()
     assert {key for key in ABOUT if figures[key] != by_wheels[key]} == {"odometry"}
     other = metrics_of(localiser.replay(log, tmp_path / "other", *settings, "--set", "motion.alpha1=0.5"))
     assert {key for key in ABOUT if other[key] != by_wheels[key]} == {"inputs"}
-    assert "odometry: both" in (run / "run.yaml").read_text()
+    assert "odometry: vision" in (run / "run.yaml").read_text()
     again = evaluate_run(run, run / "groundtruth.tum")
     assert {key: again[key] for key in ABOUT} == {key: figures[key] for key in ABOUT}
     assert again["odometry_position_rmse_m"] == pytest.approx(figures["odometry_position_rmse_m"], rel=1e-3)

@@ -10,7 +10,7 @@ from two_views import CAMERA, INVERSE_SIGMA, POINTS, edges_from
 
 from localiser import geometry
 from localiser.edges import Edges
-from localiser.geometry import Array, Increment
+from localiser.geometry import Array
 from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, Odometer, VisualOdometryParameters, follow
 from localiser.visual_odometry import twist_kernel as loops
 from localiser.visual_odometry.sights import Sights
@@ -238,83 +238,11 @@ def test_edges_that_the_border_cuts_off_have_no_foot() -> None:
     assert np.isfinite(Sights.of(edges, CAMERA).inverse_range).all()
 
 
-def odometer(source: str) -> Odometer:
-    return Odometer(CAMERA, VisualOdometryParameters(source=source))
-
-
-WHEEL_COV = np.diag([1e-4, 9e-3, np.radians(0.5)]) ** 2
-STOOD = Increment.from_mean(np.zeros(3))
-
-
-def test_wheels_alone_are_passed_through() -> None:
-    wheel = Increment.from_mean([0.0, -0.1, 0.1])
-    assert odometer("wheel").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)[0] is wheel
-    assert odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.0)[0] is wheel
-    assert not odometer("wheel").follows_edges and odometer("vision").follows_edges
-
-
-def test_both_sharpen_the_turn_of_wheels_that_hold() -> None:
-    rng = np.random.default_rng(6)
-    motion = np.array([0.0, -0.1, 0.1])
-    wheel = Increment.from_mean([0.0, -0.096, 0.106])
-    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
-    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
-    assert abs(found.mean[2] - motion[2]) < np.radians(0.1) < abs(wheel.mean[2] - motion[2])
-    assert np.sqrt(found.cov[2, 2]) < np.radians(0.25)
-
-
-def test_feet_that_all_err_alike_do_not_move_the_way_of_wheels_that_hold() -> None:
-    """A skirting board that hides all feet puts all edges too far away, and would make every step too long."""
-    rng, motion = np.random.default_rng(6), np.array([0.0, -0.1, 0.1])
-    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
-    for edges in frames:
-        edges.foot_range_m[:] *= 1.1
-    wheel = Increment.from_mean([0.0, -0.1, 0.106])
-    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
-    np.testing.assert_allclose(found.mean[:2], wheel.mean[:2], atol=1e-3)
-    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
-    assert np.sqrt(found.cov[1, 1]) == pytest.approx(np.sqrt(WHEEL_COV[1, 1]), rel=0.05)
-    seen, _ = odometer("vision").increment(wheel, WHEEL_COV, *frames, 0.2)
-    assert seen.mean[1] < -0.105
-
-
-def test_the_turn_for_each_way_goes_with_another_way() -> None:
-    """Draws: a turn that depends on the way as before, on ways drawn from elsewhere."""
-    rng = np.random.default_rng(17)
-    root, other_root = rng.standard_normal((2, 3, 3))
-    one = Gaussian(rng.standard_normal(3), root @ root.T + 0.1 * np.eye(3))
-    other = Gaussian(rng.standard_normal(3), other_root @ other_root.T + 0.1 * np.eye(3))
-    ways = rng.multivariate_normal(other.mean[:2], other.cov[:2, :2], 200_000)
-    information = np.linalg.inv(one.cov)
-    turn_var = 1.0 / information[2, 2]
-    turns = one.mean[2] - turn_var * (ways - one.mean[:2]) @ information[2, :2]
-    draws = np.column_stack([ways, turns + np.sqrt(turn_var) * rng.standard_normal(len(ways))])
-    found = one.with_way_of(other)
-    scale = np.sqrt(np.diag(found.cov))
-    np.testing.assert_allclose(draws.mean(axis=0) / scale, found.mean / scale, atol=0.01)
-    np.testing.assert_allclose(np.cov(draws.T) / np.outer(scale, scale), found.cov / np.outer(scale, scale), atol=0.02)
-
-
-@pytest.mark.parametrize("slip", [[0.0, -0.1, 0.0], [0.0, 0.0, np.radians(10.0)]])
-def test_both_leave_wheels_that_slip(slip: list[float]) -> None:
-    rng = np.random.default_rng(7)
-    motion = np.array([0.0, -0.05, 0.05])
-    wheel = Increment.from_mean(motion + slip)
-    frames = edges_from(np.zeros(3), rng), edges_from(motion, rng)
-    found, _ = odometer("both").increment(wheel, WHEEL_COV, *frames, 0.2)
-    assert np.linalg.norm(found.mean[:2] - motion[:2]) < 0.02
-    assert abs(found.mean[2] - motion[2]) < np.radians(0.3)
-
-
-def test_without_edges_wheels_are_believed() -> None:
-    wheel = Increment.from_mean([0.0, -0.1, 0.1])
-    found, _ = odometer("both").increment(wheel, WHEEL_COV, None, Edges.none(), 0.2)
-    np.testing.assert_allclose(found.mean, wheel.mean, atol=1e-3)
-    assert np.sqrt(found.cov[1, 1]) < 0.012
+VISION = Odometer(CAMERA, VisualOdometryParameters(source="vision"))
 
 
 def test_vision_that_sees_nothing_may_have_moved_anywhere() -> None:
-    found, _ = odometer("vision").increment(STOOD, WHEEL_COV, None, Edges.none(), 0.2)
+    found, _ = VISION.increment(None, Edges.none(), 0.2, None)
     sigma = np.sqrt(np.diag(found.cov))
     np.testing.assert_allclose(sigma[1:], np.sqrt(np.diag(ANYTHING.cov))[1:], rtol=0.01)
     assert found.path_m > 0.09 and found.turned_rad > 0.1
@@ -322,11 +250,11 @@ def test_vision_that_sees_nothing_may_have_moved_anywhere() -> None:
 
 def test_a_robot_goes_on_at_its_pace_while_nothing_is_seen_and_less_and_less_surely() -> None:
     rng, motion = np.random.default_rng(12), np.array([-0.004, -0.08, 0.1])
-    vision, seen = odometer("vision"), edges_from(motion, np.random.default_rng(13))
-    _, pace = vision.increment(STOOD, WHEEL_COV, edges_from(np.zeros(3), rng), seen, 0.2)
+    seen = edges_from(motion, np.random.default_rng(13))
+    _, pace = VISION.increment(edges_from(np.zeros(3), rng), seen, 0.2, None)
     turns, sigmas, before = [], [], seen
     for _ in range(15):
-        blind, pace = vision.increment(STOOD, WHEEL_COV, before, Edges.none(), 0.2, pace)
+        blind, pace = VISION.increment(before, Edges.none(), 0.2, pace)
         turns.append(blind.mean[2])
         sigmas.append(np.sqrt(blind.cov[2, 2]))
         before = Edges.none()
@@ -337,12 +265,12 @@ def test_a_robot_goes_on_at_its_pace_while_nothing_is_seen_and_less_and_less_sur
 
 def test_a_robot_that_steers_is_not_thought_to_sidle_and_one_that_sidles_is_believed() -> None:
     """A wall of edges equally far shows turn and sideways motion alike; edges at many ranges tell them apart."""
-    vision, misses = odometer("vision"), []
+    misses = []
     wall = np.array([[x_m, -2.0] for x_m in (-0.7, -0.5, -0.2, 0.0, 0.3, 0.6)])
     for seed, (points, motion) in enumerate(((wall, [0.0, 0.0, 0.1]), (POINTS, [0.08, -0.02, 0.0])) * 3):
         rng = np.random.default_rng(seed)
         frames = edges_from(np.zeros(3), rng, points), edges_from(np.array(motion), rng, points)
-        found, _ = vision.increment(STOOD, WHEEL_COV, *frames, 0.2)
+        found, _ = VISION.increment(*frames, 0.2, None)
         misses.append((found.mean - motion) / np.sqrt(np.diag(found.cov)))
         assert abs(found.mean[0] - motion[0]) < 0.02
     assert np.abs(misses).max() < 4.0

@@ -11,6 +11,8 @@ from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 from two_views import CAMERA, POINTS, edges_from
 
+from localiser.config import read_config
+from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.geometry import compose
 from localiser.landmarks import LandmarkMap
@@ -38,7 +40,7 @@ def worst_error_m(source: str) -> float:
     return float(max(errors[3:]))
 
 
-@pytest.mark.parametrize("source", ["both", "wheel"])
+@pytest.mark.parametrize("source", ["vision", "wheel"])
 def test_a_slip_does_not_lose_the_robot(source: str) -> None:
     assert worst_error_m(source) < 0.05
 
@@ -51,17 +53,21 @@ def test_wheels_alone_the_default_never_follow_edges(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Odometer, "increment", never)
     assert worst_error_m("wheel") > 0.0
     with pytest.raises(AssertionError, match="followed"):
-        worst_error_m("both")
+        worst_error_m("vision")
 
 
-@pytest.mark.parametrize("source", ["vision", "both"])
-def test_replay_by_vision(tmp_path: Path, localiser: Localiser, source: str) -> None:
+def test_both_is_told_to_be_gone() -> None:
+    with pytest.raises(InputError, match=r"increments\.source: `both` is gone: edges check the wheels anyway"):
+        read_config(None, ["increments.source=both"])
+
+
+def test_replay_by_vision(tmp_path: Path, localiser: Localiser) -> None:
     log = cut_log(CORRIDOR, tmp_path / "log", 3)
     few = ("--set", "mcl.particles=200", "--set", "mcl.start_particles=200")
-    run = localiser.replay(log, tmp_path / "out", "--odometry", source, *few)
+    run = localiser.replay(log, tmp_path / "out", "--odometry", "vision", *few)
     figures = json.loads((run / "metrics.json").read_text())
     assert figures["complete"]
-    assert f"source: {source}" in (run / "config.yaml").read_text()
+    assert "source: vision" in (run / "config.yaml").read_text()
 
 
 def test_a_log_without_images_cannot_be_followed(tmp_path: Path, localiser: Localiser) -> None:
