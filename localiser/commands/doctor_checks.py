@@ -119,7 +119,7 @@ def save_picture(path: Path, image: Image, camera: Camera | None, config: Config
         write_bytes(path, encode_image(image, ".png", 100))
         return
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
-    edges = find_edges(grey, camera, config.edges, with_probabilities=True)
+    edges = find_edges(grey, camera, config.edges)
     save_edge_picture(path, grey, camera, edges, title="what the camera sees")
 
 

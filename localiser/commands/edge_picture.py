@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
-FLOOR = 0.5
-"""A lower end that is as likely as this stands on the floor."""
 _LEAST_PX = 1000  # width of the image in the picture
 _HEAD_PX, _TITLE_PX, _FOOT_PX, _MARGIN_PX = 62, 50, 78, 22
 _GROUND, _INK, _MUTED = "#14181d", "#f2f5f8", "#9fabb8"
@@ -41,12 +38,6 @@ _STEPS = 129
 _WIDEST_DEG = 80.0
 _FEW_LINES = 9
 _LEAST_DEPTH = 0.02
-
-
-def foot_flag(edges: Edges) -> NDArray[np.str_]:
-    """Return (E,) floor, hidden or outside: what the lower end most likely is; empty where that is not known."""
-    unseen = np.where(edges.foot_probability == 0, "outside", "")
-    return np.where(np.isnan(edges.foot_range_m), unseen, np.where(edges.foot_probability >= FLOOR, "floor", "hidden"))
 
 
 def save_picture(path: Path, image: Image, camera: Camera, edges: Edges, *, title: str) -> None:
@@ -125,15 +116,14 @@ def _draw_lines(axes: Axes, camera: Camera, edges: Edges) -> None:
 
 
 def _draw_rings(axes: Axes, edges: Edges) -> None:
-    """Ring every lower end that likely stands on the floor, dot what rather does not, cross out what is not seen."""
-    flag = foot_flag(edges)
-    on_floor, elsewhere, unseen = (edges.ends_px[flag == name, 0] for name in ("floor", "hidden", "outside"))
-    beside = unseen.clip([0, 0], [axes.get_xlim()[1] - 3, axes.get_ylim()[0] - 3])  # whole, inside the picture
-    _mark(axes, elsewhere, "o", 4, (_INK, "black", 1), 6)
+    """Ring every lower end that can be a foot, and cross out those that lie outside or above the horizon."""
+    can_be_foot = np.isfinite(edges.foot_range_m)
+    feet, outside = edges.ends_px[can_be_foot, 0], edges.ends_px[~can_be_foot, 0]
+    beside = outside.clip([0, 0], [axes.get_xlim()[1] - 3, axes.get_ylim()[0] - 3])  # whole, inside the picture
     _mark(axes, beside, "x", 7, ("black", "black", 3.5), 6)
     _mark(axes, beside, "x", 6, (_INK, _INK, 1.5), 7)
-    _mark(axes, on_floor, "o", 9, ("none", "black", 3), 6)
-    _mark(axes, on_floor, "o", 9, ("none", _INK, 1.5), 7)
+    _mark(axes, feet, "o", 9, ("none", "black", 3), 6)
+    _mark(axes, feet, "o", 9, ("none", _INK, 1.5), 7)
 
 
 def _mark(axes: Axes, points: Array, marker: str | int, size: float, paint: tuple[str, str, float], order: int) -> None:
@@ -152,7 +142,6 @@ def _annotate(axes: Axes, edges: Edges) -> None:
         "ha": "center", "va": "center", "fontsize": 9, "fontweight": "bold", "zorder": 9, "annotation_clip": True,
     }  # fmt: skip
     is_sure = edges.foot_range_sigma_m < _SURE_SHARE * edges.foot_range_m
-    is_sure &= ~(edges.foot_probability < FLOOR)
     for index, (bottom, top) in enumerate(edges.ends_px):
         axes.annotate(str(index + 1), tuple(top), xytext=(0, 9), **style)
         if is_sure[index]:
@@ -206,8 +195,7 @@ def _draw_legend(figure: Figure, size: Array) -> None:
     ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.5}
     signs: dict[str, dict[str, Any]] = {
         "lighter side": {"linestyle": "none", "marker": 5},
-        "lower end on the floor, with range": {"linestyle": "none", **ring},
-        "lower end, hidden or above the floor": {"linestyle": "none", "marker": "o", "markersize": 4},
+        "lower end, with range if it is on the floor": {"linestyle": "none", **ring},
         "lower end outside, or above the horizon": {"linestyle": "none", "marker": "x", "markersize": 6},
         "segment, not vertical": {"color": _REJECTED, "alpha": 0.7, "linewidth": 1},
         "bearing, to the nadir point": {"alpha": 0.6, "linestyle": ":", "linewidth": 1.2},

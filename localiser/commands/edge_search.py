@@ -15,7 +15,7 @@ import numpy as np
 from localiser import geometry, storage
 from localiser.calibration import check_mount
 from localiser.camera import Camera
-from localiser.commands.edge_picture import foot_flag, save_picture
+from localiser.commands.edge_picture import save_picture
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import EdgeParameters, Edges, find_edges, mount_error_of_edges
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
@@ -174,7 +174,7 @@ class EdgeSearch:
 
     def _find(self, image: Image, twist: Twist | None) -> Edges:
         """Return the edges of an image, from left to right."""
-        edges = find_edges(image, self.camera, self.config.edges, twist=twist, with_probabilities=True)
+        edges = find_edges(image, self.camera, self.config.edges, twist=twist)
         return edges.take(np.argsort(edges.bearing, kind="stable"))
 
     def _one(self, taken: Taken, image: Image) -> None:
@@ -230,7 +230,6 @@ COLUMNS = (
     "lean_sigma_rad",  # its standard deviation
     "slope",  # the paper's slope m = 1 / tan(lean)
     "slope_deg",  # the paper's slope as an angle, from the image's horizontal: 90 is vertical
-    "vertical_probability",  # how likely it is a vertical edge and not another line that points at the nadir point
     "length_px",  # visible length
     "polarity",  # 1 dark to light from left to right, -1 light to dark, 0 unknown
     "bottom_u_px",  # lower end in the image as taken, to the right of the top-left pixel's centre
@@ -239,8 +238,6 @@ COLUMNS = (
     "top_v_px",  # and below the top-left pixel's centre
     "foot_range_m",  # floor distance of the lower end from the camera, if it stands on the floor; empty if not seen
     "foot_range_sigma_m",  # its standard deviation, the mount's error left out
-    "foot_probability",  # how likely the lower end stands on the floor
-    "foot",  # floor: likely; hidden: likelier something else, such as what stands in front; outside: not in the image
     "foot_right_m",  # that floor point to the right of the camera
     "foot_back_m",  # and behind it, so negative ahead
 )
@@ -252,7 +249,6 @@ def rows_of(edges: Edges) -> list[Row]:
         "edge": np.arange(1, len(edges) + 1),
         "slope": geometry.slope_from_lean(edges.lean),
         "slope_deg": 90.0 - np.rad2deg(edges.lean),
-        "foot": foot_flag(edges),
         "foot_right_m": edges.foot_range_m * np.sin(edges.bearing),
         "foot_back_m": -edges.foot_range_m * np.cos(edges.bearing),
     }

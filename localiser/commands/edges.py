@@ -31,12 +31,10 @@ _COLUMNS = (
     ("lean °", "lean_rad", _DEG, "+.2f"),
     ("sigma °", "lean_sigma_rad", _DEG, ".2f"),
     ("slope °", "slope_deg", 1, ".2f"),
-    ("vertical %", "vertical_probability", 100, ".0f"),
     ("length px", "length_px", 1, ".0f"),
     ("polarity", "polarity", 1, "d"),
     ("foot m", "foot_range_m", 1, ".2f"),
     ("± m", "foot_range_sigma_m", 1, ".2f"),
-    ("foot %", "foot_probability", 100, ".0f"),
 )
 """Title, key of the row, factor, and format of a number."""
 

@@ -10,7 +10,6 @@ import numpy as np
 from localiser.camera import Camera, Mount, MountSigma
 from localiser.edges.column_detector import Columns
 from localiser.edges.detectors import Detector, detector_of, register
-from localiser.edges.foot import foot_probability
 from localiser.edges.line_detectors import hough, lsd
 from localiser.edges.measure import edges_of_segments
 from localiser.edges.parameters import EdgeParameters
@@ -20,7 +19,6 @@ from localiser.edges.segments import Segments
 from localiser.edges.types import Edges
 from localiser.edges.undistort import Image, half_camera, halved, ideal_camera
 from localiser.edges.vertical import has_direction, same_edge, vertical_segments
-from localiser.edges.verticality import vertical_probability
 from localiser.errors import InputError
 from localiser.geometry import Array, Twist
 
@@ -40,15 +38,13 @@ def find_edges(
     mount: Mount | None = None,
     twist: Twist | None = None,
     detector: Detector | None = None,
-    with_probabilities: bool = False,
 ) -> Edges:
     """Return the vertical edges of an image.
 
     image: (H, W) grey or (H, W, 3) BGR, uint8, of the size that the camera says. mount: of the camera when it took the
     image; None: as the camera says. twist: of the robot then, which matters where the camera's shutter rolls; edges are
-    then as they were at the image's time stamp. detector: what finds segments, by
-    default the one that the parameters name; see `Detector`. with_probabilities: state how likely each edge is vertical
-    and each lower end stands on the floor, to look at; neither localising nor mapping uses them. Raises InputError.
+    then as they were at the image's time stamp. detector: what finds segments, by default the one that the parameters
+    name; see `Detector`. Raises InputError.
     """
     parameters, camera = parameters or EdgeParameters(), camera.at(mount)
     grey = grey_image(image, camera)
@@ -59,7 +55,6 @@ def find_edges(
             replace(parameters, half_resolution=False, min_length_px=parameters.min_length_px / 2),
             twist=twist,
             detector=detector,
-            with_probabilities=with_probabilities,
         )
         return _in_whole_pixels(edges, mount)
     found = (detector or detector_of(parameters))(grey, camera)
@@ -81,14 +76,7 @@ def find_edges(
         (edges.length_px >= parameters.min_length_px) & has_direction(edges, plumb_sigma_rad, parameters.gate_sigma)
     )
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
-    edges = replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
-    if not with_probabilities:
-        return edges
-    return replace(
-        edges,
-        vertical_probability=vertical_probability(edges, others, camera, mount_sigma_rad, plumb_sigma_rad),
-        foot_probability=foot_probability(_taken_px(edges, camera, readout)[:, 0], edges.foot_range_m, grey, camera),
-    )
+    return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
 
 
 def _in_whole_pixels(edges: Edges, mount: Mount | None) -> Edges:
@@ -103,16 +91,6 @@ def at_stamp(taken: Segments, readout: Readout) -> tuple[Segments, Array]:
     ends_px, support_px = (readout.at_stamp(points, rate) for points in (taken.ends_px, taken.support_px))
     turn_sigma_rad = np.abs(readout.turn_of(support_px, rate)) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
     return replace(taken, ends_px=ends_px, support_px=support_px), turn_sigma_rad
-
-
-def _taken_px(edges: Edges, camera: Camera, readout: Readout | None) -> Array:
-    """Return where the ends (E, 2, 2) of edges are in the image."""
-    if readout is None:
-        return edges.ends_px
-    ideal = ideal_camera(camera)
-    ends_px = ideal.pixels_from_image(camera.image_from_pixels(edges.ends_px))
-    taken_px = readout.as_taken(ends_px, readout.rates(ends_px)[0])
-    return camera.pixels_from_image(ideal.image_from_pixels(taken_px))
 
 
 def tilt_and_roll_sigma_rad(parameters: EdgeParameters, camera: Camera) -> Array:

@@ -51,14 +51,11 @@ class Edges:
     bearing, bearing_sigma: (E,) rad, from the camera's forward axis, positive right, of the line held through the
         nadir point (observation `line`).
     lean, lean_sigma: (E,) rad, of the free line in the upright image (observation `slope`).
-    vertical_probability: (E,) how likely this is a vertical edge of the scene, and no other line that happens to point
-        at the nadir point; to look at, see `find_edges`.
     length_px: (E,) visible length. polarity: (E,) +1 dark to light from left to right, -1 light to dark, 0 unknown.
     ends_px: (E, 2, 2) bottom and top end (u, v) in the image as it was taken, lens distortion included. Where the
         shutter rolls: in the image that would have been taken at once, at the time stamp.
     foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
         where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
-    foot_probability: (E,) how likely the lower end stands on the floor; 0 where foot_range_m is nan. To look at too.
     profile: (E, P) grey values across the edge from left to right, P may be 0.
     clutter: (E,) how much denser clutter is expected where this edge is than anywhere in the image; 1 unless known.
     landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
@@ -73,13 +70,11 @@ class Edges:
     bearing_sigma: Array
     lean: Array
     lean_sigma: Array
-    vertical_probability: Array
     length_px: Array
     polarity: NDArray[np.int8]
     ends_px: Array
     foot_range_m: Array
     foot_range_sigma_m: Array
-    foot_probability: Array
     profile: Array
     clutter: Array
     landmark_id: NDArray[np.int64]
@@ -97,13 +92,11 @@ class Edges:
         count = len(bearing)
         unknown = np.full(count, np.nan)
         columns = {
-            "vertical_probability": unknown,
             "length_px": unknown,
             "polarity": np.zeros(count, dtype=np.int8),
             "ends_px": np.full((count, 2, 2), np.nan),
             "foot_range_m": unknown,
             "foot_range_sigma_m": unknown,
-            "foot_probability": unknown,
             "profile": np.zeros((count, 0)),
             "clutter": np.ones(count),
             "landmark_id": np.full(count, -1, dtype=np.int64),

@@ -76,9 +76,6 @@ def test_the_table_holds_the_true_edges_from_left_to_right(localiser: Localiser,
     assert column(rows, "foot_range_m") == pytest.approx(2.0 / np.cos(np.deg2rad(BEARINGS_DEG)), rel=0.05)
     assert column(rows, "foot_back_m") == pytest.approx(np.full(4, -2.0), rel=0.05)
     assert column(rows, "foot_right_m") == pytest.approx(2.0 * np.tan(np.deg2rad(BEARINGS_DEG)), rel=0.05)
-    assert [row["foot"] for row in rows] == ["floor"] * 4
-    assert np.all((column(rows, "foot_probability") > 0.5) & (column(rows, "foot_probability") < 1))
-    assert np.all((column(rows, "vertical_probability") > 0.9) & (column(rows, "vertical_probability") <= 1))
     ends = np.stack([column(rows, name) for name in ("bottom_u_px", "bottom_v_px", "top_u_px", "top_v_px")], axis=-1)
     assert CAMERA.bearing_of_segments(ends.reshape(-1, 2, 2)) == pytest.approx(bearing, abs=2e-3)
 

@@ -291,17 +291,6 @@ def test_lines_of_another_shape_are_an_input_error(lines):
         find_edges(np.zeros((480, 640), np.uint8), CAMERAS["tilted"], detector=lambda image, camera: lines)
 
 
-def test_probabilities_are_unknown_unless_asked_for():
-    camera = CAMERAS["tilted"]
-    image = wall_image(camera, BEARINGS_DEG, GREYS, wall_ahead_m=2.5, floor_grey=220.0)
-    plain, full = find_edges(image, camera), find_edges(image, camera, with_probabilities=True)
-    assert np.isnan(plain.foot_probability).all()
-    assert np.isnan(plain.vertical_probability).all()
-    assert np.isfinite(full.foot_probability).all()
-    assert np.isfinite(full.vertical_probability).all()
-    np.testing.assert_array_equal(plain.bearing, full.bearing)
-
-
 def test_a_detector_of_no_known_name_is_refused():
     with pytest.raises(InputError, match=r"^detector: expected 'columns', .* or 'hough', found 'nope'"):
         find_edges(np.zeros((480, 640), dtype=np.uint8), camera_of(), EdgeParameters(detector="nope"))
