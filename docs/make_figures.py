@@ -20,7 +20,7 @@ from localiser.camera import Camera, Mount
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.columns import gradient_field
 from localiser.edges.find import grey_image
-from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
+from localiser.edges.views import ROWS_PER_BLOCK, column_view
 from localiser.geometry import Array
 from localiser.storage import open_log
 

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, linked, peaks_of
+from localiser.edges.detectors import EdgeParameters
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
-from localiser.edges.parameters import EdgeParameters
-from localiser.edges.rectify import ROWS_PER_BLOCK, column_view
-from localiser.edges.segments import Segments
-from localiser.edges.undistort import Image, half_camera, halved, ideal_camera
+from localiser.edges.types import Segments
+from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved, ideal_camera
 from localiser.geometry import Array
 
 _SAME_EDGE_SHARE = 0.25

@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges.columns_kernel import links_loop, peaks_loop
-from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
-from localiser.edges.undistort import Image
+from localiser.edges.views import ROWS_AT_ONCE, ROWS_PER_BLOCK, Image, column_view
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -162,3 +160,67 @@ def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """
     who = np.full((shape[0] + 2, shape[1] + 2), -1, dtype=np.int32)
     return compiled(links_loop)(peaks.row, peaks.column, peaks.position, peaks.polarity, who)
+
+
+# -- loops, for numba to compile --------------------------------------------------------------------------------------
+
+
+def peaks_loop(
+    smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:
+    """Return row, column, sub-pixel position and sign (P,) of the peaks along rows (B, W) that are higher than `least`.
+
+    None beside what is not seen.
+    """
+    rows, width = smooth.shape
+    most = rows * (width // 2)
+    row, column = np.empty(most, np.int64), np.empty(most, np.int64)
+    position, sign = np.empty(most, np.float64), np.empty(most, np.int8)
+    count = 0
+    for r in range(rows):
+        for c in range(1, width - 1):
+            here = abs(smooth[r, c])
+            if here <= least or here <= abs(smooth[r, c - 1]) or here < abs(smooth[r, c + 1]):
+                continue
+            if unseen[r, c - 1] or unseen[r, c] or unseen[r, c + 1]:
+                continue
+            polarity = 1 if smooth[r, c] > 0 else -1
+            left, right = smooth[r, c - 1] * polarity, smooth[r, c + 1] * polarity
+            row[count], column[count], sign[count] = r, c, polarity
+            position[count] = c + (right - left) / (2 * (2 * here - left - right))
+            count += 1
+    return row[:count], column[:count], position[:count], sign[:count]
+
+
+def links_loop(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    position: Array,
+    polarity: NDArray[np.int8],
+    who: NDArray[np.int32],
+) -> NDArray[np.int64]:
+    """Return the chain (P,) of each peak, sorted by row; who: (B + 2, W + 2) of -1 to work in."""
+    count = len(row)
+    nearest = np.full((2, count), -1, np.int64)  # in the row above, and below
+    for p in range(count):
+        who[row[p] + 1, column[p] + 1] = p
+    for p in range(count):
+        for side in range(2):
+            least = np.inf
+            for by in range(-1, 2):
+                other = who[row[p] + 2 * side, column[p] + 1 + by]
+                if other < 0 or polarity[other] != polarity[p]:
+                    continue
+                apart = abs(position[other] - position[p])
+                if apart < least:
+                    least, nearest[side, p] = apart, other
+    chain = np.empty(count, np.int64)
+    chains = 0
+    for p in range(count):
+        above = nearest[0, p]
+        if above >= 0 and nearest[1, above] == p:
+            chain[p] = chain[above]
+        else:
+            chain[p] = chains
+            chains += 1
+    return chain

@@ -1,26 +1,26 @@
-"""Find the vertical edges of an image: detect segments, keep those that meet the nadir point, join and measure them."""
+"""Find the vertical edges of an image: detect segments, keep those that meet the nadir point, join and measure them.
+
+And how an image is exposed: too dark or washed out, by its grey levels.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from localiser.camera import Camera, Mount, MountSigma
 from localiser.edges.column_detector import Columns
-from localiser.edges.detectors import Detector, detector_of, register
-from localiser.edges.line_detectors import hough, lsd
-from localiser.edges.measure import edges_of_segments
-from localiser.edges.parameters import EdgeParameters
-from localiser.edges.profile import polarity_of_profiles, profiles
+from localiser.edges.detectors import Detector, EdgeParameters, detector_of, hough, lsd, register
+from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles
 from localiser.edges.readout import Readout, readout_of
-from localiser.edges.segments import Segments
-from localiser.edges.types import Edges
-from localiser.edges.undistort import Image, half_camera, halved, ideal_camera
+from localiser.edges.types import Edges, Segments
 from localiser.edges.vertical import has_direction, same_edge, vertical_segments
+from localiser.edges.views import Image, half_camera, halved, ideal_camera
 from localiser.errors import InputError
 from localiser.geometry import Array, Twist
+from localiser.image_files import decode
 
 END_SIGMA_PX = 0.5
 """Error of an end across the line, for detectors that do not state it."""
@@ -134,3 +134,38 @@ def grey_image(image: Image, camera: Camera) -> Image:
     # Compiled loops are compiled anew for every kind of array.
     grey = image if is_grey else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return np.require(grey, dtype=np.uint8, requirements=["C", "W"])
+
+
+DARK_GREY = 64.0
+"""Where 95 % of the pixels are darker than this, noise covers faint edges."""
+SATURATED_GREY = 250
+WASHED_OUT = 0.4
+"""Fraction of saturated pixels from which on whole edges vanish in white."""
+_EVERY = 8  # pixel counts
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """bright_grey: the grey level that 95 % of the pixels are below. saturated: fraction of pixels at the top."""
+
+    bright_grey: float
+    saturated: float
+
+    @property
+    def is_dark(self) -> bool:
+        """Whether too little light came in."""
+        return self.bright_grey < DARK_GREY
+
+    @property
+    def is_washed_out(self) -> bool:
+        """Whether too much light came in."""
+        return self.saturated > WASHED_OUT
+
+
+def light_of(image: Image | bytes) -> Light:
+    """Return how an image (H, W) or (H, W, 3), uint8, or as a file, is exposed, at an eighth of its size."""
+    if isinstance(image, bytes):
+        some = np.asarray(decode(image, cv2.IMREAD_REDUCED_GRAYSCALE_8))
+    else:
+        some = image[::_EVERY, ::_EVERY]
+    return Light(float(np.percentile(some, 95)), float((some >= SATURATED_GREY).mean()))

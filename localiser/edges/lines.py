@@ -6,16 +6,66 @@ A line is column = y + slope · (row - x) in blocks and columns of the rectified
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.edges.columns import ALONG, SCALE_PX, GradientField, Peaks, gradient_kernel
-from localiser.edges.columns_kernel import samples_loop
-from localiser.edges.groups import Groups, LineFit
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
+
+Values = Array | NDArray[np.int64]
+
+
+class LineFit(NamedTuple):
+    """Weighted straight lines y(x), one per group (G,): through (x, y) with `slope`.
+
+    weight: Σw. spread: Σw (x - mean x)². With w = 1/σ² the variance of y is 1/weight, that of slope 1/spread.
+    """
+
+    x: Array
+    y: Array
+    slope: Array
+    weight: Array
+    spread: Array
+
+    def at(self, group: NDArray[np.int64], x: Values) -> Array:
+        """Return y (K,) of the lines of groups (K,) at x (K,)."""
+        return np.asarray(self.y[group] + self.slope[group] * (x - self.x[group]))
+
+    def take(self, index: NDArray[np.int64]) -> LineFit:
+        """Return the lines of some groups."""
+        return LineFit._make(column[index] for column in self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Which group, 0 … count - 1, each of K values belongs to."""
+
+    of: NDArray[np.int64]
+    count: int
+
+    def sum(self, values: Array | NDArray[np.bool_]) -> Array:
+        """Return the sum (G,) of values (K,) of each group."""
+        return np.asarray(np.bincount(self.of, values, self.count), dtype=np.float64)
+
+    def lowest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
+        """Return the lowest (G,) of the values (K,) of each group, of the masked ones only; inf for none."""
+        lowest = np.full(self.count, np.inf)
+        used = slice(None) if mask is None else mask
+        np.minimum.at(lowest, self.of[used], values[used].astype(np.float64))  # many times slower for integers
+        return lowest
+
+    def highest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
+        """Return the highest (G,) of the values (K,) of each group, of the masked ones only; -inf for none."""
+        return -self.lowest(-values, mask)
+
+    def line(self, x: Values, y: Array, weight: Array) -> LineFit:
+        """Return the weighted least-squares line of each group through (x, y) (K,)."""
+        return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))
+
 
 LEAST_BLOCKS = 3
 _PRIOR_BLOCKS = 4.0
@@ -266,3 +316,43 @@ def _contrast(place: Array, width: Array, height: Array, cells: Cells, field: Gr
     step = np.sqrt(2 * np.pi) * np.maximum(cells.mean(height), 0) * width * field.noise_grey
     column = np.rint(place).astype(np.int64).clip(0, field.grey.shape[1] - 1)
     return np.asarray(step / np.maximum(cells.mean(field.grey[cells.row, column].astype(np.float64)), 1.0))
+
+
+# -- loops, for numba to compile --------------------------------------------------------------------------------------
+
+
+def samples_loop(
+    values: NDArray[np.float32], row: NDArray[np.int64], column: Array, sign: NDArray[np.int8]
+) -> tuple[Array, Array, Array]:
+    """Return height, steepness and negative curvature (K,) of values (B, W) along their row, at places (K,)."""
+    count, width = len(row), values.shape[1]
+    height, steepness, curvature = np.empty(count), np.empty(count), np.empty(count)
+    for k in range(count):
+        whole = min(max(int(column[k]), 1), width - 3)
+        share = min(max(column[k] - whole, 0.0), 1.0)
+        s = float(sign[k])
+        before, here = s * values[row[k], whole - 1], s * values[row[k], whole]
+        there, after = s * values[row[k], whole + 1], s * values[row[k], whole + 2]
+        height[k] = here + share * (there - here)
+        steepness[k] = (there - before + share * (after - here - there + before)) / 2
+        curvature[k] = 2 * here - before - there + share * (3 * (there - here) + before - after)
+    return height, steepness, curvature
+
+
+def line_loop(
+    of: NDArray[np.int64], count: int, x: Array, y: Array, weight: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return mean x, mean y, slope, total weight and spread of x (G,) of values (K,) in groups: `Groups.line`."""
+    mean_x, mean_y, total = np.zeros(count), np.zeros(count), np.zeros(count)
+    for k in range(len(of)):
+        total[of[k]] += weight[k]
+        mean_x[of[k]] += weight[k] * x[k]
+        mean_y[of[k]] += weight[k] * y[k]
+    total = np.maximum(total, 1e-12)
+    mean_x, mean_y = mean_x / total, mean_y / total
+    spread, slope = np.zeros(count), np.zeros(count)
+    for k in range(len(of)):
+        from_mean = weight[k] * (x[k] - mean_x[of[k]])
+        spread[of[k]] += from_mean * (x[k] - mean_x[of[k]])
+        slope[of[k]] += from_mean * y[k]
+    return mean_x, mean_y, slope / np.maximum(spread, 1e-12), total, spread

@@ -1,23 +1,78 @@
-"""Measure vertical edges: lean, bearing and their sigmas, and the foot."""
+"""Measure vertical edges: lean, bearing and their sigmas, the foot, and grey values across."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera, MountSigma
-from localiser.edges.foot import foot_of_edges
-from localiser.edges.groups import Groups
-from localiser.edges.profile import profiles
+from localiser.edges.lines import Groups
 from localiser.edges.readout import Readout
-from localiser.edges.segments import Segments
-from localiser.edges.types import TURN_RATE, CommonError, Edges
-from localiser.edges.undistort import Image, ideal_camera
+from localiser.edges.types import TURN_RATE, CommonError, Edges, Segments
+from localiser.edges.views import Image, ideal_camera
 from localiser.geometry import Array
+
+FOOT_SIGMA_PX = 2.0
+"""Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""
+BORDER_PX = 4.0 * FOOT_SIGMA_PX
+"""An edge that is found to end this close to the image border may as well be cut off by it."""
+
+
+def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = None) -> tuple[Array, Array]:
+    """Return the floor range (E,) m of feet seen at pixels (E, 2), and its sigma; nan where no foot is seen.
+
+    A foot is where an edge ends inside the image and below the horizon. Design equation 9. taken_px: (E, 2) where the
+    image shows them, if a rolling shutter took them elsewhere.
+    """
+    size, taken_px = np.array([camera.width, camera.height]), bottom_px if taken_px is None else taken_px
+    inside = np.all((taken_px >= BORDER_PX) & (taken_px <= size - 1 - BORDER_PX), axis=1)
+    rays = camera.level_rays(bottom_px)
+    depression = np.arctan2(-rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))
+    sigma_rad = FOOT_SIGMA_PX / camera.focal_px
+    seen = inside & (depression > sigma_rad)
+    range_m = geometry.floor_range(camera.mount.height_m, np.where(seen, depression, np.nan))
+    return range_m, geometry.floor_range_sigma(camera.mount.height_m, range_m, sigma_rad)
+
+
+PROFILE_OFFSETS_PX = np.array([-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0])
+_SAMPLES_ALONG = 16
+
+
+def profiles(ends_px: Array, image: Image, camera: Camera, taken_of: Callable[[Array], Array] | None = None) -> Array:
+    """Return grey values (S, P) across segments (S, 2, 2), given in undistorted pixels, from left to right.
+
+    Means along each segment at `PROFILE_OFFSETS_PX`; nan where all of that lies outside the image. taken_of: where
+    points of the segments (S, A, P, 2) were taken, if a rolling shutter took them elsewhere.
+    """
+    if len(ends_px) == 0:
+        return np.zeros((0, len(PROFILE_OFFSETS_PX)))
+    bottom, top = ends_px[:, None, None, 0], ends_px[:, None, None, 1]
+    along = ((np.arange(_SAMPLES_ALONG) + 0.5) / _SAMPLES_ALONG)[:, None, None]
+    up = (top - bottom) / np.maximum(np.linalg.norm(top - bottom, axis=-1, keepdims=True), 1e-9)
+    rightwards = up[..., ::-1] * [-1.0, 1.0]
+    points = bottom + (top - bottom) * along + rightwards * PROFILE_OFFSETS_PX[:, None]
+    points = points if taken_of is None else taken_of(points)
+    bent = camera.is_distorted
+    taken = camera.pixels_from_image(ideal_camera(camera).image_from_pixels(points)) if bent else points
+    u, v = np.ascontiguousarray(taken.astype(np.float32).reshape(len(ends_px), -1, 2).transpose(2, 0, 1))
+    inside = ((u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)).reshape(taken.shape[:-1])
+    grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(inside.shape)
+    seen = inside.sum(axis=1)
+    return np.where(seen > 0, (grey * inside).sum(axis=1) / np.maximum(seen, 1), np.nan)
+
+
+def polarity_of_profiles(profile: Array) -> NDArray[np.int8]:
+    """Return (S,) +1 where the right side of a profile (S, P) is lighter than the left, -1 where darker, else 0."""
+    middle = len(PROFILE_OFFSETS_PX) // 2
+    step = profile[:, middle + 1] - profile[:, middle - 1]
+    return np.sign(np.nan_to_num(step)).astype(np.int8)
+
 
 _TYPICAL_INVERSE_RANGE = 0.4
 """1/m: rooms are some metres wide."""

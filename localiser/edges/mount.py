@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.mount_kernel import mount_loop
-from localiser.edges.segments import Segments
-from localiser.edges.types import TURN_RATE, Edges
-from localiser.edges.undistort import ideal_camera
+from localiser.edges.types import TURN_RATE, Edges, Segments
+from localiser.edges.views import ideal_camera
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -228,3 +226,61 @@ def mount_error_of_edges(
     """
     miss = nadir_miss_of_edges(edges, camera, plumb_sigma_rad, lens_sigma=lens_sigma)
     return fit_mount(miss, prior_sigma_rad, learn_crooked=True)
+
+
+# -- loops, for numba to compile --------------------------------------------------------------------------------------
+
+
+def mount_loop(
+    angle: Array,
+    per_mount: Array,
+    variance: Array,
+    crooked_variance: Array,
+    prior_variance: Array,
+    tukey: tuple[float, float],
+    prior_edges: float,
+    iterations: tuple[int, int],
+    settled: float,
+) -> tuple[Array, Array, float]:
+    """Return tilt, roll and lens (3,) with covariance (3, 3) that angles (S,) tell, and a factor on crooked_variance.
+
+    per_mount: (S, 3). prior_variance: (3,). tukey: where weights end, and the share of a Gaussian's variance that they
+    leave. iterations: with a factor of 1, and with one that is learnt, until it changes by less than the fraction
+    `settled`. See `fit_mount`.
+    """
+    state, cov, factor = np.zeros(3), np.diag(prior_variance), 1.0
+    for iteration in range(iterations[0] + iterations[1]):
+        says = crooked = 0.0
+        information, pull = np.diag(1 / prior_variance), np.zeros(3)
+        for k in range(len(angle)):
+            by = per_mount[k]
+            miss, remaining = angle[k], 0.0
+            for i in range(3):
+                miss += by[i] * state[i]
+                for j in range(3):
+                    remaining += cov[i, j] * by[i] * by[j]
+            own = factor * crooked_variance[k]
+            total = own + variance[k]
+            trust = max(1 - miss**2 / (tukey[0] ** 2 * (total + remaining)), 0.0) ** 2
+            weight = trust / total
+            says += trust
+            if own > 0:
+                part = own / total
+                crooked += trust * (part**2 * (miss**2 + remaining) + part * variance[k]) / crooked_variance[k]
+            for i in range(3):
+                pull[i] -= weight * by[i] * angle[k]
+                for j in range(3):
+                    information[i, j] += weight * by[i] * by[j]
+        # The inverse of a symmetric 3 × 3 matrix by its cofactors.
+        for i in range(3):
+            for j in range(3):
+                a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+                cov[i, j] = information[a, c] * information[b, d] - information[a, d] * information[b, c]
+        cov /= information[0, 0] * cov[0, 0] + information[0, 1] * cov[0, 1] + information[0, 2] * cov[0, 2]
+        for i in range(3):
+            state[i] = cov[i, 0] * pull[0] + cov[i, 1] * pull[1] + cov[i, 2] * pull[2]
+        if iteration >= iterations[0] - 1 and iteration < iterations[0] + iterations[1] - 1:
+            before, factor = factor, (prior_edges + crooked / tukey[1]) / (prior_edges + says)
+            if abs(factor - before) < settled * before:
+                break
+    return state, cov, factor

@@ -19,7 +19,7 @@ import numpy as np
 
 from localiser import geometry
 from localiser.camera import Camera
-from localiser.edges.undistort import ideal_camera
+from localiser.edges.views import ideal_camera
 from localiser.geometry import UNKNOWN_TWIST, Array, Twist
 
 _TYPICAL_INVERSE_RANGE = 0.4

@@ -1,14 +1,17 @@
-"""What the front end says about one image: its vertical edges and how certain they are."""
+"""What is said about one image: its vertical edges and how certain they are, segments as detectors return them."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from localiser.camera import Mount
+from localiser import geometry
+from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, finite_numbers
 
@@ -137,3 +140,107 @@ class Edges:
         whole = {"common": self.common.take(index)} | {name: getattr(self, name) for name in names}
         columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in whole}
         return Edges(**columns, **whole)
+
+
+_STRIP_ROWS = 32
+
+
+@dataclass(frozen=True, slots=True)
+class BearingSensor:
+    """A sensor that reports bearings and no image; stands in for a camera through a nominal tilt."""
+
+    bearing_sigma_deg: Annotated[float, Field(gt=0, le=45, description="error of one bearing (degrees, 1 sigma)")] = 1.5
+    half_view_deg: Annotated[float, Field(gt=1, le=80, description="half the horizontal field of view (degrees)")] = (
+        33.0
+    )
+    tilt_deg: Annotated[
+        float, Field(gt=0, lt=90, description="nominal tilt through which a bearing becomes a slope (degrees)")
+    ] = 20.0
+    height_m: Annotated[float, Field(gt=0, le=10, description="height above the floor (m)")] = 0.3
+
+    def camera(self, name: str = "") -> Camera:
+        """Return a camera with this field of view at every range.
+
+        Its image is a strip along the horizon, which every edge that is taller than the camera crosses, far or near;
+        in a full image the field of view would widen towards the floor. The principal point lies below the strip.
+        """
+        width = 640
+        tilt = math.radians(self.tilt_deg)
+        # On the horizon row e = tan(tilt), so tan b = a cos(tilt).
+        focal = (width - 1) / 2 * math.cos(tilt) / math.tan(math.radians(self.half_view_deg))
+        middle = (_STRIP_ROWS - 1) / 2
+        return Camera(
+            width=width,
+            height=_STRIP_ROWS,
+            fx=focal,
+            fy=focal,
+            cx=(width - 1) / 2,
+            cy=middle + focal * math.tan(tilt),
+            mount=Mount(tilt_rad=tilt, height_m=self.height_m),
+            name=name,
+        )
+
+
+def complete(
+    bearing: Array, bearing_sigma: Array, lean: Array, lean_sigma: Array, tilt_rad: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return bearing, its sigma, lean, its sigma (E,), each filled in from the other where nan.
+
+    tan(lean) = s tan(b) [Taylor06] eq. 7; sigma of the bearing = |J| · sigma of the lean. Nothing is filled in when the
+    tilt is 0, where the two say nothing of each other.
+    """
+    if abs(math.sin(tilt_rad)) < 1e-12:
+        return bearing, bearing_sigma, lean, lean_sigma
+    full_bearing = np.where(np.isnan(bearing), geometry.bearing_from_lean(lean, tilt_rad), bearing)
+    full_lean = np.where(np.isnan(lean), geometry.lean_from_bearing(bearing, tilt_rad), lean)
+    per_lean = np.abs(geometry.bearing_per_lean(full_bearing, tilt_rad))
+    return (
+        full_bearing,
+        np.where(np.isnan(bearing), lean_sigma * per_lean, bearing_sigma),
+        full_lean,
+        np.where(np.isnan(lean), bearing_sigma / per_lean, lean_sigma),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Straight segments, S of them, in undistorted pixels: those of `Camera.undistorted`.
+
+    ends_px: (S, 2, 2) bottom and top end. support_px: (S, 2, 2) lower and upper point whose errors across the line,
+    sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those
+    of a line fitted to points all along it lie at the points' standard deviation from their middle.
+    shift_sigma_px: (S,) by how much what lies beside the segment may have moved it, as a whole and, about as much, one
+    end against the other. polarity: (S,) as in `Edges`, 0 not known yet.
+    """
+
+    ends_px: Array
+    support_px: Array
+    sigma_px: Array
+    shift_sigma_px: Array
+    polarity: NDArray[np.int8]
+
+    def __len__(self) -> int:
+        return len(self.ends_px)
+
+    @property
+    def end_sigma_px(self) -> Array:
+        """The whole error (S,) of a support point against the other one."""
+        return np.hypot(self.sigma_px, self.shift_sigma_px)
+
+    @property
+    def across_sigma_px(self) -> Array:
+        """The error (S,) of two independent support points that leaves the middle as uncertain as it is."""
+        return np.sqrt(self.sigma_px**2 + 3 * self.shift_sigma_px**2)
+
+    def take(self, index: NDArray[np.bool_]) -> Segments:
+        """Return the segments where the mask (S,) holds."""
+        return Segments(*(getattr(self, column.name)[index] for column in fields(self)))
+
+    @classmethod
+    def of_ends(cls, ends_px: Array, sigma_px: float) -> Segments:
+        """Return segments that are known by their ends (S, 2, 2), in any order."""
+        upside_down = ends_px[:, 0, 1] < ends_px[:, 1, 1]
+        ends = np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px)
+        count = len(ends)
+        none = np.zeros(count)
+        return cls(ends, ends, np.full(count, sigma_px), none, np.zeros(count, dtype=np.int8))

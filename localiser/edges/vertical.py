@@ -9,10 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera
 from localiser.edges.mount import LENS_SIGMA, NEAR_RAD, MountError, NadirMiss, fit_mount, nadir_miss
-from localiser.edges.mount_kernel import same_edge_loop
-from localiser.edges.segments import Segments
-from localiser.edges.types import Edges
-from localiser.edges.undistort import ideal_camera
+from localiser.edges.types import Edges, Segments
+from localiser.edges.views import ideal_camera
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -96,3 +94,47 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
         gate_sigma,
         _BESIDE_SHARE,
     )
+
+
+# -- loops, for numba to compile --------------------------------------------------------------------------------------
+
+
+def same_edge_loop(
+    bearing: Array,
+    order: NDArray[np.int64],
+    per_mount: Array,
+    mount_cov: Array,
+    variance: Array,
+    told_apart: Array,
+    extent: Array,
+    polarity: NDArray[np.int8],
+    gate_sigma: float,
+    beside_share: float,
+) -> NDArray[np.int64]:
+    """Return the edge (S,) of each segment, the most certain one gathering first: `same_edge`.
+
+    order: (S,) from the most certain segment to the least; sorting would take longer to compile than all of this.
+    told_apart: (S, 2) least difference that can be told apart, and by scatter. extent: (S, 2) lowest and highest e.
+    """
+    count = len(bearing)
+    edge = np.full(count, -1, np.int64)
+    edges = 0
+    for first in order:
+        if edge[first] >= 0:
+            continue
+        for other in range(count):
+            if edge[other] >= 0 or polarity[other] != polarity[first]:
+                continue
+            by_tilt, by_roll = per_mount[other] - per_mount[first]
+            by_mount = mount_cov[0, 0] * by_tilt**2 + 2 * mount_cov[0, 1] * by_tilt * by_roll
+            by_mount += mount_cov[1, 1] * by_roll**2
+            allowed = gate_sigma * np.sqrt(variance[first] + variance[other] + by_mount)
+            common = min(extent[first, 1], extent[other, 1]) - max(extent[first, 0], extent[other, 0])
+            shorter = min(extent[first, 1] - extent[first, 0], extent[other, 1] - extent[other, 0])
+            if common > beside_share * shorter:
+                scatter = np.hypot(told_apart[first, 1], told_apart[other, 1])
+                allowed = min(allowed, max(told_apart[other, 0], scatter))
+            if abs(bearing[other] - bearing[first]) <= allowed:
+                edge[other] = edges
+        edges += 1
+    return edge

@@ -8,15 +8,18 @@ image vertical, positive when the top leans right; the paper's slope is m = 1 / 
 [Taylor06] is Taylor, Geva, Boles, "Using Camera Tilt to Assist with Localisation", ICARA 2006.
 """
 
-from localiser.geometry.angles import MANY, Array, circular_mean, cos_sin, wrap_angle, wrap_half_turn
 from localiser.geometry.compiled import private_folder, read_kept, write_kept
-from localiser.geometry.increment import Increment
-from localiser.geometry.numbers import finite_numbers
 from localiser.geometry.poses import (
+    MANY,
+    Array,
+    Increment,
     arc_log,
     arc_motion,
     between,
+    circular_mean,
     compose,
+    cos_sin,
+    finite_numbers,
     forward,
     interpolate_pose,
     map_from_robot,
@@ -25,6 +28,8 @@ from localiser.geometry.poses import (
     robot_from_map,
     ros_cov_from_cov,
     ros_from_pose,
+    wrap_angle,
+    wrap_half_turn,
 )
 from localiser.geometry.slopes import (
     bearing_from_lean,
@@ -46,5 +51,12 @@ from localiser.geometry.slopes import (
     slope_from_lean,
     slope_from_point,
 )
-from localiser.geometry.trajectory import Trajectory, bridged, without_pauses
-from localiser.geometry.twist import MOST_SPEED_M_S, UNKNOWN_TWIST, Twist, twist_at
+from localiser.geometry.trajectory import (
+    MOST_SPEED_M_S,
+    UNKNOWN_TWIST,
+    Trajectory,
+    Twist,
+    bridged,
+    twist_at,
+    without_pauses,
+)

@@ -1,14 +1,54 @@
-"""Poses on the floor, and the same in ROS (REP-103). The last axis of a pose is (x, z, heading), of a point (x, z).
+"""Angles, poses and motions on the floor, and the same in ROS (REP-103).
 
-Conventions: docs/conventions.md.
+The last axis of a pose is (x, z, heading), of a point (x, z). Conventions: docs/conventions.md.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike
+from dataclasses import dataclass, field
 
-from localiser.geometry.angles import Array, wrap_angle
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from localiser.errors import InputError
+
+Array = NDArray[np.float64]
+
+MANY = 256  # angles, from which on a compiled loop is worth calling
+_SEVERAL = 64  # angles, from which on it is worth looking whether any needs to be wrapped
+
+
+def wrap_angle(angle: float | ArrayLike) -> Array:
+    """Return the angle (rad) wrapped to [-pi, pi)."""
+    if isinstance(angle, float):
+        return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+    turned = np.asarray(np.asarray(angle, dtype=np.float64) + np.pi)
+    if turned.size >= _SEVERAL and turned.min() >= 0 and turned.max() < 2 * np.pi:
+        return np.asarray(turned - np.pi)  # what the remainder would leave as it is, ten times as fast
+    return np.asarray(turned % (2 * np.pi) - np.pi)
+
+
+def wrap_half_turn(angle: ArrayLike) -> Array:
+    """Return the angle (rad) of an undirected line wrapped to [-pi/2, pi/2)."""
+    return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi / 2) % np.pi - np.pi / 2)
+
+
+def cos_sin(angle: Array) -> tuple[Array, Array]:
+    """Return cosine and sine (N,) of angles (N,), to one bit; of many angles ten times as fast as numpy."""
+    if len(angle) < MANY:
+        return np.cos(angle), np.sin(angle)
+    from localiser.geometry.angle_kernel import cos_sin_of
+
+    cos, sin = cos_sin_of(np.ascontiguousarray(angle))
+    return cos, sin
+
+
+def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
+    """Return the direction (rad) of the weighted mean vector of unit vectors at `angles`."""
+    angles = np.asarray(angles, dtype=np.float64)
+    weights = np.ones_like(angles) if weights is None else np.asarray(weights, dtype=np.float64)
+    cos, sin = cos_sin(angles)
+    return float(np.arctan2(weights @ sin, weights @ cos))
 
 
 def forward(heading: ArrayLike) -> Array:
@@ -116,3 +156,66 @@ def ros_cov_from_cov(cov: ArrayLike) -> Array:
     """Return covariances (..., 3, 3) of (x_ros, y_ros, yaw) from those of (x, z, heading); its own inverse."""
     sign = np.array([1.0, -1.0, 1.0])
     return np.asarray(np.asarray(cov, dtype=np.float64) * sign[:, None] * sign[None, :])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increment:
+    """A motion of the robot between two instants, from wheels or from vision.
+
+    mean: (3,) motion (right m, backward m, turn rad) in the robot frame at the first instant.
+    cov: (3, 3) covariance of `mean`; zeros leave the noise to the motion model.
+    path_m, turned_rad: how far the robot drove and turned on the way, which is more than `mean` where it went to and
+        fro; the motion model's noise grows with these.
+    by_delay: (3,) how `mean` changes per second by which the robot is later than its odometry.
+    """
+
+    mean: Array
+    cov: Array
+    path_m: float
+    turned_rad: float
+    by_delay: Array = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def from_mean(cls, mean: ArrayLike, cov: ArrayLike | None = None) -> Increment:
+        """Return the increment of one straight move: path and turn are those of `mean` (3,)."""
+        mean = np.asarray(mean, dtype=np.float64)
+        cov = np.zeros((3, 3)) if cov is None else np.asarray(cov, dtype=np.float64)
+        return cls(mean, cov, float(np.hypot(mean[0], mean[1])), float(abs(mean[2])))
+
+    def then(self, later: Increment) -> Increment:
+        """Return this motion followed by `later`; covariances are carried to first order.
+
+        cov = A cov_1 Aᵀ + B cov_2 Bᵀ with A = ∂(1 ∘ 2)/∂1 and B = ∂(1 ∘ 2)/∂2 [Smith, Self, Cheeseman 1990].
+        """
+        cos, sin = np.cos(self.mean[2]), np.sin(self.mean[2])
+        x, z = later.mean[0], later.mean[1]
+        jac_self = np.array([[1.0, 0.0, -sin * x + cos * z], [0.0, 1.0, -cos * x - sin * z], [0.0, 0.0, 1.0]])
+        jac_later = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        cov = jac_self @ self.cov @ jac_self.T + jac_later @ later.cov @ jac_later.T
+        return Increment(
+            compose(self.mean, later.mean),
+            cov,
+            self.path_m + later.path_m,
+            self.turned_rad + later.turned_rad,
+            jac_self @ self.by_delay + jac_later @ later.by_delay,
+        )
+
+
+def finite_numbers(name: str, values: ArrayLike, *shapes: tuple[int | str, ...]) -> Array:
+    """Return finite numbers as a new array of one of the shapes, in which a name such as "E" stands for any length.
+
+    Raises InputError, which names the field `name`.
+    """
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.array(np.nan)
+    fits = any(len(shape) == found.ndim and all(map(_same, shape, found.shape)) for shape in shapes)
+    if not fits or not np.isfinite(found).all():
+        expected = " or ".join(str(shape).replace("'", "") if shape else "one" for shape in shapes)
+        raise InputError(f"expected {expected} finite numbers, found {values!r}", field=name)
+    return found
+
+
+def _same(expected: int | str, found: int) -> bool:
+    return isinstance(expected, str) or expected == found

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from localiser.geometry.angles import Array, wrap_half_turn
+from localiser.geometry.poses import Array, wrap_half_turn
 
 
 def _sin_of_tilt(tilt_rad: float) -> float:

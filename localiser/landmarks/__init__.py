@@ -1,9 +1,16 @@
 """The landmark map, its index by place, and how a landmark is seen from a pose."""
 
-from localiser.landmarks.image_lines import landmark_ends, predicted_lines
-from localiser.landmarks.index import CELL_M, HEADINGS, LandmarkIndex, in_view_of_cells
+from localiser.landmarks.index import (
+    CELL_M,
+    HEADINGS,
+    LandmarkIndex,
+    Reach,
+    in_view_of_cells,
+    kept_with,
+    reach_of,
+    sigmas_m,
+)
 from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality
-from localiser.landmarks.reach import Reach, kept_with, reach_of, sigmas_m
 from localiser.landmarks.visibility import (
     Sight,
     SightParameters,
@@ -13,6 +20,8 @@ from localiser.landmarks.visibility import (
     half_view_rad,
     image_heights,
     in_camera,
+    landmark_ends,
+    predicted_lines,
     sight,
     visible_length_px,
     widest_tangent,

@@ -4,19 +4,17 @@ from localiser.motion.constant_errors import EXACT
 from localiser.motion.inertial import GRAVITY_M_S2, up_of
 from localiser.motion.odometry_model import (
     SLIP,
+    EstimatesConstantErrors,
+    LinearisedMotion,
+    MotionCovariance,
+    MotionModel,
     MotionParameters,
     Step,
+    covariance_of,
     direction_of_travel,
     expected_step,
     linearised,
     noise_variances,
     predict,
     wheel_cov,
-)
-from localiser.motion.protocols import (
-    EstimatesConstantErrors,
-    LinearisedMotion,
-    MotionCovariance,
-    MotionModel,
-    covariance_of,
 )

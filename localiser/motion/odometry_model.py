@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import Field
 
 from localiser import geometry
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle
+from localiser.geometry.compiled import compiled
 from localiser.motion.constant_errors import (
     CONSTANT_ERRORS,
     ConstantErrorParameters,
@@ -148,10 +149,8 @@ def stepped(
     particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
 ) -> Particles:
     """Return the particles after steps drawn as `normal` (3, N), and what these told them of the constant errors."""
-    from localiser.motion.step_kernel import step_to
-
     columns = np.empty_like(particles.columns, order="C")
-    step_to(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
+    compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
     columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
     if CAMERA_YAW in particles.names:
         columns[2] -= columns[particles.names.index(CAMERA_YAW)]
@@ -238,3 +237,78 @@ def _map_from_step(pose: Array, increment: Increment) -> Array:
     way = float(pose[2]) + direction_of_travel(increment)
     cos, sin = np.cos(way), np.sin(way)
     return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
+
+
+def step_loop(start: Array, cos: Array, sin: Array, expected: Array, root: Array, normal: Array, end: Array) -> None:
+    """Write the poses of N particles after a step into the first three rows of `end` (D, N).
+
+    start: (3, N) poses. cos, sin: (N,) of the directions of travel. expected: (3, N) steps (along, left, turn). root:
+    (3, 3), by which standard normal draws (3, N) become what a step differs from that.
+    """
+    for n in range(len(cos)):
+        along, left, turn = expected[0, n], expected[1, n], expected[2, n]
+        x, z, turned = 0.0, 0.0, 0.0  # by what is drawn
+        for k in range(3):
+            x += (-sin[n] * root[0, k] - cos[n] * root[1, k]) * normal[k, n]
+            z += (sin[n] * root[1, k] - cos[n] * root[0, k]) * normal[k, n]
+            turned += root[2, k] * normal[k, n]
+        end[0, n] = start[0, n] + (-sin[n] * along - cos[n] * left) + x
+        end[1, n] = start[1, n] + (sin[n] * left - cos[n] * along) + z
+        end[2, n] = start[2, n] + turn + turned
+
+
+# -- what the filter asks of a motion model ---------------------------------------------------------------------------
+
+
+@runtime_checkable
+class MotionModel(Protocol):
+    """Anything that moves particles by an increment."""
+
+    def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
+        """Return the particles moved by `increment`, each with its own draw of the noise."""
+        ...
+
+
+@runtime_checkable
+class LinearisedMotion(MotionModel, Protocol):
+    """A model whose noise is normal, so that the optimal proposal can draw steps from odometry and edges together."""
+
+    def expected_step(self, particles: Particles, increment: Increment) -> Step:
+        """Return where particles are expected, and the derivatives of that by the standardised step."""
+        ...
+
+    def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
+        """Return the particles after standardised steps (3, N)."""
+        ...
+
+
+@runtime_checkable
+class MotionCovariance(MotionModel, Protocol):
+    """A model that can say how certain odometry is, which visual odometry and persistent clutter use."""
+
+    def covariance(self, increment: Increment) -> Array:
+        """Return the covariance (3, 3) of a motion in the robot frame, constant errors included."""
+        ...
+
+
+@runtime_checkable
+class EstimatesConstantErrors(MotionModel, Protocol):
+    """A model whose particles carry constant errors of wheels and mount in columns of their own."""
+
+    @property
+    def delay_sigma_s(self) -> float:
+        """By how much the robot may be later than its odometry, one sigma."""
+        ...
+
+    def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
+        """Return particles of stated robot poses with the columns of the constant errors."""
+        ...
+
+    def with_constant_errors(self, particles: Particles) -> Particles:
+        """Return particles of poses that a camera was found at with the columns of the constant errors."""
+        ...
+
+
+def covariance_of(model: MotionModel, increment: Increment) -> Array:
+    """Return the covariance (3, 3) of a motion as the model has it, else as the increment states it."""
+    return model.covariance(increment) if isinstance(model, MotionCovariance) else increment.cov

@@ -12,11 +12,12 @@ from localiser.particles.cloud import (
     from_gaussian,
     largest_step,
     log_sum,
+    multinomial_resample,
     normalised,
     only,
     spread,
+    systematic_resample,
     take,
     thinned,
 )
 from localiser.particles.clusters import CELL_M, CELL_RAD, Clusters, cells_of, find_clusters
-from localiser.particles.resampling import multinomial_resample, systematic_resample

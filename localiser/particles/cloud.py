@@ -1,4 +1,4 @@
-"""Weighted particles: named columns, effective sample size, stages and kernel, estimate."""
+"""Weighted particles: named columns, effective sample size, stages and kernel, estimate, resampling."""
 
 from __future__ import annotations
 
@@ -202,3 +202,43 @@ def _within(particles: Particles) -> Array:
     if CAMERA_YAW in particles.names:
         by_constant_error[2] = -by_constant_error[particles.names.index(CAMERA_YAW)]
     return np.asarray(by_constant_error @ particles.constant_error_cov @ by_constant_error.T)
+
+
+Indices = NDArray[np.int64]
+
+
+def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> Indices:
+    """Return `count` indices from an even comb with one uniform offset: offspring are ⌊count·w⌋ or ⌈count·w⌉.
+
+    weight: (N,) not negative, of any positive sum. Raises ValueError when the sum is zero or not finite, or a weight is
+    negative. [Carpenter, Clifford, Fearnhead 1999]
+    """
+    offset = rng.random()
+    cumulative, last = _cumulative(weight)
+    place = cumulative * (count / cumulative[-1])
+    whole = np.minimum(place.astype(np.int64), count - 1)
+    # Teeth of the comb below `place`: all at whole numbers before, and the next one if it comes first.
+    below = whole + (offset < place - whole)
+    below[last:] = count
+    return np.repeat(np.arange(len(below)), np.diff(below, prepend=0))
+
+
+def multinomial_resample(weight: Array, count: int, rng: np.random.Generator) -> Indices:
+    """Return `count` indices drawn independently, in ascending order [Gordon, Salmond, Smith 1993].
+
+    weight: as for `systematic_resample`, with the same errors.
+    """
+    cumulative, last = _cumulative(weight)
+    drawn = np.sort(rng.random(count)) * cumulative[-1]
+    return np.asarray(np.minimum(np.searchsorted(cumulative, drawn, side="right"), last))
+
+
+def _cumulative(weight: Array) -> tuple[Array, int]:
+    """Return the cumulative sum (N,) and the index of the last particle that has any weight; checks the weights."""
+    cumulative = np.cumsum(weight, dtype=np.float64)
+    total = cumulative[-1] if len(cumulative) else 0.0
+    if not np.isfinite(total) or total <= 0:
+        raise ValueError(f"weights sum to {total}")
+    if np.min(weight) < 0:
+        raise ValueError(f"weight {np.min(weight)} is negative")
+    return cumulative, int(np.flatnonzero(weight)[-1])

@@ -1,6 +1,11 @@
 """Visual odometry: how the robot moved between two images, by their edges [Taylor06, sec. 3]."""
 
 from localiser.visual_odometry.estimate import Belief, Followed, Frames, follow
-from localiser.visual_odometry.odometer import Odometer, seen_increment, twist_of_wheels, with_scale
-from localiser.visual_odometry.parameters import VisualOdometryParameters
+from localiser.visual_odometry.odometer import (
+    Odometer,
+    VisualOdometryParameters,
+    seen_increment,
+    twist_of_wheels,
+    with_scale,
+)
 from localiser.visual_odometry.twist import Gaussian, motion_gaussian

@@ -18,15 +18,35 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 from localiser.landmarks import field_of_view_rad
-from localiser.visual_odometry import pairs as pairing
-from localiser.visual_odometry.pairs import Pairs, candidates
-from localiser.visual_odometry.search import likely_motions
-from localiser.visual_odometry.sights import FOOT_UNEVEN_SIGMA_M, Sights, errs_apart, with_errors_apart
+from localiser.visual_odometry.sights import (
+    FLOOR_SHARES,
+    FOLLOWED_SHARE,
+    FOOT_UNEVEN_SIGMA_M,
+    HUNG_SHARE,
+    NEIGHBOUR_SHARE,
+    NEIGHBOUR_SIGMA_RAD,
+    TYPICAL_INVERSE_RANGE,
+    TYPICAL_SPREAD,
+    Pairs,
+    Sights,
+    candidates,
+    errs_apart,
+    with_errors_apart,
+)
 from localiser.visual_odometry.twist import Gaussian, at_least, mixture, motion_gaussian
 
 if TYPE_CHECKING:
     from localiser.visual_odometry import twist_kernel as kernel
+
+_REACH = 2.5  # sigmas of the prior that are searched
+_BIN_RAD = np.deg2rad(0.25)
+_WIDTHS_RAD = np.deg2rad([0.3, 0.6, 1.2, 2.4, 4.8])
+_GRID = np.linspace(-1.0, 1.0, 7)
+_MOST_BINS = 1440
+_KERNEL_REACH = 3.0  # sigmas
+
 
 _PEAKS = 4
 _HANGING_SHARE = 0.3
@@ -43,8 +63,7 @@ class Followed:
     """How the robot moved, by the edges of two frames.
 
     twist: of the motion, right (m), backward (m), turn (rad) in the robot frame of the first.
-    first, second: (M,) indices of the edges that were followed. weight: (M,) how surely they are the same, 0 … 1.
-    on_floor: (M,) how surely their lower end is where they meet the floor.
+    first, second: (M,) indices of the edges that were followed.
     log_evidence: of how well the frames are explained, by Laplace's approximation.
     has_feet: whether any lower end was taken for a foot.
     """
@@ -52,8 +71,6 @@ class Followed:
     twist: Gaussian
     first: NDArray[np.int64]
     second: NDArray[np.int64]
-    weight: Array
-    on_floor: Array
     log_evidence: float
     has_feet: bool
 
@@ -89,16 +106,16 @@ class Frames:
         """Return what edges are like, as the compiled loops take it."""
         from localiser.visual_odometry import twist_kernel as kernel
 
-        followed = pairing.FOLLOWED_SHARE / max(len(self.sights[0].bearing), 1)
+        followed = FOLLOWED_SHARE / max(len(self.sights[0].bearing), 1)
         return kernel.Model(
-            pairing.HUNG_SHARE,
-            pairing.NEIGHBOUR_SHARE,
-            pairing.NEIGHBOUR_SIGMA_RAD,
-            pairing.TYPICAL_INVERSE_RANGE,
-            pairing.TYPICAL_SPREAD,
+            HUNG_SHARE,
+            NEIGHBOUR_SHARE,
+            NEIGHBOUR_SIGMA_RAD,
+            TYPICAL_INVERSE_RANGE,
+            TYPICAL_SPREAD,
             FOOT_UNEVEN_SIGMA_M / self.camera.mount.height_m,
-            (1.0 - pairing.FOLLOWED_SHARE) / followed / field_of_view_rad(self.camera),
-            *pairing.FLOOR_SHARES,
+            (1.0 - FOLLOWED_SHARE) / followed / field_of_view_rad(self.camera),
+            *FLOOR_SHARES,
         )
 
     def arrays(self) -> tuple[kernel.Frame, kernel.Frame]:
@@ -109,8 +126,43 @@ class Frames:
         return one, two
 
     def likely_motions(self, prior: Gaussian) -> list[Array]:
-        """Return the twists (3,) that most pairs agree on, among those that the prior allows."""
-        return likely_motions(self.pairs, self.sights, self.mount, prior.mean, prior.cov, _PEAKS)
+        """Return up to `_PEAKS` twists (3,) that most pairs agree on, of turns apart from one another, best first.
+
+        A Hough transform: for a coarse grid of translations, among those that the prior allows, each pair votes for its
+        change of bearing minus the parallax, blurred by the uncertainty of its range and of the grid.
+        """
+        from localiser.visual_odometry import twist_kernel as kernel
+
+        (one, two), pairs = self.sights, self.pairs
+        sigma = np.sqrt(np.diag(prior.cov))
+        reach = min(_REACH * sigma[2], np.pi)
+        bins = int(np.clip(2 * reach / _BIN_RAD, 3, _MOST_BINS)) | 1
+        turns = prior.mean[2] + np.linspace(-reach, reach, bins)
+        offset = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2) * _REACH * 0.8
+        grid = prior.mean[:2] + offset * sigma[:2]
+        cell = (_GRID[1] - _GRID[0]) * _REACH * 0.8 * sigma[:2] / 2
+        moves = np.array([kernel.camera_moved(np.array([*step, 0.0]), self.mount)[:2] for step in grid])
+
+        kernels = _kernels(turns[1] - turns[0])
+        foot = one.inverse_range[pairs.first]
+        foot = np.where(np.isnan(foot), two.inverse_range[pairs.second], foot)
+        found = compiled(votes_loop)(
+            two.bearing[pairs.second],
+            np.where(np.isnan(foot), TYPICAL_INVERSE_RANGE, foot),
+            np.where(np.isnan(foot), TYPICAL_SPREAD, 0.2 * TYPICAL_SPREAD),
+            one.bearing[pairs.first],
+            pairs.look,
+            moves,
+            cell,
+            turns[0],
+            turns[1] - turns[0],
+            bins,
+            _WIDTHS_RAD,
+            kernels,
+            (kernels > 0).sum(axis=1),
+        )
+        found = found * np.exp(-0.5 * (offset**2).sum(axis=-1)[:, None] / 4)
+        return [np.array([*grid[row], turns[column]]) for row, column in _peaks(found, turns)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,14 +193,6 @@ def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
     return replace(best, twist=Gaussian(whole.mean, at_least(whole.cov, solver.fragility(best))))
 
 
-def groups(bearing: Array) -> NDArray[np.int64]:
-    """Return the group (M,) of each edge: those less than a few degrees from the next, as the sides of one thing."""
-    order = np.argsort(bearing)
-    group = np.empty(len(bearing), dtype=np.int64)
-    group[order] = np.cumsum(np.diff(bearing[order], prepend=-np.inf) > _APART_RAD) - 1
-    return group
-
-
 class _Solver:
     """Pairs edges and solves for the motion in turns, under one belief."""
 
@@ -176,7 +220,7 @@ class _Solver:
         from localiser.visual_odometry import twist_kernel as kernel
 
         pairs, prior = self._frames.pairs, self._belief.prior
-        mean, cov, chosen, weight, floor, log_likelihood = kernel.refine(
+        mean, cov, chosen, log_likelihood = kernel.refine(
             self._pairs,
             pairs.look,
             np.ones(len(self._pairs), dtype=np.bool_) if usable is None else usable,
@@ -195,14 +239,12 @@ class _Solver:
         share = self._belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
         # Edges of one group are one piece of evidence, not many.
         evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
-        return Followed(
-            Gaussian(mean, cov), pairs.first[chosen], pairs.second[chosen], weight, floor, evidence, on_floor
-        )
+        return Followed(Gaussian(mean, cov), pairs.first[chosen], pairs.second[chosen], evidence, on_floor)
 
     def nothing(self) -> Followed:
         """Return what is believed when no edge can be followed."""
-        none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
-        return Followed(self._belief.prior, none, none, empty, empty, self._belief.log_share, True)
+        none = np.zeros(0, dtype=np.int64)
+        return Followed(self._belief.prior, none, none, self._belief.log_share, True)
 
     def fragility(self, followed: Followed) -> Array:
         """Return the covariance (3, 3) of what the twist changes by when one group of edges is left out."""
@@ -219,7 +261,12 @@ class _Solver:
         return np.asarray(change.T @ change) * max(count - 1, 1) / max(count, 1)
 
     def _groups(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
-        return groups(self._frames.sights[0].bearing[first])
+        """Return the group (M,) of each edge: those less than 3° from the next, as the sides of one thing."""
+        bearing = self._frames.sights[0].bearing[first]
+        order = np.argsort(bearing)
+        group = np.empty(len(bearing), dtype=np.int64)
+        group[order] = np.cumsum(np.diff(bearing[order], prepend=-np.inf) > _APART_RAD) - 1
+        return group
 
 
 def _distinct(followed: Iterable[Followed]) -> list[Followed]:
@@ -230,3 +277,66 @@ def _distinct(followed: Iterable[Followed]) -> list[Followed]:
         if all((np.abs(new.twist.mean - old.twist.mean) > 0.5 * sigma).any() for old in kept):
             kept.append(new)
     return kept
+
+
+# -- votes -----------------------------------------------------------------------------------------------------------
+
+
+def _kernels(step: float) -> Array:
+    """Return what a vote of each of W widths gives to the bins at 0, 1, 2 … from it (W, R); 0 beyond its reach."""
+    sigma = np.maximum(_WIDTHS_RAD, step)[:, None]
+    apart = np.arange(int(_KERNEL_REACH * sigma.max() / step) + 1) * step / sigma
+    return np.where(apart < _KERNEL_REACH, np.exp(-0.5 * apart**2) / sigma, 0.0)
+
+
+def _peaks(votes: Array, turns: Array) -> list[tuple[int, int]]:
+    """Return (row, column) of the highest votes, at turns at least twice the narrowest width apart."""
+    best = votes.max(axis=0)
+    found: list[tuple[int, int]] = []
+    apart = 4 * _WIDTHS_RAD[0]
+    while len(found) < _PEAKS and best.max() > 0:
+        column = int(best.argmax())
+        found.append((int(votes[:, column].argmax()), column))
+        best = np.where(np.abs(turns - turns[column]) < apart, 0.0, best)
+    return found
+
+
+def votes_loop(
+    offset_bearing: Array,
+    inverse: Array,
+    spread: Array,
+    bearing: Array,
+    look: Array,
+    moves: Array,
+    cell: Array,
+    first_turn: float,
+    turn_step: float,
+    bins: int,
+    widths: Array,
+    kernels: Array,
+    reaches: NDArray[np.int64],
+) -> Array:
+    """Return the votes (G, B) of P pairs for B turns under each of G moves (x, z of the camera).
+
+    offset_bearing: change of bearing (P,) is that minus the first. kernels: (W, R) what a vote of each of W widths
+    gives to its R next bins, of which `reaches` (W,) are not 0. cell: (2,) half of the distance between moves.
+    """
+    result = np.zeros((len(moves), bins))
+    for p in range(len(look)):
+        sin, cos = np.sin(bearing[p]), np.cos(bearing[p])
+        by_cell = inverse[p] * np.sqrt((cos * cell[0]) ** 2 + (sin * cell[1]) ** 2) / 2.0
+        for g in range(len(moves)):
+            x, z = moves[g]
+            expected = np.arctan2(sin - inverse[p] * x, cos + inverse[p] * z)
+            parallax = spread[p] * (cos * x + sin * z)
+            width = np.sqrt(parallax**2 + by_cell**2)
+            kind = 0
+            while kind < len(widths) - 1 and widths[kind] < width:
+                kind += 1
+            turn = offset_bearing[p] - expected
+            turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+            middle = int(np.round((turn - first_turn) / turn_step))
+            reach = reaches[kind]
+            for column in range(max(middle - reach + 1, 0), min(middle + reach, bins)):
+                result[g, column] += look[p] * kernels[kind, abs(column - middle)]
+    return result

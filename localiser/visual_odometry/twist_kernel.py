@@ -457,11 +457,10 @@ def refine(
     start: Array,
     start_var: Array,
     model: Model,
-) -> tuple[Array, Array, NDArray[np.int64], Array, Array, Array]:
+) -> tuple[Array, Array, NDArray[np.int64], Array]:
     """Return what pairing edges and solving for the twist in turns leads to, from a start (3,).
 
-    Twist (3,) and covariance (3, 3), indices of the pairs chosen (M,), and their weights, floor shares and
-    log-likelihoods (M,).
+    Twist (3,) and covariance (3, 3), indices of the pairs chosen (M,), and their log-likelihoods (M,).
     """
     size = 3 + one.common.shape[2]
     unknown, cov = np.zeros(size), np.zeros((size, size))
@@ -469,7 +468,7 @@ def refine(
         unknown[k], cov[k, k] = (start[k], start_var[k]) if k < 3 else (0.0, 1.0)
     before, links = np.empty(3), np.empty((0, 2), dtype=np.int64)
     chosen, previous = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    weight, floor, log_likelihood = np.empty(0), np.empty(0), np.empty(0)
+    log_likelihood = np.empty(0)
     for _ in range(_ROUNDS):
         found = pair_odds(pairs, look, usable, one, two, unknown, cov, mount, model, belief.on_floor)
         previous, chosen = chosen, one_to_one(pairs, found[:, 0], len(one.measured), len(two.measured))
@@ -494,4 +493,4 @@ def refine(
             settled = settled and abs(unknown[k] - before[k]) < 0.1 * np.sqrt(cov[k, k])
         if settled:
             break
-    return unknown[:3], cov[:3, :3], chosen, weight, floor, log_likelihood
+    return unknown[:3], cov[:3, :3], chosen, log_likelihood

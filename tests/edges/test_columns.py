@@ -13,7 +13,8 @@ from floor_points import floor_points
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.column_detector import Columns
 from localiser.edges.columns import change_of, clutter, gradient_field, gradient_kernel, linked, peaks_of
-from localiser.edges.rectify import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
+from localiser.edges.lines import Groups
+from localiser.edges.views import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 
 PARAMETERS = EdgeParameters(detector="columns")
 
@@ -304,3 +305,27 @@ def test_where_an_edge_ends_is_no_texture():
     fine = np.zeros((60, 640), dtype=np.float32)
     fine[:20, ::20] = fine[30:, ::20] = 100.0
     np.testing.assert_allclose(change_of(fine)[3:-3], 0.0, atol=1e-4)
+
+
+def test_lines_are_those_that_polyfit_finds_group_by_group():
+    rng = np.random.default_rng(3)
+    of = rng.permutation(np.repeat(np.arange(5), [2, 3, 10, 40, 7]))
+    groups = Groups(of, 5)
+    x, weight = rng.uniform(-50, 50, len(of)), rng.uniform(0.1, 4.0, len(of))
+    y = 3.0 + 0.2 * x + rng.normal(0, 1, len(of))
+    fit = groups.line(x, y, weight)
+    for group in range(5):
+        own = of == group
+        slope, start = np.polyfit(x[own], y[own], 1, w=np.sqrt(weight[own]))
+        np.testing.assert_allclose(fit.slope[group], slope, rtol=1e-8)
+        np.testing.assert_allclose(fit.at(np.array([group]), np.zeros(1)), start, rtol=1e-8)
+        np.testing.assert_allclose(fit.weight[group], weight[own].sum())
+        about_mean = x[own] - np.average(x[own], weights=weight[own])
+        np.testing.assert_allclose(fit.spread[group], (weight[own] * about_mean**2).sum())
+
+
+def test_a_group_without_values_has_no_extremes():
+    groups = Groups(np.array([0, 0, 2]), 3)
+    values, mask = np.array([4.0, -1.0, 7.0]), np.array([True, True, False])
+    np.testing.assert_array_equal(groups.lowest(values), [-1.0, np.inf, 7.0])
+    np.testing.assert_array_equal(groups.highest(values, mask), [4.0, -np.inf, -np.inf])

@@ -1,4 +1,4 @@
-"""Vertical edges of drawn images: what is found, where, how certain, and what is not an edge."""
+"""Vertical edges of drawn images: what is found, where, how certain, and what is not an edge; their feet; exposure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from edge_images import camera_of, wall_image
+from edge_images import SUPERSAMPLING, camera_of, supersampled_directions, wall_image
+from folders import ROOT
 
 from localiser.camera import Camera
 from localiser.config import read_config
@@ -16,12 +17,17 @@ from localiser.edges import (
     EdgeParameters,
     Edges,
     Segments,
-    columns_kernel,
+    columns,
     find_edges,
-    mount_kernel,
+    light_of,
+    lines,
+    mount,
     register,
+    vertical,
+    views,
     warm_up,
 )
+from localiser.edges.measure import BORDER_PX, foot_of_edges
 from localiser.errors import InputError
 from localiser.geometry.compiled import compiled
 
@@ -202,8 +208,10 @@ def test_beside_clipped_white_place_and_lean_are_less_certain():
 def test_after_warming_up_nothing_is_left_to_compile():
     camera = CAMERAS["distorted"]
     warm_up(camera, EdgeParameters())
-    loops = [getattr(columns_kernel, name) for name in dir(columns_kernel) if name.endswith("_loop")]
-    all_loops = [compiled(loop) for loop in (*loops, mount_kernel.mount_loop, mount_kernel.same_edge_loop)]
+    modules = (columns, lines, mount, vertical, views)
+    all_loops = [
+        compiled(getattr(module, name)) for module in modules for name in dir(module) if name.endswith("_loop")
+    ]
     signatures = [len(loop.signatures) for loop in all_loops]
     image = wall_image(camera, BEARINGS_DEG, GREYS, noise_sigma=3.0)
     image.flags.writeable = False
@@ -294,3 +302,63 @@ def test_lines_of_another_shape_are_an_input_error(lines):
 def test_a_detector_of_no_known_name_is_refused():
     with pytest.raises(InputError, match=r"^detector: expected 'columns', .* or 'hough', found 'nope'"):
         find_edges(np.zeros((480, 640), dtype=np.uint8), camera_of(), EdgeParameters(detector="nope"))
+
+
+CAMERA = camera_of(tilt_deg=20.0, roll_deg=1.0)
+WALL_M = 2.5
+
+
+def panel_image() -> np.ndarray:
+    """Return the image of a wall with a panel that stands on the floor."""
+    k = SUPERSAMPLING
+    right, up = supersampled_directions(CAMERA)
+    on_floor = up < -CAMERA.mount.height_m / WALL_M
+    fine = np.where(np.abs(right) < np.tan(np.deg2rad(8.0)), 70.0, 150.0)
+    fine[on_floor] = 210.0
+    image = fine.reshape(CAMERA.height, k, CAMERA.width, k).mean(axis=(1, 3))
+    image += np.random.default_rng(0).normal(0.0, 2.0, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def test_a_panel_that_stands_on_the_floor_is_as_far_as_its_foot_says() -> None:
+    edges = find_edges(panel_image(), CAMERA)
+    edges = edges.take(np.abs(np.abs(np.rad2deg(edges.bearing)) - 8.0) < 0.5)
+    assert len(edges) == 2
+    expected = WALL_M / np.cos(edges.bearing)
+    assert np.all(np.abs(edges.foot_range_m - expected) < 3 * edges.foot_range_sigma_m)
+
+
+def test_an_edge_that_may_be_cut_off_by_the_border_has_no_foot() -> None:
+    last = CAMERA.height - 1
+    bottom = np.array([[300.0, last - BORDER_PX + 1.0], [300.0, last - BORDER_PX - 1.0], [BORDER_PX - 1.0, 300.0]])
+    range_m, _ = foot_of_edges(bottom, CAMERA)
+    np.testing.assert_array_equal(np.isnan(range_m), [True, False, True])
+
+
+def test_an_edge_that_ends_above_the_horizon_has_no_foot() -> None:
+    camera = camera_of(tilt_deg=5.0)
+    image = wall_image(camera, [5.0], [70.0, 150.0])
+    image[150:] = 110
+    assert camera.level_rays(np.array([330.0, 150.0]))[1] > 0
+    edges = find_edges(image, camera)
+    assert len(edges) == 1
+    assert np.isnan(edges.foot_range_m[0])
+
+
+IMAGES = sorted((ROOT / "logs" / "corridor" / "images").iterdir())[::20]
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(0.25, "dark"), (0.6, ""), (1.0, ""), (1.2, ""), (2.5, "washed out")])
+def test_images_of_the_corridor_in_other_light(gain, verdict):
+    found = set()
+    for path in IMAGES:
+        image = np.clip(gain * cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), 0, 255).astype(np.uint8)
+        light = light_of(image)
+        found.add("dark" if light.is_dark else "washed out" if light.is_washed_out else "")
+    assert found == {verdict}
+
+
+def test_colour_counts_as_grey_does():
+    grey = np.full((48, 64), 20, dtype=np.uint8)
+    assert light_of(np.dstack([grey] * 3)) == light_of(grey)
+    assert light_of(grey).bright_grey == 20 and light_of(grey).saturated == 0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
-from localiser.edges.segments import Segments
+from localiser.edges.types import Segments
 from localiser.edges.vertical import has_direction
 from localiser.edges.vertical import vertical_segments as chosen_segments
 

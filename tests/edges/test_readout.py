@@ -11,7 +11,7 @@ from edge_images import camera_of, supersampled_directions, wall_image
 from localiser.camera import Camera, Mount, RollingShutter
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.readout import Readout, readout_of
-from localiser.edges.undistort import ideal_camera
+from localiser.edges.views import ideal_camera
 from localiser.geometry import Array, Twist, arc_motion, compose
 
 SHUTTER = RollingShutter(30e-3 / 479, stamp_row=100.0)

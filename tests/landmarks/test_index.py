@@ -1,12 +1,29 @@
-"""Landmarks by cell of floor and heading, against plain counting."""
+"""Which landmarks are within reach of a place, and in view from a cell and heading."""
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from localiser.landmarks import CELL_M, HEADINGS, LandmarkIndex, in_camera
+from localiser.camera import Camera, Mount
+from localiser.landmarks import (
+    CELL_M,
+    HEADINGS,
+    LandmarkIndex,
+    LandmarkMap,
+    Reach,
+    SightParameters,
+    in_camera,
+    reach_of,
+    sight,
+    visibility,
+)
+from localiser.landmarks import reach as reach_module
 
 
 @settings(max_examples=25)
@@ -30,3 +47,50 @@ def test_a_narrow_view_leaves_most_landmarks_out() -> None:
     points = np.random.default_rng(0).uniform(-4, 4, (30, 2))
     index = LandmarkIndex.of(points, np.full(2, -4.0), np.full(2, 4.0), np.radians(30), 12.0)
     assert np.diff(index.start).mean() < 0.6 * len(points)
+
+
+CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20.0), 0.9, back_m=-0.1))
+
+
+def scattered(count: int, side_m: float, seed: int = 0) -> LandmarkMap:
+    return LandmarkMap.from_points(np.random.default_rng(seed).uniform(0, side_m, (count, 2)))
+
+
+def test_every_landmark_in_range_of_a_point_is_listed_and_far_ones_are_not():
+    points = scattered(800, 120.0).points
+    reach = Reach.of(points, 10.0)
+    for point in np.random.default_rng(1).uniform(-20, 140, (200, 2)):
+        listed = reach.beside(point[None])
+        distance = np.hypot(*(points - point).T)
+        assert set(np.flatnonzero(distance <= 10.0)) <= set(listed)
+        assert (np.diff(listed) > 0).all()
+        assert (distance[listed] <= 10.0 + 1.5 * reach_module.PIECE_M).all()
+
+
+def test_pieces_grow_where_landmarks_are_a_world_apart():
+    points = np.array([[0.0, 0.0], [9e5, -9e5]])
+    reach = Reach.of(points, 16.0)
+    assert len(reach.start) <= reach_module.MOST_PIECES + 2
+    assert reach.beside(points[1:]).tolist() == [1]
+
+
+def test_it_is_made_once_for_a_map_and_goes_with_it():
+    landmark_map = scattered(50, 20.0)
+    assert reach_of(landmark_map, 12.0) is reach_of(landmark_map, 12.0)
+    lives = weakref.ref(landmark_map)
+    del landmark_map
+    gc.collect()
+    assert lives() is None
+
+
+@pytest.mark.parametrize("poses", [1, 40])
+def test_sight_on_a_large_map_is_that_of_all_its_landmarks(poses, monkeypatch):
+    landmark_map = scattered(3000, 80.0)
+    rng = np.random.default_rng(2)
+    cameras = np.column_stack([rng.uniform(20, 60, (poses, 2)), rng.uniform(-np.pi, np.pi, poses)])
+    found = sight(CAMERA, cameras, landmark_map, SightParameters())
+    monkeypatch.setattr(visibility, "FEW", len(landmark_map))
+    expected = sight(CAMERA, cameras, landmark_map, SightParameters())
+    assert len(found.pose) > 10 * poses
+    for column in ("pose", "landmark", "tangent", "length_px"):
+        np.testing.assert_array_equal(getattr(found, column), getattr(expected, column))
