@@ -180,7 +180,7 @@ def _measured(segments: _Segments, camera: Camera, sigma_px: float, rng: np.rand
         bearing=np.arctan(tangent) + bearing_noise,
         bearing_sigma=per_tangent * sigma / np.cos(lean) / np.sqrt(power),
         lean=geometry.wrap_half_turn(lean + (shift[:, 1] - shift[:, 0]) / length),
-        lean_sigma=geometry.lean_sigma_of_segment(length, sigma),
+        lean_sigma=np.sqrt(2) * sigma / length,
         length_px=length * camera.focal_px,
         ends_px=camera.pixels_from_upright(ends),
         landmark_id=segments.landmark,

@@ -14,6 +14,7 @@ from localiser.camera import Camera
 from localiser.geometry import Array
 from paper.room import SIZES, camera_of
 from paper.sheet import Sheet
+from paper.slopes import bearing_of_image_point, rotation_from_slopes
 
 TILT_1_DEG = 30.0
 """Of example 1, simulated."""
@@ -37,7 +38,7 @@ def table_1() -> Sheet:
     rows = []
     for first, second, printed in TABLE_1:
         slopes = np.tan(np.deg2rad([first, second]))
-        psi = float(np.rad2deg(geometry.rotation_from_slopes(slopes[0], slopes[1], np.deg2rad(TILT_1_DEG))))
+        psi = float(np.rad2deg(rotation_from_slopes(slopes[0], slopes[1], np.deg2rad(TILT_1_DEG))))
         rows.append((f"{first:.2f}", f"{second:.2f}", f"{printed:.1f}", f"{psi:.2f}", f"{psi - 20:+.2f}"))
     return Sheet(
         "table_1",
@@ -73,7 +74,7 @@ def steepest_slope() -> Sheet:
 def _slopes_of_view(across_rad: float, aspect: float, tilt_rad: float) -> tuple[float, float]:
     right = np.tan(across_rad / 2)
     a, e = np.meshgrid(np.linspace(-right, right, 201), np.linspace(-right / aspect, right / aspect, 151))
-    lean = geometry.lean_from_bearing(geometry.bearing_of_image_point(a, e, tilt_rad), tilt_rad)
+    lean = geometry.lean_from_bearing(bearing_of_image_point(a, e, tilt_rad), tilt_rad)
     slope_deg = 90 - np.rad2deg(np.abs(lean))
     return float(slope_deg.min()), float((slope_deg >= 70).mean())
 
@@ -167,7 +168,7 @@ def _psi_seen(
     true = stated.with_mount(tilt_rad=tilt_rad + np.deg2rad(tilt_error_deg), roll_rad=float(np.deg2rad(roll_error_deg)))
     ends = np.array([_whole_edge(true, float(bearing)) for bearing in geometry.bearing_from_point(*seen.T)])
     slope = geometry.slope_from_lean(stated.lean_of_segments(ends))
-    by_slope = -geometry.rotation_from_slopes(slope[:-1], slope[1:], tilt_rad)
+    by_slope = -rotation_from_slopes(slope[:-1], slope[1:], tilt_rad)
     return np.stack([by_slope, -np.diff(stated.bearing_of_segments(ends))])
 
 

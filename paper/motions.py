@@ -18,6 +18,7 @@ from localiser.geometry import Array
 from localiser.simulate import Scene, render, scene_of, visible_landmarks
 from paper.equations import TABLE_2, TILT_2_DEG
 from paper.room import SIZES, Size, camera_of, draw_places, room
+from paper.slopes import rotation_from_slopes
 
 TILT_RAD = float(np.deg2rad(TILT_2_DEG))
 DETECTORS = ("hough", "columns")
@@ -136,7 +137,7 @@ def turn_of_edges(first: Edges, second: Edges, kind: str) -> tuple[Array, Array]
 
     [Taylor06] eq. 13.
     """
-    turn = -geometry.rotation_from_slopes(slopes(first, kind), slopes(second, kind), TILT_RAD)
+    turn = -rotation_from_slopes(slopes(first, kind), slopes(second, kind), TILT_RAD)
     one, two = (
         edges.bearing_sigma if kind == "line" else edges.lean_sigma * geometry.bearing_per_lean(edges.bearing, TILT_RAD)
         for edges in (first, second)

@@ -9,12 +9,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from localiser import geometry
 from localiser.geometry import Array
 from paper.equations import TABLE_2, TILT_2_DEG
 from paper.motions import DRIVE_M, TURNS_RAD, VIEWS, Measured, pair_of, slopes, turn_of_edges, turn_rad, turns
 from paper.room import SIZES, Size
 from paper.sheet import Sheet
+from paper.slopes import depth_from_slopes, motion_from_slopes
 
 _ROBUST = 0.6745  # median |error| of a normal distribution of unit spread
 
@@ -163,9 +163,9 @@ def drive_errors(found: Measured, size: Size, method: Method) -> dict[str, Array
     ahead = -DRIVE_M  # d = z1 − z2, and z < 0 ahead
     return {
         "bearing_deg": np.rad2deg(np.concatenate([pair.first.bearing for pair in pairs])),
-        "forward_m": geometry.motion_from_slopes(first, second, z_first) - ahead,
-        "backward_m": geometry.motion_from_slopes(second, first, z_first - ahead) + ahead,
-        "depth": geometry.depth_from_slopes(first, second, ahead) / z_first - 1,
+        "forward_m": motion_from_slopes(first, second, z_first) - ahead,
+        "backward_m": motion_from_slopes(second, first, z_first - ahead) + ahead,
+        "depth": depth_from_slopes(first, second, ahead) / z_first - 1,
     }
 
 

@@ -303,7 +303,7 @@ def test_sigmas_match_segments_with_noisy_ends(tilt_deg, bearing_deg):
     expected = camera.bearing_sigma_of_segments(segment, np.array([sigma]))[0]
     assert bearings.std() == pytest.approx(expected, rel=0.02)
     assert bearings.mean() == pytest.approx(bearing, abs=4 * expected / np.sqrt(count))
-    assert leans.std() == pytest.approx(g.lean_sigma_of_segment(length, sigma), rel=0.02)
+    assert leans.std() == pytest.approx(np.sqrt(2) * sigma / length, rel=0.02)
 
 
 def central_difference(function, camera, name, step=1e-5):

@@ -34,22 +34,16 @@ from localiser.geometry.poses import (
 from localiser.geometry.slopes import (
     bearing_from_lean,
     bearing_from_point,
-    bearing_of_image_point,
     bearing_per_lean,
     bearing_per_tilt_from_lean,
     constrained_lean_sigma,
-    depth_from_slopes,
     edge_a_at,
     floor_range,
     floor_range_sigma,
     lean_from_bearing,
-    lean_from_slope,
-    lean_sigma_of_segment,
-    motion_from_slopes,
     nadir_point,
-    rotation_from_slopes,
+    sin_of_tilt,
     slope_from_lean,
-    slope_from_point,
 )
 from localiser.geometry.trajectory import (
     MOST_SPEED_M_S,

@@ -1,4 +1,4 @@
-"""The paper: bearing, slope and lean of a vertical edge under a tilted camera.
+"""Bearing, slope and lean of a vertical edge under a tilted camera; what only the paper needs is in `paper.slopes`.
 
 [Taylor06] is Taylor, Geva, Boles, "Using Camera Tilt to Assist with Localisation", ICARA 2006.
 """
@@ -8,10 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from localiser.geometry.poses import Array, wrap_half_turn
+from localiser.geometry.poses import Array
 
 
-def _sin_of_tilt(tilt_rad: float) -> float:
+def sin_of_tilt(tilt_rad: float) -> float:
+    """Return the sine of a tilt. Raises ValueError when that is 0."""
     sine = float(np.sin(tilt_rad))
     if abs(sine) < 1e-12:
         raise ValueError("tilt is 0: every vertical edge is vertical in the image, its slope tells no direction")
@@ -21,15 +22,6 @@ def _sin_of_tilt(tilt_rad: float) -> float:
 def bearing_from_point(x: ArrayLike, z: ArrayLike) -> Array:
     """Return the bearing (rad, positive right) of a point (x, z) of the camera's level frame; ±pi/2 beside it."""
     return np.asarray(np.arctan2(x, -np.asarray(z, dtype=np.float64)))
-
-
-def slope_from_point(x: ArrayLike, z: ArrayLike, tilt_rad: float) -> Array:
-    """Return the paper's slope m = -z / (x s) of the vertical edge at (x, z); infinite straight ahead.
-
-    [Taylor06] eq. 7.
-    """
-    with np.errstate(divide="ignore", over="ignore"):
-        return np.asarray(-np.asarray(z, dtype=np.float64) / (np.asarray(x, dtype=np.float64) * _sin_of_tilt(tilt_rad)))
 
 
 def lean_from_bearing(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
@@ -45,7 +37,7 @@ def bearing_from_lean(lean_rad: ArrayLike, tilt_rad: float) -> Array:
 
     Raises ValueError when the tilt is 0, where lean says nothing. [Taylor06] eq. 7.
     """
-    return np.asarray(np.arctan(np.tan(lean_rad) / _sin_of_tilt(tilt_rad)))
+    return np.asarray(np.arctan(np.tan(lean_rad) / sin_of_tilt(tilt_rad)))
 
 
 def slope_from_lean(lean_rad: ArrayLike) -> Array:
@@ -54,18 +46,12 @@ def slope_from_lean(lean_rad: ArrayLike) -> Array:
         return np.asarray(1.0 / np.tan(lean_rad))
 
 
-def lean_from_slope(slope: ArrayLike) -> Array:
-    """Return the lean = atan(1/m) in [-pi/2, pi/2]; 0 for an infinite slope."""
-    with np.errstate(divide="ignore", over="ignore"):
-        return np.asarray(np.arctan(1.0 / np.asarray(slope, dtype=np.float64)))
-
-
 def nadir_point(tilt_rad: float) -> Array:
     """Return the image point (a, e) (2,) where all vertical edges meet: (0, -c/s).
 
     a is normalised to the right, e upwards, without roll. Raises ValueError when the tilt is 0 (point at infinity).
     """
-    return np.array([0.0, -np.cos(tilt_rad) / _sin_of_tilt(tilt_rad)])
+    return np.array([0.0, -np.cos(tilt_rad) / sin_of_tilt(tilt_rad)])
 
 
 def edge_a_at(e: ArrayLike, bearing_rad: ArrayLike, tilt_rad: float) -> Array:
@@ -74,65 +60,13 @@ def edge_a_at(e: ArrayLike, bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     return np.asarray(np.tan(bearing_rad) * (np.cos(tilt_rad) + e * np.sin(tilt_rad)))
 
 
-def bearing_of_image_point(a: ArrayLike, e: ArrayLike, tilt_rad: float) -> Array:
-    """Return the bearing (rad) of the vertical edge through the image point (a, e): tan(b) = a / (c + e s).
-
-    Points at or below the nadir point (c + e s <= 0) see the floor behind the camera; their bearing exceeds pi/2.
-    """
-    e = np.asarray(e, dtype=np.float64)
-    return np.asarray(np.arctan2(a, np.cos(tilt_rad) + e * np.sin(tilt_rad)))
-
-
-# -- Two views of one edge (section 3 of the paper) -------------------------------------------------------------------
-
-
-def rotation_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, tilt_rad: float) -> Array:
-    """Return the turn psi (rad) between two views of one edge by a camera that turned on the spot.
-
-    psi = atan(m1 s) - atan(m2 s), unwrapped by pi where the edge crosses the image centre and m changes its sign.
-    Equal to b2 - b1, so positive when the robot turned left (anticlockwise). [Taylor06] eq. 13.
-    """
-    s = _sin_of_tilt(tilt_rad)
-    return wrap_half_turn(np.arctan(np.asarray(slope_1) * s) - np.arctan(np.asarray(slope_2) * s))
-
-
-def depth_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, motion_m: ArrayLike) -> Array:
-    """Return z1 of an edge seen before and after a straight motion d = z1 - z2: z1 = d m1 / (m1 - m2).
-
-    d < 0 when driving forward. An edge straight ahead gives nan, which is the truth: it tells nothing.
-    [Taylor06] eq. 10.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.asarray(motion_m, dtype=np.float64) / _motion_per_depth(slope_1, slope_2))
-
-
-def motion_from_slopes(slope_1: ArrayLike, slope_2: ArrayLike, depth_1_m: ArrayLike) -> Array:
-    """Return the motion d = z1 - z2 along the robot's axis from one edge of known z1: d = (1 - m2/m1) z1.
-
-    nan for an edge straight ahead. [Taylor06] eq. 11.
-    """
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.asarray(depth_1_m, dtype=np.float64) * _motion_per_depth(slope_1, slope_2))
-
-
-def _motion_per_depth(slope_1: ArrayLike, slope_2: ArrayLike) -> Array:
-    """Return d / z1 = 1 - m2/m1; right beside the camera (m2 = 0), nan straight ahead (both infinite)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(1.0 - np.asarray(slope_2, dtype=np.float64) / np.asarray(slope_1, dtype=np.float64))
-
-
 # -- How certain a bearing is -----------------------------------------------------------------------------------------
 
 
 def bearing_per_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     """Return J = d(bearing)/d(lean) = (cos²b + s² sin²b) / s. Raises ValueError when the tilt is 0."""
-    s = _sin_of_tilt(tilt_rad)
+    s = sin_of_tilt(tilt_rad)
     return np.asarray((np.cos(bearing_rad) ** 2 + s**2 * np.sin(bearing_rad) ** 2) / s)
-
-
-def lean_sigma_of_segment(length_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
-    """Return the sigma (rad) of a segment's lean whose two ends err by `endpoint_sigma_px` across it: √2 σ / L."""
-    return np.asarray(np.sqrt(2.0) * np.asarray(endpoint_sigma_px) / np.asarray(length_px))
 
 
 def constrained_lean_sigma(length_px: ArrayLike, nadir_distance_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
@@ -149,7 +83,7 @@ def bearing_per_tilt_from_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array
 
     Raises ValueError when the tilt is 0.
     """
-    return np.asarray(-0.5 * np.sin(2 * np.asarray(bearing_rad)) * np.cos(tilt_rad) / _sin_of_tilt(tilt_rad))
+    return np.asarray(-0.5 * np.sin(2 * np.asarray(bearing_rad)) * np.cos(tilt_rad) / sin_of_tilt(tilt_rad))
 
 
 # -- Floor contact of an edge (inverse perspective mapping) -----------------------------------------------------------

@@ -15,7 +15,7 @@ from localiser.edges.measure import common_error
 from localiser.evaluate import nees
 from localiser.filter import mcl
 from localiser.filter.attitude import MEMORY_M, Attitude, Level
-from localiser.geometry import Array, Trajectory, lean_sigma_of_segment
+from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
@@ -42,7 +42,7 @@ def measured(edges: Edges, camera: Camera) -> Edges:
         bearing=bearing,
         bearing_sigma=camera.bearing_sigma_of_segments(edges.ends_px, NOISE.endpoint_sigma_px),
         lean=camera.lean_of_segments(edges.ends_px),
-        lean_sigma=lean_sigma_of_segment(edges.length_px, NOISE.endpoint_sigma_px),
+        lean_sigma=np.sqrt(2) * NOISE.endpoint_sigma_px / edges.length_px,
         common=common_error(bearing, middle_e.mean(axis=1), camera, SIGMA),
     )
 

@@ -8,6 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser import geometry as g
+from paper.slopes import (
+    bearing_of_image_point,
+    depth_from_slopes,
+    lean_from_slope,
+    motion_from_slopes,
+    rotation_from_slopes,
+    slope_from_point,
+)
 
 angles = st.floats(-np.pi, np.pi)
 poses = st.tuples(st.floats(-50, 50), st.floats(-50, 50), angles).map(np.array)
@@ -241,35 +249,35 @@ def slope_of_projected_edge(x, z, y_1, y_2, tilt):
 )
 def test_slope_is_that_of_any_two_points_of_the_edge(bearing, range_m, y_1, y_2, tilt):
     x, z = range_m * np.sin(bearing), -range_m * np.cos(bearing)
-    slope = g.slope_from_point(x, z, tilt)
+    slope = slope_from_point(x, z, tilt)
     # The two points' differences cancel up to three digits.
     assert slope == pytest.approx(slope_of_projected_edge(x, z, y_1, y_2, tilt), rel=1e-9)
-    assert g.lean_from_slope(slope) == pytest.approx(g.lean_from_bearing(g.bearing_from_point(x, z), tilt), abs=1e-12)
+    assert lean_from_slope(slope) == pytest.approx(g.lean_from_bearing(g.bearing_from_point(x, z), tilt), abs=1e-12)
 
 
 @given(bearing=bearings, tilt=tilts)
 def test_bearing_survives_lean_and_slope(bearing, tilt):
     lean = g.lean_from_bearing(bearing, tilt)
     assert g.bearing_from_lean(lean, tilt) == pytest.approx(bearing, abs=1e-12)
-    assert g.lean_from_slope(g.slope_from_lean(lean)) == pytest.approx(lean, abs=1e-12)
+    assert lean_from_slope(g.slope_from_lean(lean)) == pytest.approx(lean, abs=1e-12)
     assert lean * bearing >= 0
 
 
 def test_edge_straight_ahead_has_infinite_slope_and_no_lean():
-    assert g.slope_from_point(0.0, -3.0, TILT) == np.inf
-    assert g.lean_from_slope(np.inf) == g.lean_from_slope(-np.inf) == 0
+    assert slope_from_point(0.0, -3.0, TILT) == np.inf
+    assert lean_from_slope(np.inf) == lean_from_slope(-np.inf) == 0
     assert g.slope_from_lean(0.0) == np.inf
     assert g.lean_from_bearing(0.0, TILT) == g.bearing_from_lean(0.0, TILT) == 0
 
 
 def test_lean_is_smooth_where_slope_changes_its_sign():
-    left, right = g.slope_from_point(np.array([-1e-9, 1e-9]), -1.0, TILT)
+    left, right = slope_from_point(np.array([-1e-9, 1e-9]), -1.0, TILT)
     assert left < -1e9 < 1e9 < right
-    np.testing.assert_allclose(g.lean_from_slope([left, right]), np.sin(TILT) * np.array([-1e-9, 1e-9]), rtol=1e-6)
+    np.testing.assert_allclose(lean_from_slope([left, right]), np.sin(TILT) * np.array([-1e-9, 1e-9]), rtol=1e-6)
 
 
 def test_edge_beside_the_camera_lies_flat():
-    assert abs(g.slope_from_point(2.0, 0.0, TILT)) == 0
+    assert abs(slope_from_point(2.0, 0.0, TILT)) == 0
     assert g.bearing_from_point([2.0, -2.0], 0.0).tolist() == [np.pi / 2, -np.pi / 2]
     np.testing.assert_allclose(g.lean_from_bearing([np.pi / 2, -np.pi / 2], TILT), [np.pi / 2, -np.pi / 2])
     np.testing.assert_allclose(g.bearing_from_lean([np.pi / 2, -np.pi / 2], TILT), [np.pi / 2, -np.pi / 2])
@@ -287,11 +295,11 @@ def test_without_tilt_lean_is_zero_and_says_nothing():
     np.testing.assert_array_equal(g.lean_from_bearing([-1.0, 0.0, 1.0], 0.0), 0)
     without_tilt = [
         lambda: g.bearing_from_lean(0.1, 0.0),
-        lambda: g.slope_from_point(1.0, -1.0, 0.0),
+        lambda: slope_from_point(1.0, -1.0, 0.0),
         lambda: g.nadir_point(0.0),
         lambda: g.bearing_per_lean(0.1, 0.0),
         lambda: g.bearing_per_tilt_from_lean(0.1, 0.0),
-        lambda: g.rotation_from_slopes(1.0, 2.0, 0.0),
+        lambda: rotation_from_slopes(1.0, 2.0, 0.0),
     ]
     for call in without_tilt:
         with pytest.raises(ValueError, match="tilt is 0"):
@@ -301,7 +309,7 @@ def test_without_tilt_lean_is_zero_and_says_nothing():
 @given(bearing=bearings, tilt=tilts, e=st.floats(-0.5, 0.5))
 def test_bearing_of_any_point_of_the_edge_line(bearing, tilt, e):
     a = g.edge_a_at(e, bearing, tilt)
-    assert g.bearing_of_image_point(a, e, tilt) == pytest.approx(bearing, abs=1e-12)
+    assert bearing_of_image_point(a, e, tilt) == pytest.approx(bearing, abs=1e-12)
     # The line's inverse slope is the lean's tangent: equation 2 contains equation 1.
     rise = g.edge_a_at(e + 1, bearing, tilt) - a
     assert rise == pytest.approx(np.tan(g.lean_from_bearing(bearing, tilt)), abs=1e-9)
@@ -320,15 +328,15 @@ def test_nadir_point_lies_f_cot_tilt_below_the_centre():
 
 def test_points_below_the_nadir_point_look_backward():
     below = g.nadir_point(np.radians(60))[1] - 0.1
-    assert g.bearing_of_image_point(0.05, below, np.radians(60)) > np.pi / 2
-    assert g.bearing_of_image_point(-0.05, below, np.radians(60)) < -np.pi / 2
+    assert bearing_of_image_point(0.05, below, np.radians(60)) > np.pi / 2
+    assert bearing_of_image_point(-0.05, below, np.radians(60)) < -np.pi / 2
 
 
 def test_steepest_edge_of_the_paper_is_at_66_degrees():
     tilt, half_width = np.radians(30), np.tan(np.radians(30))
     a, e = np.meshgrid(np.linspace(-1, 1, 81) * half_width, np.linspace(-1, 1, 61) * half_width * 3 / 4)
     steepness = np.degrees(
-        np.arctan(np.abs(g.slope_from_lean(g.lean_from_bearing(g.bearing_of_image_point(a, e, tilt), tilt))))
+        np.arctan(np.abs(g.slope_from_lean(g.lean_from_bearing(bearing_of_image_point(a, e, tilt), tilt))))
     )
     assert steepness.min() == pytest.approx(66.0, abs=0.05)
     assert np.unravel_index(steepness.argmin(), steepness.shape)[0] == 0  # in the bottom row
@@ -340,7 +348,7 @@ def test_steepest_edge_of_the_paper_is_at_66_degrees():
 @pytest.mark.parametrize(("before_deg", "after_deg", "turn_deg"), [(106.82, 95.16, 20.9), (97.54, 87.54, 19.7)])
 def test_rotation_of_the_papers_table_1(before_deg, after_deg, turn_deg):
     slopes = np.tan(np.radians([before_deg, after_deg]))
-    turn = np.degrees(g.rotation_from_slopes(*slopes, np.radians(30)))
+    turn = np.degrees(rotation_from_slopes(*slopes, np.radians(30)))
     assert turn == pytest.approx(turn_deg, abs=0.05)  # the paper gives one decimal
 
 
@@ -348,15 +356,15 @@ def test_rotation_of_the_papers_table_1(before_deg, after_deg, turn_deg):
 def test_rotation_is_the_change_of_bearing(bearing, turn, tilt):
     landmark = np.array([np.sin(bearing), -np.cos(bearing)])
     turned = g.robot_from_map([0, 0, turn], landmark)
-    slopes = (g.slope_from_point(x, z, tilt) for x, z in (landmark, turned))
-    assert g.rotation_from_slopes(*slopes, tilt) == pytest.approx(turn, abs=1e-9)
+    slopes = (slope_from_point(x, z, tilt) for x, z in (landmark, turned))
+    assert rotation_from_slopes(*slopes, tilt) == pytest.approx(turn, abs=1e-9)
 
 
 @pytest.mark.parametrize("infinite", [np.inf, -np.inf])
 def test_rotation_from_and_to_the_image_centre(infinite):
     slope = g.slope_from_lean(g.lean_from_bearing(0.3, TILT))
-    assert g.rotation_from_slopes(infinite, slope, TILT) == pytest.approx(0.3)
-    assert g.rotation_from_slopes(slope, infinite, TILT) == pytest.approx(-0.3)
+    assert rotation_from_slopes(infinite, slope, TILT) == pytest.approx(0.3)
+    assert rotation_from_slopes(slope, infinite, TILT) == pytest.approx(-0.3)
 
 
 @given(
@@ -366,34 +374,34 @@ def test_rotation_from_and_to_the_image_centre(infinite):
     tilt=tilts,
 )
 def test_depth_and_motion_from_two_slopes(x, z_1, d, tilt):
-    m_1, m_2 = g.slope_from_point(x, z_1, tilt), g.slope_from_point(x, z_1 - d, tilt)
+    m_1, m_2 = slope_from_point(x, z_1, tilt), slope_from_point(x, z_1 - d, tilt)
     # A motion of 1 cm at 10 m leaves 1e-3 of each slope as their difference.
-    assert g.depth_from_slopes(m_1, m_2, d) == pytest.approx(z_1, rel=1e-11)
-    assert g.motion_from_slopes(m_1, m_2, z_1) == pytest.approx(d, rel=1e-11)
+    assert depth_from_slopes(m_1, m_2, d) == pytest.approx(z_1, rel=1e-11)
+    assert motion_from_slopes(m_1, m_2, z_1) == pytest.approx(d, rel=1e-11)
 
 
 def test_driving_forward_is_a_negative_motion():
     # From 2 m to 1.5 m short of an edge 1 m to the right.
-    m_1, m_2 = g.slope_from_point(1.0, np.array([-2.0, -1.5]), TILT)
-    assert g.motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-0.5)
+    m_1, m_2 = slope_from_point(1.0, np.array([-2.0, -1.5]), TILT)
+    assert motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-0.5)
 
 
 def test_edge_straight_ahead_tells_no_depth_and_no_motion():
-    m_1, m_2 = g.slope_from_point(0.0, np.array([-2.0, -1.5]), TILT)
-    assert np.isnan(g.depth_from_slopes(m_1, m_2, -0.5))
-    assert np.isnan(g.motion_from_slopes(m_1, m_2, -2.0))
+    m_1, m_2 = slope_from_point(0.0, np.array([-2.0, -1.5]), TILT)
+    assert np.isnan(depth_from_slopes(m_1, m_2, -0.5))
+    assert np.isnan(motion_from_slopes(m_1, m_2, -2.0))
 
 
 def test_no_motion_tells_no_depth():
-    assert np.isnan(g.depth_from_slopes(2.0, 2.0, 0.0))
+    assert np.isnan(depth_from_slopes(2.0, 2.0, 0.0))
 
 
 def test_edge_that_comes_to_stand_beside_the_camera_gives_its_depth():
-    m_1, m_2 = g.slope_from_point(1.0, np.array([-2.0, 0.0]), TILT)
-    assert g.depth_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
-    assert g.motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
-    assert g.depth_from_slopes(m_2, m_1, 2.0) == 0
-    assert np.isnan(g.motion_from_slopes(m_2, m_1, 0.0))  # 0 m at first: the ratio of the depths is lost
+    m_1, m_2 = slope_from_point(1.0, np.array([-2.0, 0.0]), TILT)
+    assert depth_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
+    assert motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
+    assert depth_from_slopes(m_2, m_1, 2.0) == 0
+    assert np.isnan(motion_from_slopes(m_2, m_1, 0.0))  # 0 m at first: the ratio of the depths is lost
 
 
 # -- sigmas (design equations 7, 8 and 9) -----------------------------------------------------------------------------
@@ -405,7 +413,7 @@ def test_sigmas_of_the_design_table(bearing_deg, free_deg, constrained_deg):
     middle = np.array([g.edge_a_at(0.0, bearing, TILT), 0.0])  # on the principal row
     distance = f * np.linalg.norm(middle - g.nadir_point(TILT))
     per_lean = g.bearing_per_lean(bearing, TILT)
-    free = np.degrees(per_lean * g.lean_sigma_of_segment(length, sigma))
+    free = np.degrees(per_lean * np.sqrt(2) * sigma / length)
     constrained = np.degrees(per_lean * g.constrained_lean_sigma(length, distance, sigma))
     assert free == pytest.approx(free_deg, abs=5e-4)
     assert constrained == pytest.approx(constrained_deg, abs=5e-5)
@@ -430,7 +438,7 @@ def test_lean_sigmas_match_noisy_segments():
     ends = np.array([distance - length / 2, distance + length / 2])
     held = np.arctan((ends[0] * low + ends[1] * high) / (ends**2).sum())
     # A standard deviation of n samples errs by 1/√(2n) = 0.5 %; 4 sigma.
-    assert free.std() == pytest.approx(g.lean_sigma_of_segment(length, sigma), rel=0.02)
+    assert free.std() == pytest.approx(np.sqrt(2) * sigma / length, rel=0.02)
     assert held.std() == pytest.approx(g.constrained_lean_sigma(length, distance, sigma), rel=0.02)
 
 

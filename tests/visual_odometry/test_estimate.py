@@ -23,6 +23,7 @@ from localiser.visual_odometry.twist import (
     twist_gaussian,
     twist_of,
 )
+from paper.slopes import depth_from_slopes, lean_from_slope, rotation_from_slopes
 
 ANYTHING = VisualOdometryParameters().twist(None, 0.2)
 
@@ -59,8 +60,8 @@ def test_what_the_moved_camera_sees(twist: Array, bearing: float, inverse: float
 def test_turning_on_the_spot_is_equation_13_of_the_paper() -> None:
     tilt = np.radians(30.0)
     slopes = np.tan(np.radians([106.82, 95.16]))
-    bearings = geometry.bearing_from_lean(geometry.lean_from_slope(slopes), tilt)
-    turn = float(geometry.rotation_from_slopes(slopes[0], slopes[1], tilt))
+    bearings = geometry.bearing_from_lean(lean_from_slope(slopes), tilt)
+    turn = float(rotation_from_slopes(slopes[0], slopes[1], tilt))
     assert loops.seen_from(bearings[0], 0.4, 0.0, 0.0, turn)[0] == pytest.approx(bearings[1])
 
 
@@ -69,7 +70,7 @@ def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
     bearing = float(np.arctan2(right_m, ahead_m))
     seen = loops.seen_from(bearing, 1.0 / np.hypot(right_m, ahead_m), 0.0, -driven_m, 0.0)[0]
     slopes = geometry.slope_from_lean(geometry.lean_from_bearing(np.array([bearing, seen]), tilt))
-    assert geometry.depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
+    assert depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
 
 
 @settings(max_examples=50)  # the first call compiles
