@@ -52,7 +52,10 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
     fitted = refined(rough, cells, field)
     kept, top, bottom = _significant(fitted, cells, field, min_contrast)
     if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
-        return _found_in_half(image, camera, min_contrast)
+        # There a blurred edge is a sharp one.
+        found = _found(halved(image), half_camera(camera), min_contrast)
+        sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
+        return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
     fit, view = fitted.fit.take(kept), column_view(camera)
     reach = np.sqrt(fit.spread / fit.weight)
     points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
@@ -67,13 +70,6 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
         shift_sigma_px=to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept]),
         polarity=rough.polarity[kept],
     )
-
-
-def _found_in_half(image: Image, camera: Camera, min_contrast: float) -> Segments:
-    """Return the segments of an image of half the size, where a blurred edge is a sharp one, in pixels of the whole."""
-    found = _found(halved(image), half_camera(camera), min_contrast)
-    sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
-    return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
 
 
 def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
@@ -97,7 +93,11 @@ def _significant(
     column = np.rint(fitted.fit.at(line, cells.row)).astype(np.int64).clip(0, field.fine.shape[1] - 1)
     blocks = groups.sum(on)
     score = groups.sum(on * fitted.height / clutter(field.change[cells.row, column])) / np.sqrt(np.maximum(blocks, 1))
-    kept = (blocks >= LEAST_BLOCKS) & (score > _least_score(field.fine.shape)) & (fitted.contrast >= min_contrast)
+    # Noise alone exceeds this, in sigmas, less than once in an image: tests · exp(-z²/2) = 1. Tested are all runs of
+    # blocks in all columns, leaning left, right or not.
+    rows, width = field.fine.shape
+    least = float(np.sqrt(2 * np.log(3 * width * rows**2 / 2)))
+    kept = (blocks >= LEAST_BLOCKS) & (score > least) & (fitted.contrast >= min_contrast)
     kept &= ~_is_soft(fitted, kept)
     top, bottom = _extent(fitted.height, on, cells)
     return np.flatnonzero(kept), top, bottom
@@ -127,14 +127,6 @@ def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
     among = widest[kept]
     sharp = max(float(np.partition(among, int(_SHARPEST * len(among)))[int(_SHARPEST * len(among))]), SCALE_PX)
     return np.asarray(narrowest > _SOFT * sharp)
-
-
-def _least_score(shape: tuple[int, ...]) -> float:
-    """Return the score, in sigmas, that noise alone exceeds less than once in an image: tests · exp(-z²/2) = 1.
-
-    Tested are all runs of blocks in all columns, leaning left, right or not.
-    """
-    return float(np.sqrt(2 * np.log(3 * shape[1] * shape[0] ** 2 / 2)))
 
 
 def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, Array]:

@@ -56,13 +56,16 @@ def find_edges(
             twist=twist,
             detector=detector,
         )
-        return _in_whole_pixels(edges, mount)
+        ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))
+        return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
     found = (detector or detector_of(parameters))(grey, camera)
     taken = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
     segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
     if readout is not None:
         segments, turn_sigma_rad = at_stamp(taken, readout)
-    mount_sigma_rad = tilt_and_roll_sigma_rad(parameters, camera)
+    stated, usual = camera.mount.sigma or MountSigma(), parameters.mount_sigma_rad.tolist()
+    sigmas = zip((stated.tilt_rad, stated.roll_rad), usual, strict=True)
+    mount_sigma_rad = np.array([otherwise if sigma is None else sigma for sigma, otherwise in sigmas])
     plumb_sigma_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
     vertical, error = vertical_segments(
         segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma, turn_sigma_rad
@@ -79,25 +82,12 @@ def find_edges(
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
 
 
-def _in_whole_pixels(edges: Edges, mount: Mount | None) -> Edges:
-    """Return edges of an image of half the resolution with the pixels of the whole one."""
-    ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))
-    return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
-
-
 def at_stamp(taken: Segments, readout: Readout) -> tuple[Segments, Array]:
     """Return segments (S) as they were at the image's time stamp, and how far (S,) rad each may be turned besides."""
     rate, rate_sigma = readout.rates(taken.ends_px)
     ends_px, support_px = (readout.at_stamp(points, rate) for points in (taken.ends_px, taken.support_px))
     turn_sigma_rad = np.abs(readout.turn_of(support_px, rate)) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
     return replace(taken, ends_px=ends_px, support_px=support_px), turn_sigma_rad
-
-
-def tilt_and_roll_sigma_rad(parameters: EdgeParameters, camera: Camera) -> Array:
-    """Return how certain the tilt and the roll of a camera are (2,): as its mount states, else as the parameters do."""
-    stated = camera.mount.sigma or MountSigma()
-    sigmas = ((stated.tilt_rad, parameters.tilt_sigma_deg), (stated.roll_rad, parameters.roll_sigma_deg))
-    return np.array([np.deg2rad(usual_deg) if sigma is None else sigma for sigma, usual_deg in sigmas])
 
 
 def _segments_of_lines(lines: Array, camera: Camera) -> Segments:

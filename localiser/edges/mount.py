@@ -141,26 +141,6 @@ def _turn(direction: Array, by: Array) -> Array:
     return np.asarray((by[:, 0] * direction[:, 1] - by[:, 1] * direction[:, 0]) / (direction**2).sum(axis=1))
 
 
-def nadir_miss_of_edges(edges: Edges, camera: Camera, plumb_sigma_rad: float, *, lens_sigma: float = 0.0) -> NadirMiss:
-    """Return how far edges (E) are from pointing at the nadir point; short ones are stated to be more crooked."""
-    ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
-    miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad, lens_sigma=lens_sigma)
-    sigma = edges.lean_sigma
-    if TURN_RATE in edges.common.names:
-        sigma = np.hypot(sigma, _turned_alike(edges, camera))
-    return replace(miss, sigma=sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
-
-
-def _turned_alike(edges: Edges, camera: Camera) -> Array:
-    """Return how far (E,) rad an error of the turn rate turns edges, so that their number does not average it."""
-    tilt_rad = camera.mount.tilt_rad
-    if tilt_rad == 0:
-        return np.zeros(len(edges))
-    by_lean = edges.common.bearing_from_lean[:, edges.common.names.index(TURN_RATE)]
-    lean = by_lean / geometry.bearing_per_lean(edges.bearing, tilt_rad)
-    return np.asarray(np.sqrt(len(edges)) * edges.common.sigma_of(TURN_RATE) * np.abs(lean))
-
-
 def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = False) -> MountError:
     """Return the error of the stated tilt and roll that makes segments (S) point at the nadir point best.
 
@@ -224,7 +204,15 @@ def mount_error_of_edges(
     lens_sigma: see `nadir_miss`. 0 where many images follow each other: an error of the lens is the same in all of
     them, and one that is estimated anew in each is not.
     """
-    miss = nadir_miss_of_edges(edges, camera, plumb_sigma_rad, lens_sigma=lens_sigma)
+    ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad, lens_sigma=lens_sigma)
+    sigma, tilt_rad = edges.lean_sigma, camera.mount.tilt_rad
+    if TURN_RATE in edges.common.names and tilt_rad != 0:
+        # An error of the turn rate turns all edges alike, so that their number does not average it.
+        by_rate = edges.common.bearing_from_lean[:, edges.common.names.index(TURN_RATE)]
+        turned = by_rate / geometry.bearing_per_lean(edges.bearing, tilt_rad) * edges.common.sigma_of(TURN_RATE)
+        sigma = np.hypot(sigma, np.sqrt(len(edges)) * np.abs(turned))
+    miss = replace(miss, sigma=sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
     return fit_mount(miss, prior_sigma_rad, learn_crooked=True)
 
 

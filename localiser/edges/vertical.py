@@ -43,16 +43,13 @@ def vertical_segments(
     miss = nadir_miss(segments, camera, plumb_sigma_rad, lens_sigma=LENS_SIGMA)
     miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
     prior = MountError.prior(mount_sigma_rad)
-    candidates = _above_nadir(segments, camera) & _is_met(miss, prior, gate_sigma)
+    e, tilt_rad = ideal_camera(camera).upright_from_pixels(segments.ends_px)[..., 1], camera.mount.tilt_rad
+    above_nadir = (np.cos(tilt_rad) + e * np.sin(tilt_rad)).min(axis=1) > _ABOVE_NADIR
+    candidates = above_nadir & _is_met(miss, prior, gate_sigma)
     # Of a vague mount, lines that are not vertical are candidates too: they would tell that all edges are crooked.
     is_near = bool(mount_sigma_rad.max() <= NEAR_RAD)
     posterior = fit_mount(miss.take(candidates), mount_sigma_rad, learn_crooked=is_near)
     return candidates & _is_met(miss, posterior, gate_sigma), posterior
-
-
-def _above_nadir(segments: Segments, camera: Camera) -> NDArray[np.bool_]:
-    e = ideal_camera(camera).upright_from_pixels(segments.ends_px)[..., 1]
-    return np.asarray((np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad)).min(axis=1) > _ABOVE_NADIR)
 
 
 def _is_met(miss: NadirMiss, mount: MountError, gate_sigma: float) -> NDArray[np.bool_]:

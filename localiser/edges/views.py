@@ -95,7 +95,12 @@ def ideal_view(camera: Camera) -> IdealView | None:
     """Return the cached remap that undoes the lens distortion of `camera`, or None where that is negligible."""
     if bend_px(camera) < NEGLIGIBLE_BEND_PX:
         return None
-    left, top, width, height = _ideal_extent(camera)
+    border = camera.undistorted().pixels_from_image(camera.image_from_pixels(camera.border_px().reshape(-1, 2)))
+    size = np.array([camera.width, camera.height])
+    slack = (_LARGEST_GROWTH - 1) / 2 * size
+    left, top = np.floor(np.maximum(border.min(axis=0), -slack)).astype(int).tolist()
+    right, bottom = np.ceil(np.minimum(border.max(axis=0), size - 1 + slack)).astype(int).tolist()
+    width, height = right - left + 1, bottom - top + 1
     ideal = replace(camera.undistorted(), width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
     map_1, map_2, unseen = remap_tables(ideal.image_from_pixels, (width, height), camera)
     around = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
@@ -121,7 +126,11 @@ def remap_tables(
     u, v, radius = (
         (of_rows @ values @ of_columns.T).astype(np.float32) for values in (*np.moveaxis(taken, -1, 0), radius)
     )
-    shown = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1) & (radius <= _furthest(camera))
+    # Far outside the field of view a distortion polynomial turns back and would show the image's inside once more; the
+    # corners of the image bound what it was fitted for.
+    corners = camera.image_from_pixels(camera.border_px().reshape(-1, 2))
+    furthest = float(np.linalg.norm(corners, axis=-1).max()) + 1 / camera.focal_px
+    shown = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1) & (radius <= furthest)
     map_1, map_2 = cv2.convertMaps(u, (v - (rows_at_once - 1) / 2) / rows_at_once, cv2.CV_16SC2)
     return np.asarray(map_1, dtype=np.int16), np.asarray(map_2, dtype=np.uint16), ~shown
 
@@ -136,29 +145,6 @@ def _cubic_weights(count: int) -> Array:
     index = whole.astype(np.int64)[:, None] + np.arange(4)
     np.put_along_axis(weights, index, t @ cubic.T, axis=1)
     return weights
-
-
-def _furthest(camera: Camera) -> float:
-    """Return the largest distance from the image's centre at which something can be seen, in image coordinates.
-
-    Far outside the field of view a distortion polynomial turns back and would show the image's inside once more; the
-    corners of the image bound what it was fitted for.
-    """
-    return (
-        float(np.linalg.norm(camera.image_from_pixels(camera.border_px().reshape(-1, 2)), axis=-1).max())
-        + 1 / camera.focal_px
-    )
-
-
-def _ideal_extent(camera: Camera) -> tuple[int, int, int, int]:
-    """Return (left, top, width, height) px of the ideal image that holds the border of the taken one."""
-    ideal = camera.undistorted().pixels_from_image(camera.image_from_pixels(camera.border_px().reshape(-1, 2)))
-    size = np.array([camera.width, camera.height])
-    slack = (_LARGEST_GROWTH - 1) / 2 * size
-    low = np.floor(np.maximum(ideal.min(axis=0), -slack)).astype(int)
-    high = np.ceil(np.minimum(ideal.max(axis=0), size - 1 + slack)).astype(int)
-    width, height = high - low + 1
-    return int(low[0]), int(low[1]), int(width), int(height)
 
 
 ROWS_AT_ONCE = 2

@@ -93,7 +93,7 @@ def sight(
     right, ahead, landmark = right[pose, column], ahead[pose, column], near[column]
     tangent = right / ahead
     e_bottom, e_top = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
-    length_px = _length_px(camera, tangent, e_bottom, e_top, parameters.margin_px)
+    length_px = visible_length_px(camera, tangent, e_bottom, e_top, parameters.margin_px)
     seen = length_px >= max(parameters.length_min_px, 1e-9)
     return Sight(
         pose=pose[seen],
@@ -133,22 +133,11 @@ def by_robot_pose(by_camera_pose: Array, robot_poses: Array, camera_poses: Array
     return np.stack([by_x, by_z, by_heading + (by_x * arm_z - by_z * arm_x)], axis=-1)
 
 
-def visible_length_px(
-    camera: Camera, tangent: Array, ahead_m: Array, bottom_m: Array, top_m: Array, margin_px: float = 0.0
-) -> Array:
+def visible_length_px(camera: Camera, tangent: Array, e_bottom: Array, e_top: Array, margin_px: float = 0.0) -> Array:
     """Return the length (P,) in pixels of the part of vertical edges that lies inside the image, 0 where none does.
 
-    tangent: (P,) tan(bearing). ahead_m: (P,) distance along the camera's level axis, > 0. bottom_m, top_m: (P,)
-    heights above the floor, nan where unknown. The edge's ends are cut to the rectangle of the image, widened by
-    `margin_px`.
-    """
-    return _length_px(camera, tangent, *image_heights(camera, ahead_m, bottom_m, top_m), margin_px)
-
-
-def _length_px(camera: Camera, tangent: Array, e_bottom: Array, e_top: Array, margin_px: float) -> Array:
-    """Return `visible_length_px` of edges whose ends have these upright image heights (P,).
-
-    An edge is the line a = tan b (c + e s) of the upright image.
+    tangent: (P,) tan(bearing). e_bottom, e_top: (P,) upright image heights of the ends, see `image_heights`. They are
+    cut to the rectangle of the image, widened by `margin_px`. An edge is the line a = tan b (c + e s).
     """
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     margin = margin_px / camera.focal_px

@@ -23,7 +23,7 @@ from localiser.landmarks import (
     sight,
     visibility,
 )
-from localiser.landmarks import reach as reach_module
+from localiser.landmarks.index import MOST_PIECES, PIECE_M
 
 
 @settings(max_examples=25)
@@ -64,13 +64,13 @@ def test_every_landmark_in_range_of_a_point_is_listed_and_far_ones_are_not():
         distance = np.hypot(*(points - point).T)
         assert set(np.flatnonzero(distance <= 10.0)) <= set(listed)
         assert (np.diff(listed) > 0).all()
-        assert (distance[listed] <= 10.0 + 1.5 * reach_module.PIECE_M).all()
+        assert (distance[listed] <= 10.0 + 1.5 * PIECE_M).all()
 
 
 def test_pieces_grow_where_landmarks_are_a_world_apart():
     points = np.array([[0.0, 0.0], [9e5, -9e5]])
     reach = Reach.of(points, 16.0)
-    assert len(reach.start) <= reach_module.MOST_PIECES + 2
+    assert len(reach.start) <= MOST_PIECES + 2
     assert reach.beside(points[1:]).tolist() == [1]
 
 

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from localiser import geometry as g
 from localiser.camera import Camera, Mount
-from localiser.landmarks import LandmarkMap, SightParameters, bearing_jacobian, in_camera, sight, visible_length_px
+from localiser.landmarks import (
+    LandmarkMap,
+    SightParameters,
+    bearing_jacobian,
+    image_heights,
+    in_camera,
+    sight,
+    visible_length_px,
+)
 
 COORDINATE = st.floats(-5, 5)
 MARGIN_NONE = SightParameters(range_max_m=8.0, range_min_m=0.3, length_min_px=20.0, margin_px=0.0)
@@ -88,7 +96,7 @@ def test_visible_length_is_that_of_the_projected_edge(tilt_deg, known):
     top_m = np.where(known in {"both", "top"}, top_m, np.nan)
     expected = [visible_length_by_points(camera, *edge) for edge in zip(tangent, ahead_m, bottom_m, top_m, strict=True)]
     assert 5 < np.count_nonzero(expected) < count  # the draw has edges inside and outside
-    found = visible_length_px(camera, tangent, ahead_m, bottom_m, top_m)
+    found = visible_length_px(camera, tangent, *image_heights(camera, ahead_m, bottom_m, top_m))
     # Two neighbouring points are less than π/2e4 rad apart, which is 0.1 px; times two ends, more off the axis.
     np.testing.assert_allclose(found, expected, atol=0.5)
 
@@ -100,7 +108,7 @@ def test_with_roll_no_more_is_expected_than_the_image_shows():
     tangent, ahead_m, bottom_m = rng.uniform(-0.9, 0.9, count), rng.uniform(0.3, 6, count), rng.uniform(0, 1, count)
     top_m = bottom_m + rng.uniform(0.1, 2, count)
     shown = [visible_length_by_points(camera, *edge) for edge in zip(tangent, ahead_m, bottom_m, top_m, strict=True)]
-    found = visible_length_px(camera, tangent, ahead_m, bottom_m, top_m)
+    found = visible_length_px(camera, tangent, *image_heights(camera, ahead_m, bottom_m, top_m))
     assert np.count_nonzero(found) > 40
     assert (found <= np.array(shown) + 0.5).all()
 
@@ -109,18 +117,23 @@ def test_margin_counts_edges_just_outside():
     camera = make_camera(0.0)
     tangent = np.array([322.0 / 554])  # 2.5 px right of the image's last column
     unknown = np.array([np.nan])
-    assert visible_length_px(camera, tangent, np.array([2.0]), unknown, unknown)[0] == 0
-    assert visible_length_px(camera, tangent, np.array([2.0]), unknown, unknown, margin_px=5.0)[0] == pytest.approx(489)
+    assert visible_length_px(camera, tangent, *image_heights(camera, np.array([2.0]), unknown, unknown))[0] == 0
+    assert visible_length_px(camera, tangent, *image_heights(camera, np.array([2.0]), unknown, unknown), margin_px=5.0)[
+        0
+    ] == pytest.approx(489)
 
 
 def test_edge_straight_ahead_is_seen_from_bottom_to_top_of_the_image():
-    unknown = np.array([np.nan])
-    length = visible_length_px(make_camera(), np.array([0.0]), np.array([2.0]), unknown, unknown)
+    camera, unknown = make_camera(), np.array([np.nan])
+    ends = image_heights(camera, np.array([2.0]), unknown, unknown)
+    length = visible_length_px(camera, np.array([0.0]), *ends)
     assert length[0] == pytest.approx(479)
 
 
 def test_edge_that_is_known_to_lie_overhead_is_not_expected():
-    length = visible_length_px(make_camera(), np.array([0.0]), np.array([2.0]), np.array([2.0]), np.array([2.5]))
+    camera = make_camera()
+    ends = image_heights(camera, np.array([2.0]), np.array([2.0]), np.array([2.5]))
+    length = visible_length_px(camera, np.array([0.0]), *ends)
     assert length[0] == 0
 
 

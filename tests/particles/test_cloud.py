@@ -18,8 +18,9 @@ from localiser.particles import (
     estimate,
     from_gaussian,
     log_sum,
+    multinomial_resample,
     normalised,
-    resampling,
+    systematic_resample,
     take,
 )
 
@@ -181,8 +182,8 @@ def test_other_weights_give_another_estimate():
 
 
 SCHEMES = [
-    resampling.systematic_resample,
-    resampling.multinomial_resample,
+    systematic_resample,
+    multinomial_resample,
 ]
 ALMOST_ONE = np.nextafter(1.0, 0.0)
 weights = st.lists(st.floats(0, 1), min_size=1, max_size=60).map(np.array).filter(lambda w: w.sum() > 1e-3)
@@ -242,16 +243,16 @@ def test_weights_that_mean_nothing_are_refused(resample, weight):
 
 @given(weight=weights, count=st.integers(1, 80), seed=st.integers(0, 100))
 def test_systematic_offspring_are_the_whole_numbers_beside_what_is_expected(weight, count, seed):
-    index = resampling.systematic_resample(weight, count, np.random.default_rng(seed))
+    index = systematic_resample(weight, count, np.random.default_rng(seed))
     offspring = np.bincount(index, minlength=len(weight))
     expected = count * weight / weight.sum()
     assert (offspring >= np.floor(expected - 1e-9)).all()
     assert (offspring <= np.ceil(expected + 1e-9)).all()
 
 
-@pytest.mark.parametrize("name", ["systematic_resample", "multinomial_resample"])
+@schemes
 @pytest.mark.parametrize("seed", range(20))
-def test_agrees_with_filterpy(name, seed, monkeypatch):
+def test_agrees_with_filterpy(resample, seed, monkeypatch):
     """The same uniform draws give the same indices."""
     oracle = pytest.importorskip("filterpy.monte_carlo")
     weight = np.random.default_rng(seed).exponential(size=50)
@@ -259,8 +260,8 @@ def test_agrees_with_filterpy(name, seed, monkeypatch):
     weight[-1] += 1e-9  # filterpy falls off the end of a sum below 1
     drawn = np.random.default_rng([seed, 1])
     monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda size=None: drawn.random(size))
-    expected = getattr(oracle, name)(weight)
-    ours = getattr(resampling, name)(weight, len(weight), np.random.default_rng([seed, 1]))
+    expected = getattr(oracle, resample.__name__)(weight)
+    ours = resample(weight, len(weight), np.random.default_rng([seed, 1]))
     np.testing.assert_array_equal(ours, np.sort(expected))
 
 
