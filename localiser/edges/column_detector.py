@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, linked, peaks_of
-from localiser.edges.detectors import EdgeParameters
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
 from localiser.edges.types import Segments
 from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved, ideal_camera
@@ -34,10 +33,6 @@ class Columns:
     """The detector `columns`. min_contrast: faintest edge that counts, as a fraction of its sides' brightness."""
 
     min_contrast: float
-
-    def configured(self, parameters: EdgeParameters) -> Columns:
-        """Return the detector with the settings of a configuration."""
-        return Columns(parameters.min_contrast)
 
     def __call__(self, image: Image, camera: Camera, /) -> Segments:
         """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""

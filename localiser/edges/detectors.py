@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Protocol, runtime_checkable
+from typing import Annotated, Protocol
 
 import cv2
 import numpy as np
@@ -23,7 +23,6 @@ from pydantic import AfterValidator, Field
 from localiser.camera import Camera
 from localiser.edges.types import Segments
 from localiser.edges.views import Image, ideal_camera, ideal_view
-from localiser.errors import InputError
 from localiser.geometry import Array
 
 
@@ -36,14 +35,6 @@ class Detector(Protocol):
         Either lines (S, 4), S of them: the ends u1, v1, u2, v2 in pixels of the image as it was taken, in any order,
         taken to err by `END_SIGMA_PX` across the line. Or `Segments`, which state their errors, in undistorted pixels.
         """
-
-
-@runtime_checkable
-class Configurable(Protocol):
-    """The optional ability of a registered detector to take settings from a configuration."""
-
-    def configured(self, parameters: EdgeParameters) -> Detector:
-        """Return the detector with these settings."""
 
 
 DETECTORS: dict[str, Detector] = {}
@@ -63,15 +54,6 @@ def registered(name: str) -> str:
         *others, last = (repr(known) for known in DETECTORS)
         raise ValueError(f"expected {', '.join(others)} or {last}")
     return name
-
-
-def detector_of(parameters: EdgeParameters) -> Detector:
-    """Return the registered detector that the parameters name, with their settings. Raises InputError."""
-    try:
-        detector = DETECTORS[registered(parameters.detector)]
-    except ValueError as error:
-        raise InputError(f"{error}, found {parameters.detector!r}", field="detector") from None
-    return detector.configured(parameters) if isinstance(detector, Configurable) else detector
 
 
 DetectorName = Annotated[

@@ -12,7 +12,7 @@ import numpy as np
 
 from localiser.camera import Camera, Mount, MountSigma
 from localiser.edges.column_detector import Columns
-from localiser.edges.detectors import Detector, EdgeParameters, detector_of, hough, lsd, register
+from localiser.edges.detectors import DETECTORS, Detector, EdgeParameters, hough, lsd, register, registered
 from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles
 from localiser.edges.readout import Readout, readout_of
 from localiser.edges.types import Edges, Segments
@@ -58,7 +58,7 @@ def find_edges(
         )
         ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))
         return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
-    found = (detector or detector_of(parameters))(grey, camera)
+    found = (detector or _detector_of(parameters))(grey, camera)
     taken = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
     segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
     if readout is not None:
@@ -80,6 +80,15 @@ def find_edges(
     )
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
+
+
+def _detector_of(parameters: EdgeParameters) -> Detector:
+    """Return the registered detector that the parameters name, with their settings. Raises InputError."""
+    try:
+        detector = DETECTORS[registered(parameters.detector)]
+    except ValueError as error:
+        raise InputError(f"{error}, found {parameters.detector!r}", field="detector") from None
+    return Columns(parameters.min_contrast) if isinstance(detector, Columns) else detector
 
 
 def at_stamp(taken: Segments, readout: Readout) -> tuple[Segments, Array]:

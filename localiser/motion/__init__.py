@@ -12,7 +12,6 @@ from localiser.motion.odometry_model import (
     Step,
     covariance_of,
     direction_of_travel,
-    expected_step,
     linearised,
     noise_variances,
     predict,

@@ -55,12 +55,32 @@ class MotionParameters:
         return predict(particles, increment, self, rng)
 
     def expected_step(self, particles: Particles, increment: Increment) -> Step:
-        """See `expected_step`."""
-        return expected_step(particles, increment, self)
+        """Return how particles move by `increment`, each by what it knows of the constant errors.
+
+        Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
+        correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own
+        covariance (vision) errs by a draw from that instead, and tells nothing of them.
+        """
+        by_constant_error = _by_bias(particles.names[3:], increment)
+        spread = StepSpread.of(particles, by_constant_error, step_noise(increment, self))
+        start = particles.columns[:3].copy()
+        if CAMERA_YAW in particles.names:
+            start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
+        cos, sin = cos_sin(start[2] + direction_of_travel(increment))
+        expected = by_constant_error @ particles.columns[3:]
+        expected += np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+        return Step(start, cos, sin, expected, by_constant_error, spread)
 
     def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
-        """See `stepped`."""
-        return stepped(particles, step, normal, increment, self)
+        """Return the particles after steps drawn as `normal` (3, N), and what these told of the constant errors."""
+        columns = np.empty_like(particles.columns, order="C")
+        compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
+        columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
+        if CAMERA_YAW in particles.names:
+            columns[2] -= columns[particles.names.index(CAMERA_YAW)]
+        columns[2] = wrap_angle(columns[2])
+        moved = replace(particles, columns=columns, constant_error_cov=cov)
+        return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, self.bias)
 
     def covariance(self, increment: Increment) -> Array:
         """See `wheel_cov`."""
@@ -127,44 +147,12 @@ class Step:
         return _in_map(self.spread.root[..., None], self.cos, self.sin)
 
 
-def expected_step(particles: Particles, increment: Increment, parameters: MotionParameters) -> Step:
-    """Return how particles move by `increment`, each by what it knows of the constant errors.
-
-    Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
-    correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own covariance
-    (vision) errs by a draw from that instead, and tells nothing of them.
-    """
-    by_constant_error = _by_bias(particles.names[3:], increment)
-    spread = StepSpread.of(particles, by_constant_error, step_noise(increment, parameters))
-    start = particles.columns[:3].copy()
-    if CAMERA_YAW in particles.names:
-        start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
-    cos, sin = cos_sin(start[2] + direction_of_travel(increment))
-    expected = by_constant_error @ particles.columns[3:]
-    expected += np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
-    return Step(start, cos, sin, expected, by_constant_error, spread)
-
-
-def stepped(
-    particles: Particles, step: Step, normal: Array, increment: Increment, parameters: MotionParameters
-) -> Particles:
-    """Return the particles after steps drawn as `normal` (3, N), and what these told them of the constant errors."""
-    columns = np.empty_like(particles.columns, order="C")
-    compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
-    columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
-    if CAMERA_YAW in particles.names:
-        columns[2] -= columns[particles.names.index(CAMERA_YAW)]
-    columns[2] = wrap_angle(columns[2])
-    moved = replace(particles, columns=columns, constant_error_cov=cov)
-    return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, parameters.bias)
-
-
 def predict(
     particles: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
 ) -> Particles:
     """Return the particles moved by `increment`, each with its own draw of the noise."""
-    step = expected_step(particles, increment, parameters)
-    return stepped(particles, step, rng.standard_normal(step.expected.shape), increment, parameters)
+    step = parameters.expected_step(particles, increment)
+    return parameters.stepped(particles, step, rng.standard_normal(step.expected.shape), increment)
 
 
 def step_noise(increment: Increment, parameters: MotionParameters) -> Array:

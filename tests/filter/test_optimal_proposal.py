@@ -11,7 +11,7 @@ from localiser.filter import optimal_proposal
 from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_density
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
-from localiser.motion import MotionParameters, expected_step, predict
+from localiser.motion import MotionParameters, predict
 from localiser.observation import (
     Angle,
     EdgeObservation,
@@ -52,7 +52,7 @@ def expected_angles(poses, kind):
 @pytest.mark.parametrize("off_rad", [[0.01, 0.01, 0.01], [0.7, -1.2, 2.4]])
 @pytest.mark.parametrize("kind", ["line", "slope"])
 def test_the_loop_does_what_arrays_and_differences_do(kind, off_rad):
-    step = expected_step(cloud(20), MOVE, MOTION)
+    step = MOTION.expected_step(cloud(20), MOVE)
     sigma = np.array([0.01, 0.02, 0.03])
     angle = expected_angles(step.poses, kind).mean(axis=0) + off_rad
     found = step_density(step, CAMERA, Targets(POINTS, angle, sigma**2, kind == "slope"), 0.5)
@@ -82,7 +82,7 @@ def test_the_loop_does_what_arrays_and_differences_do(kind, off_rad):
 
 def test_weights_take_back_where_steps_were_drawn():
     """Whatever edges say, weighted steps are standard normal, as if they had been drawn blindly."""
-    step = expected_step(take(cloud(1), np.zeros(200_000, dtype=np.int64)), MOVE, MOTION)
+    step = MOTION.expected_step(take(cloud(1), np.zeros(200_000, dtype=np.int64)), MOVE)
     angle = expected_angles(step.poses[:, :1], "line")[0] + 0.02
     normal, log_ratio = step_density(step, CAMERA, Targets(POINTS, angle, np.full(3, 0.02**2), False), 1.0).draw(
         np.random.default_rng(3)
@@ -152,7 +152,7 @@ def test_only_edges_of_landmarks_in_no_doubt_are_targets():
 def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
     """Without being weighed by the edges, guided particles stand for where blind ones are."""
     monkeypatch.setattr(optimal_proposal, "MOST_STAGES", 1)
-    angle = expected_angles(expected_step(cloud(1, sigma=0.0), MOVE, MOTION).poses, "line")[0] + 0.03
+    angle = expected_angles(MOTION.expected_step(cloud(1, sigma=0.0), MOVE).poses, "line")[0] + 0.03
     targets = Targets(POINTS, angle, np.full(3, 0.08**2), False)
     guided = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.99).moved(
         cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(0)

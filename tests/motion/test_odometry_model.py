@@ -14,7 +14,6 @@ from localiser.motion import (
     SLIP,
     MotionParameters,
     direction_of_travel,
-    expected_step,
     linearised,
     noise_variances,
     predict,
@@ -224,7 +223,7 @@ def test_same_generator_same_particles() -> None:
 def test_particles_move_along_the_axes_of_their_step_to_the_last_bit() -> None:
     cloud = Particles(POSE, np.random.default_rng(0).uniform(-3.0, 3.0, (3, 300)), np.zeros(300))
     increment, normal = Increment.from_mean([0.02, -0.1, 0.02]), np.random.default_rng(1).standard_normal((3, 300))
-    step = expected_step(cloud, increment, PARAMETERS)
+    step = PARAMETERS.expected_step(cloud, increment)
     plain = step.poses + np.einsum("pkn,kn->pn", step.axes, normal)
     plain[2] = wrap_angle(plain[2])
     moved = PARAMETERS.stepped(cloud, step, normal, increment).columns
