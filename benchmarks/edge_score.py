@@ -11,7 +11,7 @@ from edge_scenes import Scene
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
-from localiser.edges.segments import Segments
+from localiser.edges.types import Segments
 from localiser.geometry import Array
 
 NEAR_PX = 2.5

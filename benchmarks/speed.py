@@ -31,8 +31,7 @@ from localiser.landmarks import LandmarkMap, sight
 from localiser.motion import MotionParameters, predict
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.observation.inlier_rate import InlierRate
-from localiser.particles import Particles, estimate, from_gaussian, take
-from localiser.particles.resampling import systematic_resample
+from localiser.particles import Particles, estimate, from_gaussian, systematic_resample, take
 
 FOCAL = 554.0
 CAMERA = Camera(640, 480, FOCAL, FOCAL, 319.5, 239.5, Mount(np.radians(20), 0.9))
