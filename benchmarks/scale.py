@@ -9,10 +9,9 @@ so that only what is far away differs. Each size runs in a process of its own, w
     track    ms of the thread an image: median and 95 % over a drive
     found    images until the robot is where it is believed to be, surely, from nothing: median and worst of the drives
     ms most  the longest that an image took then
-    view     ms of the process to draw an image of the first drive for the viewer, median, and kB that the viewer gets
 
 python benchmarks/scale.py
-python benchmarks/scale.py --landmarks 100 1000 --drives 3 --json scale.json
+python benchmarks/scale.py --landmarks 100 1000 --drives 3
 """
 
 from __future__ import annotations
@@ -24,24 +23,21 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
-import rerun as rr
-from board.run import START_SIGMA, Drive, located, run
+from board.run import run
 from rich.console import Console
 from rich.table import Table
 from scale_building import CAMERA, drive_of, floor_of
 
 from localiser import Localiser, read_map, write_map
-from localiser.view.context import Context
-from localiser.view.recorder import Recorder, new_stream
 
 TRACKED, SEARCHED = 150, 60  # images
 FIRST_ROOM = 2
 MOST_YAML = 20_000  # landmarks, above which writing and reading the text takes minutes
-HEADS = ("landmarks", "read", "again", "start", "MB", "track", "95 %", "found", "worst", "ms most", "view", "kB")
+HEADS = ("landmarks", "read", "again", "start", "MB", "track", "95 %", "found", "worst", "ms most")
 
 
 def memory_mb() -> float:
@@ -61,7 +57,7 @@ def figures_of(landmarks: int, drives: int, *, with_file: bool) -> dict[str, Any
     tracked = run(drive_of(floor, FIRST_ROOM, TRACKED), 1)
     figures |= {"track_ms": float(np.median(tracked.ms[5:])), "track_95_ms": float(np.quantile(tracked.ms[5:], 0.95))}
     figures |= {"error_m": float(np.median(tracked.error_m))}
-    figures |= _searched(floor, drives) | _viewed(drive_of(floor, FIRST_ROOM, TRACKED))
+    figures |= _searched(floor, drives)
     return figures | (_read(floor) if with_file else {})
 
 
@@ -77,23 +73,6 @@ def _searched(floor: Any, drives: int) -> dict[str, Any]:
         longest = max(longest, float(record.ms.max()))
         wrong += int((record.sure & ~record.right).sum())
     return {"found": float(np.median(found)), "found_worst": max(found), "search_ms": longest, "surely_wrong": wrong}
-
-
-def _viewed(drive: Drive) -> dict[str, float]:
-    """Return what drawing an image for the viewer takes, with the encoding of what it gets."""
-    robot = Localiser(drive.landmark_map, drive.camera)
-    robot.start(drive.truth[0], np.diag(START_SIGMA**2), int(drive.t_ns[0]))
-    frames, _ = located(robot, drive)
-    context = Context("drive", drive.camera, drive.landmark_map, images=False)
-    stream = new_stream(context)
-    encoded, recorder = rr.binary_stream(stream), Recorder(stream, context)
-    ms, sizes = [], []
-    for number, frame in enumerate(frames):
-        begin = process_time()
-        recorder.frame(number, frame)
-        sizes.append(len(encoded.read() or b""))
-        ms.append(1e3 * (process_time() - begin))
-    return {"view_ms": float(np.median(ms)), "view_kb": float(np.median(sizes)) / 1e3}
 
 
 def _read(floor: Any) -> dict[str, float]:
@@ -122,8 +101,6 @@ def table_of(rows: list[dict[str, Any]]) -> Table:
             f"{row['found']:.0f}",
             str(row["found_worst"]),
             f"{row['search_ms']:.0f}",
-            f"{row['view_ms']:.1f} ms",
-            f"{row['view_kb']:.0f}",
         )
     return table
 
@@ -134,7 +111,6 @@ def main() -> None:
     parser.add_argument("--landmarks", nargs="+", type=int, default=[100, 1000, 10_000, 100_000])
     parser.add_argument("--drives", type=int, default=8, help="from nothing, in each building")
     parser.add_argument("--files", action="store_true", help="read and write maps of any size as YAML too: minutes")
-    parser.add_argument("--json", type=Path, help="where to write all figures")
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.here:
@@ -152,8 +128,6 @@ def main() -> None:
     if len(rows) > 1:
         sizes, ms = np.log([row["landmarks"] for row in rows]), np.log([row["track_ms"] for row in rows])
         print(f"tracking grows as landmarks^{np.polyfit(sizes, ms, 1)[0]:.3f}")
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
