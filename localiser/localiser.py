@@ -29,6 +29,7 @@ from localiser.filter import (
     Anywhere,
     Event,
     FilterState,
+    Finding,
     Image,
     Level,
     Located,
@@ -103,8 +104,7 @@ class Localiser:
             raise InputError(f"expected a method `log_likelihood`, found {found} without one", field="observation")
         self._check = partial(check_settings, config, own_observation=observation is not None)
         self._check(camera)
-        self.rng = np.random.default_rng(self.config.seed)
-        self.state = FilterState()
+        self.rng, self.state = np.random.default_rng(self.config.seed), FilterState()
         self._camera, self._detector = camera, detector
         self._own = {"observation": observation, "motion": motion, "detector": detector}
         self.observation = observation or observation_of(self.camera, config.observation)
@@ -114,6 +114,7 @@ class Localiser:
             level = Level(camera, math.radians(config.edges.plumb_sigma_deg))
             self._mcl = replace(self._mcl, odometer=Odometer(camera, config.increments), level=level)
         self._measured: dict[int, MeasuredImage] = {}
+        self._finding = Finding.on(landmark_map)
 
     def _search(self) -> GlobalLocalisation | None:
         """Return global localisation, None where the observation has no such ability."""
@@ -162,7 +163,7 @@ class Localiser:
             check_start(event.mean, event.cov)
         except ValueError as error:
             raise InputError(str(error), field="start") from None
-        self._drop_waiting(t_ns)
+        self._drop_waiting(t_ns, found=True)
         return self._step(self._mcl, event)
 
     @property
@@ -177,12 +178,12 @@ class Localiser:
         """
         if not self.can_look_everywhere:
             raise InputError("expected an observation that can look for the robot on the whole map; state a start")
-        at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
-        self._drop_waiting(t_ns)
-        return self._step(self._mcl, Anywhere(at_ns))
+        self._drop_waiting(t_ns, found=False)
+        return self._step(self._mcl, Anywhere(_AT_NEXT if t_ns is None else _nanoseconds(t_ns)))
 
-    def _drop_waiting(self, t_ns: int | None) -> None:
-        """Drop images that wait for the wheels and were taken before a time; all where it is None."""
+    def _drop_waiting(self, t_ns: int | None, *, found: bool) -> None:
+        """Begin anew: drop images that wait for the wheels and were taken before a time; all where it is None."""
+        self._finding.begin(found=found)
         waiting = self.state.waiting
         while waiting and (t_ns is None or waiting[0].t_ns < t_ns):
             self._measured.pop(waiting.popleft().t_ns, None)
@@ -224,9 +225,8 @@ class Localiser:
         """Return the edges of an image, for `edges` to take now or later. Changes nothing.
 
         image: (H, W) grey or (H, W, 3) BGR uint8, or a JPEG or PNG file's bytes. mount: of the camera when it took this
-        image; None: as the camera says. twist: of the robot then, which a camera whose shutter rolls needs; see
-        `twist_at`. Raises InputError when the image is damaged or of another size than the
-        camera's, or the mount is none with which anything could be seen.
+        image; None: as the camera says. twist: of the robot then, where the shutter rolls; see `twist_at`. Raises
+        InputError when the image is damaged or of another size than the camera's, or nothing could be seen so mounted.
         """
         self._check(self._camera and self._camera.at(valid_mount(mount)), images=True)
         begin = perf_counter()
@@ -329,6 +329,7 @@ class Localiser:
         if last >= count:
             raise InputError(f"expected {count} landmarks, found one with the index {last}", path=path)
         self.state, self.rng = saved.state, saved.rng
+        self._finding.begin(found=saved.state.particles is not None)
         self._measured.clear()
 
     # -- steps --------------------------------------------------------------------------------------------------------
@@ -338,13 +339,13 @@ class Localiser:
 
     def _located(self, results: Iterator[Located]) -> list[LocatedFrame]:
         """Return what the filter locates, each with its matches, its image and the time that it took."""
-        frames = []
-        begin = perf_counter()
-        for located in results:
+        frames, begin = [], perf_counter()
+        for result in results:
+            located, wide_cov = self._finding.after(result)
             measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
             matches = matched(self._mcl, located)
             stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
-            frames.append(LocatedFrame(located, matches, measured.image, None, stage_ms))
+            frames.append(LocatedFrame(located, matches, measured.image, None, stage_ms, wide_cov))
             begin = perf_counter()
         return frames
 

@@ -46,6 +46,7 @@ class Compared(NamedTuple):
 COMPARED = (
     Compared("position_rmse_m", "position RMSE", as_ratio=True),
     Compared("heading_rmse_deg", "heading RMSE", as_ratio=True),
+    Compared("confidence.not_found", "not found yet", as_ratio=False),
     Compared("confidence.sure", "images sure", as_ratio=False, more_is_worse=False),
     Compared("confidence.sure_and_wrong", "sure and wrong", as_ratio=False),
 )

@@ -162,7 +162,7 @@ SIGINT_EXIT_CODE = 130
 FIRST_FIGURES = (
     "frames", "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
     "odometry_position_rmse_m", "nees_mean", "edges_per_frame", "confidence.sure", "confidence.sure_and_wrong",
-    "confidence.found_s", "warnings",
+    "confidence.found_s", "confidence.not_found", "warnings",
 )  # fmt: skip
 """The columns that people read first; the others follow by their names, times last."""
 

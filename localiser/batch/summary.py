@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from localiser.evaluate import new_table
+from localiser.evaluate import Column, new_table
 from localiser.storage import CHOICE
 
 if TYPE_CHECKING:
@@ -18,29 +18,19 @@ Row = Mapping[str, Any]
 UNKNOWN = "–"
 
 
-class Column(NamedTuple):
-    """A figure of the table: title, name in the row, how it is written, its factor, which of several is the worst.
-
-    worst: None where only the median is told. A title's lines keep the column narrow; "-" ends a divided word.
-    """
-
-    title: str
-    name: str
-    spec: str
-    factor: float = 1.0
-    worst: Callable[[list[float]], float] | None = max
-
-
 COLUMNS = (
     Column("RMSE\n(m)", "position_rmse_m", ".3f"),
     Column("head-\ning (°)", "heading_rmse_deg", ".2f"),
-    Column("sure\n(%)", "confidence.sure", ".0f", 100.0, min),
-    Column("sure,\nwrong\n(%)", "confidence.sure_and_wrong", ".1f", 100.0),
-    Column("image\n(ms)", "frame_ms_median", ".0f", worst=None),
+    Column("not\nfound\n(%)", "confidence.not_found", ".0f", per=100.0, is_told_at_0=False),
+    Column("sure\n(%)", "confidence.sure", ".0f", per=100.0, worst=min),
+    Column("sure,\nwrong\n(%)", "confidence.sure_and_wrong", ".1f", per=100.0),
+    Column("image\n(ms)", "frame_ms_median", ".0f"),
 )
-"""Of the table in the terminal: few enough for 80 characters."""
-WRITTEN = (Column("odometry alone (m)", "odometry_position_rmse_m", ".3f", worst=None), *COLUMNS[:-1])
+"""Of the table in the terminal: few enough for 80 characters. "-" ends a divided word."""
+WRITTEN = (Column("odometry alone (m)", "odometry_position_rmse_m", ".3f"), *COLUMNS[:-1])
 """Of the table as Markdown: with what the wheels alone do, without times, which differ from run to run."""
+MEDIAN_ALONE = ("frame_ms_median", "odometry_position_rmse_m")
+"""Figures of which the worst over seeds says nothing."""
 
 
 class Summary(NamedTuple):
@@ -63,7 +53,7 @@ def summary_of(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> Summ
     choices = [name for name in rows[0] if name == "config" or name.startswith(CHOICE)]
     varied = [name for name in choices if len({row[name] for row in rows}) > 1]
     same = [f"{_titled(name)} {rows[0][name]}" for name in choices if name not in varied and rows[0][name] is not None]
-    known = [column for column in columns if any(row.get(column.name) is not None for row in rows)]
+    known = [column for column in columns if any(column.is_known(column.of(row)) for row in rows)]
 
     def group(row: Row) -> tuple[Any, ...]:
         return (row["log"], row["log_path"], *(row[name] for name in varied))
@@ -115,12 +105,11 @@ def _count(runs: Sequence[Row]) -> str:
 
 
 def _over_seeds(runs: Sequence[Row], column: Column) -> str:
-    known = [column.factor * float(run[column.name]) for run in runs if run.get(column.name) is not None]
+    known = [value for run in runs if (value := column.of(run)) is not None]
     if not known:
-        return UNKNOWN
-    median = format(float(np.median(known)), column.spec)
-    worst = median if column.worst is None else format(column.worst(known), column.spec)
-    return median if worst == median else f"{median} ({worst})"
+        return column.text(None)
+    median, worst = column.text(float(np.median(known))), column.text(column.worst(known))
+    return median if worst == median or column.key in MEDIAN_ALONE else f"{median} ({worst})"
 
 
 def _titled(name: str) -> str:

@@ -141,10 +141,13 @@ def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
 
 
 def _how_sure(confidence: Any) -> str:
-    """Return in words how sure a run was of its poses."""
+    """Return in words when the robot was found, and how sure the run was of its poses."""
     reasons = [f"{reason} ({count} images)" for reason, count in confidence["reasons"].items()]
     why = f"; else: {', '.join(reasons)}" if reasons else ""
-    found = "never" if confidence["found_s"] is None else f"after {confidence['found_s']:.1f} s"
-    return (
-        f"Sure of the pose (p_correct > 0.9) first {found}, in {100 * (confidence['sure'] or 0):.1f} % of images{why}."
-    )
+    found = ""
+    if confidence["found_s"] is None:
+        found = "The robot was not found, so there are no figures of its path. "
+    elif confidence["not_found"]:
+        found = f"The robot was found after {confidence['found_s']:.1f} s. Left out, because it was not found yet or "
+        found += f"lost: {100 * confidence['not_found']:.1f} % of images. "
+    return f"{found}Sure of the pose (p_correct > 0.9) in {100 * (confidence['sure'] or 0):.1f} % of images{why}."

@@ -1,12 +1,22 @@
 """Judge results: errors against truth, consistency, the limit of accuracy, tables and pictures."""
 
-from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_inside, nees, nees_band, residual_sums
+from localiser.evaluate.accuracy import (
+    Errors,
+    Track,
+    errors_against,
+    found_images,
+    fraction_inside,
+    nees,
+    nees_band,
+    residual_sums,
+)
 from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
 from localiser.evaluate.metrics import ABOUT, DECIMALS, bias_figures, fit_wheels, metrics, timing_metrics
 from localiser.evaluate.page import WorstMoments, report_page
 from localiser.evaluate.report import picture_style, save_figure, write_report
 from localiser.evaluate.tables import (
     COLUMNS,
+    Column,
     figure_at,
     fit_width,
     flat_figures,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.errors import InputError
+from localiser.filter import LEAST_SURE, SURE
 from localiser.geometry import Array, Trajectory, between, compose, wrap_angle
 from localiser.observation import Matches
 
@@ -66,7 +67,8 @@ class Track:
     t_ns: (T,) strictly increasing. poses: (T, 3) x, z, heading in the map. covs: (T, 3, 3) of the poses.
     odometry: (T, 3) poses in the odometry's own frame. edges, matched: (T,) number of edges measured, and of those
     that were matched with a landmark. p_correct: (T,) probability of being within 0.5 m and 10°, as the filter has it.
-    residuals: (T, 3) how far matched edges are from their landmarks, see `residual_sums`.
+    residuals: (T, 3) how far matched edges are from their landmarks, see `residual_sums`. found: (T,) whether the pose
+    is an ordinary one, see `LocatedFrame.is_found`; true where that is not known.
     """
 
     t_ns: NDArray[np.int64]
@@ -77,6 +79,7 @@ class Track:
     matched: Array
     p_correct: Array
     residuals: Array
+    found: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -93,6 +96,7 @@ class Track:
         matched: ArrayLike | None = None,
         p_correct: ArrayLike | None = None,
         residuals: ArrayLike | None = None,
+        found: ArrayLike | None = None,
     ) -> Track:
         """Return a track with what is given; the rest is unknown."""
         count = len(np.asarray(t_ns))
@@ -109,12 +113,18 @@ class Track:
             column(matched),
             column(p_correct),
             column(residuals, 3),
+            np.ones(count, dtype=bool) if found is None else np.asarray(found, dtype=bool),
         )
 
     @property
     def seconds(self) -> Array:
         """Time (T,) s since the first image."""
         return np.asarray((self.t_ns - self.t_ns[:1]) / 1e9)
+
+    @property
+    def first_found(self) -> int | None:
+        """The first image with an ordinary pose, None where there is none."""
+        return int(np.argmax(self.found)) if self.found.any() else None
 
     @property
     def sighted(self) -> NDArray[np.bool_]:
@@ -138,7 +148,7 @@ class Errors:
 
     truth: (T, 3) true poses. position_m: (T,) distance. heading_rad: (T,) estimate - truth, wrapped.
     nees: (T,) normalised estimation error squared of x, z and heading. odometry: (T, 3) where odometry alone would
-    have led from the first true pose. odometry_m: (T,) its distance from the truth.
+    have led from the true pose where the robot was found first. odometry_m: (T,) its distance from the truth.
     """
 
     truth: Array
@@ -152,7 +162,8 @@ class Errors:
 def errors_against(track: Track, truth: Trajectory) -> Errors:
     """Return the errors of `track` against the truth, interpolated along the arc at every image time.
 
-    Images outside the time of the truth have no error (nan). Raises InputError when there is no other image.
+    Images outside the time of the truth have no error (nan), nor has a pose that is no ordinary one, while the robot is
+    not found yet or lost. Raises InputError when the truth has no image's time.
     """
     known = np.array([truth.covers(int(t)) for t in track.t_ns], dtype=bool)
     if not known.any():
@@ -162,7 +173,9 @@ def errors_against(track: Track, truth: Trajectory) -> Errors:
     true_poses = np.where(known[:, None], truth.sampled(track.t_ns).poses, np.nan)
     error = track.poses - true_poses
     error[:, 2] = wrap_angle(error[:, 2])
-    first = int(np.argmax(known))
+    judged = known & track.found
+    error[~judged] = np.nan
+    first = int(np.argmax(judged if judged.any() else known))
     odometry = dead_reckoning(track.odometry[first:], true_poses[first])
     odometry = np.concatenate([np.full((first, 3), np.nan), odometry])
     return Errors(
@@ -173,6 +186,18 @@ def errors_against(track: Track, truth: Trajectory) -> Errors:
         odometry=odometry,
         odometry_m=np.hypot(*(odometry - true_poses)[:, :2].T),
     )
+
+
+def found_images(p_correct: Array, *, is_found: bool) -> NDArray[np.bool_]:
+    """Return which images (T,) have an ordinary pose, by p_correct (T,); see `LocatedFrame.is_found`.
+
+    is_found: whether the start was stated.
+    """
+    found = []
+    for probability in p_correct:
+        is_found = (is_found or bool(probability > SURE)) and not probability < LEAST_SURE
+        found.append(is_found)
+    return np.array(found, dtype=bool)
 
 
 def dead_reckoning(odometry: Array, start: Array) -> Array:

@@ -3,7 +3,8 @@
 In addition to the errors of all images there are three groups: `seen_2s`, images with an edge at most 2 s ago;
 `after_pause_10s`, images within 10 s after a pause of more than 3 s without edges; `steady`, those of the first group
 that are not in the second. `pauses` lists each pause. `own_figures` has those that need no truth. Unknown figures are
-null.
+null. Figures are of the images since the robot was found, with an ordinary pose (`LocatedFrame.is_found`);
+`confidence.not_found` is the share of the others, which are left out. A stated start counts as found.
 """
 
 from __future__ import annotations
@@ -88,34 +89,28 @@ DECIMALS = 6
 def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
     """Return the figures of a run that need no truth; None where something is not known.
 
-    distance_scale: the learnt error of the odometry's distances, see `fit_wheels`. The 3σ figures are of the images
-    since the run was first sure of its pose, or of all where it never was: position_3sigma_m is three times
-    `Track.position_sigma_m`. edges_matched: fraction of all edges that matched a landmark.
+    distance_scale: the learnt error of the odometry's distances, see `fit_wheels`. Distance and speed are of the whole
+    drive. position_3sigma_m: three times `Track.position_sigma_m`. edges_matched: fraction of edges that matched a
+    landmark.
     """
     duration_s, distance_m = float(track.seconds[-1]), distance_m_of(track, distance_scale)
-    since = found_index(track) or 0
+    found = track.found
     figures = {
         "duration_s": duration_s,
         "distance_m": distance_m,
         "speed_mean_m_s": distance_m / duration_s if duration_s > 0 else np.nan,
-        "edges_matched": _fraction(track.matched, track.edges),
+        "edges_matched": _fraction(track.matched[found], track.edges[found]),
     }
     spreads = {
         "position_3sigma_{}_m": track.position_sigma_m,
         "heading_3sigma_{}_deg": np.degrees(track.heading_sigma_rad),
     }
     for name, sigma in spreads.items():
-        known = 3 * sigma[since:][np.isfinite(sigma[since:])]
+        known = 3 * sigma[found & np.isfinite(sigma)]
         figures[name.format("median")] = float(np.median(known)) if len(known) else np.nan
         figures[name.format("max")] = float(known.max()) if len(known) else np.nan
     rounded = {name: round(value, DECIMALS) if np.isfinite(value) else None for name, value in figures.items()}
-    return rounded | {"residuals": residual_figures(track.residuals)}
-
-
-def found_index(track: Track) -> int | None:
-    """Return the first image at which the run was sure of its pose, None where it never was or that is not known."""
-    sure = track.p_correct > SURE
-    return int(np.argmax(sure)) if sure.any() else None
+    return rounded | {"residuals": residual_figures(track.residuals[found])}
 
 
 def distance_m_of(track: Track, distance_scale: float = 0.0) -> float:
@@ -287,23 +282,24 @@ def _limit(errors: Errors | None, bound: Array | None) -> dict[str, Any]:
 def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> dict[str, Any]:
     """Return how sure the run was of its poses, and how rightly.
 
-    `found_s`: from when on it was sure, and position_rmse_found_m the error from then on. `sure`: share of images with
-    p_correct > 0.9, `sure_and_wrong`: with p_correct > 0.9 and not within 0.5 m and 10°.
+    `found_s`: when the robot was found, 0 for a stated start; `not_found`: share of the images that are left out of the
+    figures. `sure`: share of all images with p_correct > 0.9. `sure_and_wrong`: share of the images that are not left
+    out with p_correct > 0.9 and not within 0.5 m and 10°; `correct`: of those within.
     """
     sure = track.p_correct > SURE
-    found = found_index(track)
     known, wrong = np.zeros(len(track), dtype=bool), np.zeros(len(track), dtype=bool)
     if errors is not None:
         known = np.isfinite(errors.position_m)
         wrong = (errors.position_m > CORRECT_M) | (np.abs(errors.heading_rad) > CORRECT_RAD)
+    told, found = np.isfinite(track.p_correct).any(), track.first_found
     return {
         "p_correct_mean": _figure(mean(track.p_correct)),
         "p_correct_min": _figure(quantile(track.p_correct, 0.0)),
-        "sure": _figure(sure.mean()) if np.isfinite(track.p_correct).any() else None,
+        "sure": _figure(sure.mean()) if told else None,
         "correct": _figure(1.0 - wrong[known].mean()) if known.any() else None,
         "sure_and_wrong": _figure((sure & wrong)[known].mean()) if known.any() else None,
-        "found_s": None if found is None else _figure(track.seconds[found]),
-        "position_rmse_found_m": None if found is None or not errors else _figure(rms(errors.position_m[found:])),
+        "found_s": _figure(track.seconds[found]) if told and found is not None else None,
+        "not_found": _figure(1.0 - track.found.mean()) if told else None,
         "reasons": {reason: int(count) for reason, count in sorted(Counter(reasons).items()) if reason},
     }
 

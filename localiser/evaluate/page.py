@@ -13,7 +13,8 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.evaluate.accuracy import Track, residual_sums
-from localiser.evaluate.report import ABOUT, ERROR_FIGURES, OWN_FIGURES, KeyFigure, known_figures, remarks
+from localiser.evaluate.metrics import PAUSE_LONGER_THAN_S
+from localiser.evaluate.tables import OWN, TABLES, Column, figure_at, learnt_constants
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE, Image, LocatedFrame
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.image_files import decode
@@ -65,11 +66,16 @@ def unmatched(frame: LocatedFrame) -> float:
     return float((landmark < 0).mean()) if len(landmark) >= FEWEST_EDGES else float("nan")
 
 
+def while_found(score: Callable[[LocatedFrame], float]) -> Callable[[LocatedFrame], float]:
+    """Return a score that says nothing of a pose that is no ordinary one."""
+    return lambda frame: score(frame) if frame.is_found else float("nan")
+
+
 SCORES: dict[str, Callable[[LocatedFrame], float]] = {
     "sure and wrong": wrong_though_sure,
-    "largest error": error_m,
+    "largest error": while_found(error_m),
     "least sure": lambda frame: 1.0 - float(frame.located.p_correct),
-    "largest uncertainty": position_sigma_m,
+    "largest uncertainty": while_found(position_sigma_m),
     "largest residuals": residuals_over,
     "fewest edges matched": unmatched,
 }
@@ -261,15 +267,33 @@ polyline { fill: none; vector-effect: non-scaling-stroke; } .empty { fill: #2b33
 .spread { fill: #56b4e9; fill-opacity: .2; stroke: #0072b2; stroke-width: 1; vector-effect: non-scaling-stroke; }
 .scale { stroke: #1f2933; stroke-width: 2; } .key b { padding-left: .9rem; }
 """
+# Key in the metrics, how it reads: what tells runs apart.
+ABOUT = (
+    ("observation", "{}"),
+    ("association", "associations {}"),
+    ("odometry", "odometry {}"),
+    ("start", "start {}"),
+    ("map", "map {}"),
+    ("particles", "{} particles"),
+    ("seed", "seed {}"),
+    ("frames", "{} frames"),
+)
+
+
 MEANINGS = (
-    ("found after", "from when on the probability of being right was above 0.9 for the first time"),
+    ("found after", "when the probability of being right was above 0.9 for the first time; 0 for a stated start"),
+    ("not found yet", "images before that, and while the robot was lost: from below 0.5 until above 0.9 again; all "
+     "figures of path and error leave them out"),
     ("images sure", "images in which that probability was above 0.9"),
     ("edges matched", "measured edges that match a landmark of the map"),
-    ("residuals", "squared distance of matched edges from their landmarks, over what their sigmas make expect: "
-     "1 is right, more means that sigmas are too small, or the map or the camera is wrong"),
-    ("3σ", "three times the distance that the filter expects to be off, since it was found"),
+    ("residuals", "squared distance of matched edges from their landmarks, over what their sigmas make expect: 1 is "
+     "right; below, the filter is cautious; above, sigmas are too small, or the map or the camera is wrong"),
+    ("3σ", "three times the distance that the filter expects to be off"),
+    ("odometry alone", "RMSE of the path by odometry, from where the robot was found"),
     ("sure and wrong", "images above 0.9 that were not within 0.5 m and 10° of the truth"),
-    ("NEES", "squared error over what the covariance makes expect: 3 is right, more is too sure"),
+    ("NEES", "squared error over what the covariance makes expect: 3 is right; below, the filter is cautious; above, "
+     "it is too sure"),
+    ("RMSE / bound", "over the smallest error that any filter could have"),
 )  # fmt: skip
 
 
@@ -285,12 +309,11 @@ def report_page(
     """Return the page. figures: as `metrics` returns them. picture: the report as PNG."""
     name = escape(str(figures["log"]))
     about = "  ·  ".join(text.format(figures[key]) for key, text in ABOUT if figures.get(key) is not None)
-    known = {"What the run knows of itself": OWN_FIGURES, "Errors against the truth": ERROR_FIGURES}
     body = [
         f"<h1>{name}</h1>",
         f'<p class="muted">{escape(about)}</p>',
         *(_remark(remark) for remark in remarks(figures) if remark.startswith("Warning")),
-        *(_figures(title, figures, chosen) for title, chosen in known.items()),
+        *(_figures(title, figures, chosen) for title, chosen in TABLES.items()),
         *(_remark(remark) for remark in remarks(figures) if not remark.startswith("Warning")),
     ]
     if picture:
@@ -304,10 +327,27 @@ def report_page(
     )
 
 
-def _figures(title: str, figures: Mapping[str, Any], chosen: Sequence[KeyFigure]) -> str:
-    known = known_figures(figures, chosen)
-    tiles = "".join(f"<div><dd>{escape(value)}</dd><dt>{escape(label)}</dt></div>" for label, value in known)
+def _figures(title: str, figures: Mapping[str, Any], columns: Sequence[Column]) -> str:
+    known = [(one.label, one.text(value) + one.unit) for one in columns if one.is_known(value := one.of(figures))]
+    if columns is OWN and figure_at(figures, "confidence.not_found") == 1:
+        known.insert(0, ("found after", "never"))
+    tiles = "".join(f"<div><dd>{escape(value)}</dd><dt>{escape(label)}</dt></div>" for label, value in known if label)
     return f'<h2>{title}</h2><dl class="figures">{tiles}</dl>' if known else ""
+
+
+def remarks(figures: Mapping[str, Any]) -> list[str]:
+    """Return what a run says in words: learnt constants, gaps, warnings."""
+    found = []
+    if constants := learnt_constants(figures):
+        found.append(f"Learnt: {', '.join(constants)}.")
+    if gaps := figures.get("pauses"):
+        longest = max(gap["duration_s"] for gap in gaps)
+        found.append(
+            f"{len(gaps)} gaps of more than {PAUSE_LONGER_THAN_S:g} s without edges, the longest {longest:.1f} s."
+        )
+    if used := figures.get("landmarks"):
+        found.append(f"Of {used['known']} landmarks, {used['in_view']} were in view and {used['matched']} matched.")
+    return [*found, *(f"Warning: {warning}" for warning in figures.get("warnings") or ())]
 
 
 def _remark(text: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.evaluate.accuracy import Errors, Track, consistency, consistency_band, dead_reckoning
 from localiser.evaluate.bound import position_bound
@@ -40,11 +41,14 @@ def draw_map(
 ) -> None:
     """Draw landmarks, truth, odometry and estimate as seen from above: x to the right, map -z up, equal scales.
 
-    The truth is drawn whole from the first image to the last; odometry starts at it, or at the estimate. landmark_use:
-    (L, 2) in how many images each landmark was in view, and in how many it was matched.
+    The truth is drawn whole from the first image to the last; odometry starts at it, or at the estimate, where the
+    robot was found. Poses that are no ordinary ones are faint points. landmark_use: (L, 2) in how many images each
+    landmark was in view, and in how many it was matched.
     """
-    odometry = errors.odometry if errors else dead_reckoning(track.odometry, track.poses[0])
-    paths = [track.poses, odometry]
+    first, found = track.first_found or 0, track.found
+    odometry = errors.odometry if errors else dead_reckoning(track.odometry[first:], track.poses[first])
+    estimate = np.where(found[:, None], track.poses, np.nan) if found.any() else track.poses
+    paths = [estimate, odometry]
     if landmark_map is not None:
         _draw_landmarks(axes, landmark_map, landmark_use)
     if np.isfinite(odometry).any():
@@ -54,14 +58,17 @@ def draw_map(
         paths.append(during)
         axes.plot(*during[:, :2].T, color=TRUTH, linewidth=3.2, alpha=0.9, zorder=3, label="truth")
     _draw_ellipses(axes, track)
-    axes.plot(*track.poses[:, :2].T, color=ESTIMATE, linewidth=1.5, zorder=5, label="estimate")
-    _draw_ends(axes, track.poses)
+    if not found.all():
+        axes.plot(*track.poses[~found, :2].T, ".", color=ESTIMATE, alpha=0.25, zorder=4, label="not found yet")
+    if found.any():
+        axes.plot(*estimate[:, :2].T, color=ESTIMATE, linewidth=1.5, zorder=5, label="estimate")
+        _draw_ends(axes, track.poses[np.flatnonzero(found)[[0, -1]]])
 
     _set_equal_limits(axes, framed(paths, landmark_map))
     axes.set(xlabel="x (m)", ylabel="z (m), heading 0 faces up")
     axes.grid(color=FAINT, linewidth=0.8)
-    _legend_above(axes, columns=4)
     axes.set_title("Path on the map")
+    _legend_above(axes)
 
 
 def _draw_landmarks(axes: Axes, landmark_map: LandmarkMap, landmark_use: Array | None) -> None:
@@ -96,7 +103,7 @@ def framed(paths: list[Array], landmark_map: LandmarkMap | None) -> Array:
 
 def draw_position_error(axes: Axes, track: Track, errors: Errors | None, bound: Array | None) -> None:
     """Draw the distance from the truth inside three times the distance that the filter expects to be off."""
-    seconds, limit = track.seconds, 3 * track.position_sigma_m
+    seconds, limit = track.seconds, 3 * np.where(track.found, track.position_sigma_m, np.nan)
     axes.fill_between(seconds, 0, limit, color=BAND, alpha=0.25, linewidth=0, label="3σ")
     if errors:
         axes.plot(seconds, errors.position_m, color=ESTIMATE, linewidth=1.4, label="error")
@@ -108,7 +115,7 @@ def draw_position_error(axes: Axes, track: Track, errors: Errors | None, bound: 
 
 def draw_heading_error(axes: Axes, track: Track, errors: Errors | None) -> None:
     """Draw estimate minus true heading inside ±3σ."""
-    seconds, limit = track.seconds, np.degrees(3 * track.heading_sigma_rad)
+    seconds, limit = track.seconds, np.degrees(3 * np.where(track.found, track.heading_sigma_rad, np.nan))
     axes.fill_between(seconds, -limit, limit, color=BAND, alpha=0.25, linewidth=0, label="±3σ")
     axes.axhline(0, color=MUTED, linewidth=0.8)
     error = np.degrees(errors.heading_rad) if errors else None
@@ -147,6 +154,8 @@ def draw_confidence(axes: Axes, track: Track) -> None:
     if unsure.any():
         height, across = np.full(int(unsure.sum()), 0.03), axes.get_xaxis_transform()
         axes.plot(track.seconds[unsure], height, "|", color=WARNING, markersize=7, transform=across, label="not sure")
+    if not track.found.all():
+        axes.fill([], [], color=ODOMETRY, alpha=0.15, label="not found yet")
     axes.set(ylabel="probability", ylim=(0, 1.04))
     _finish(axes, track, "Probability of being right")
 
@@ -186,7 +195,7 @@ def _set_equal_limits(axes: Axes, box: Array) -> None:
 def _draw_ellipses(axes: Axes, track: Track) -> None:
     from matplotlib.collections import EllipseCollection
 
-    known = np.flatnonzero(np.isfinite(track.covs[:, :2, :2]).all(axis=(1, 2)))
+    known = np.flatnonzero(track.found & np.isfinite(track.covs[:, :2, :2]).all(axis=(1, 2)))
     if not len(known):
         return
     chosen = known[np.unique(np.linspace(0, len(known) - 1, ELLIPSES).astype(int))]
@@ -232,9 +241,20 @@ def _finish(axes: Axes, track: Track, title: str) -> None:
     for pause in find_pauses(track.t_ns, track.sighted):
         start, end = (np.array([pause.start_ns, pause.end_ns]) - track.t_ns[0]) / 1e9
         axes.axvspan(start, end, color=FAINT, alpha=0.7, linewidth=0, zorder=0)
+    for start, end in _runs(~track.found):
+        axes.axvspan(track.seconds[start], track.seconds[end], color=ODOMETRY, alpha=0.15, linewidth=0, zorder=0)
     if axes.get_legend_handles_labels()[0]:
         _legend_above(axes)
 
 
+def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first index of each run of true values (T,), and the index after it, or the last there is."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    return [(int(a), min(int(b), len(chosen) - 1)) for a, b in changes.reshape(-1, 2)]
+
+
 def _legend_above(axes: Axes, columns: int = 6) -> None:
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, handlelength=1.5, columnspacing=1.2)
+    """Put the legend between title and panel, so that neither covers the other."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=1.5, columnspacing=1.2)
+    rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)
+    axes.set_title(axes.get_title(loc="left"), pad=10 + 14 * rows)

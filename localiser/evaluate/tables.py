@@ -26,6 +26,8 @@ TIMES = ("frame_ms_median", "frame_ms_p95", "stage_ms")
 
 def figure_at(figures: Mapping[str, Any], name: str) -> Any:
     """Return the figure of that name, as `flat_figures` has it (`group.figure`), None where it is not there."""
+    if name in figures:
+        return figures[name]
     value: Any = figures
     for part in name.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None
@@ -181,16 +183,24 @@ def _width(table: Table, console: Console) -> int:
 
 
 class Column(NamedTuple):
-    """A figure: its title, its key in the metrics (dots for groups), how it is written, which of several is the worst.
+    """A figure: its title in a table, its key in the metrics (dots for groups), how it is written, how it reads.
 
-    per: what the figure is multiplied by.
+    label, unit: of it alone, where a page shows it. worst: which of several is the worst. per: what the figure is
+    multiplied by. is_told_at_0: False for one that is left out where it is 0 in all runs.
     """
 
     title: str
     key: str
     spec: str
+    label: str = ""
+    unit: str = ""
     worst: Callable[[list[float]], float] = max
     per: float = 1.0
+    is_told_at_0: bool = True
+
+    def is_known(self, value: Value) -> bool:
+        """Whether a figure is worth a place."""
+        return value is not None and (self.is_told_at_0 or value != 0)
 
     def of(self, run: Metrics) -> Value:
         """Return the figure of a run, None where it is not known."""
@@ -206,30 +216,33 @@ class Column(NamedTuple):
 
 # In the order of reading: is it found, is it sure, by what, how exactly, how far, how fast.
 OWN = (
-    Column("found\n(s)", "confidence.found_s", ".1f"),
-    Column("sure\n(%)", "confidence.sure", ".1f", min, 100.0),
-    Column("match\n(%)", "edges_matched", ".0f", min, 100.0),
-    Column("resid.\nχ²", "residuals.consistency", ".2f"),
-    Column("3σ\n(m)", "position_3sigma_median_m", ".3f"),
-    Column("worst\n(m)", "position_3sigma_max_m", ".3f"),
-    Column("3σ\n(°)", "heading_3sigma_median_deg", ".2f"),
-    Column("drive\n(m)", "distance_m", ".1f", min),
-    Column("speed\n(m/s)", "speed_mean_m_s", ".2f"),
+    Column("found\n(s)", "confidence.found_s", ".1f", "found after", " s"),
+    Column("not found\nyet (%)", "confidence.not_found", ".1f", "not found yet", " %", per=100.0, is_told_at_0=False),
+    Column("sure\n(%)", "confidence.sure", ".1f", "images sure", " %", min, 100.0),
+    Column("match\n(%)", "edges_matched", ".0f", "edges matched", " %", min, 100.0),
+    Column("resid.\nχ²", "residuals.consistency", ".2f", "residuals (right: 1, below: cautious)"),
+    Column("3σ\n(m)", "position_3sigma_median_m", ".3f", "3σ, median", " m"),
+    Column("worst\n(m)", "position_3sigma_max_m", ".3f", "3σ, worst", " m"),
+    Column("3σ\n(°)", "heading_3sigma_median_deg", ".2f", "3σ of heading", "°"),
+    Column("drive\n(m)", "distance_m", ".1f", "distance", " m", min),
+    Column("speed\n(m/s)", "speed_mean_m_s", ".2f", "mean speed", " m/s"),
     Column("gaps", "pauses", ".0f"),
-    Column("image\n(ms)", "frame_ms_median", ".0f"),
+    Column("image\n(ms)", "frame_ms_median", ".0f", "time an image", " ms"),
 )
 # How good, how bad, how sure of itself, how close to the limit.
 ERRORS = (
-    Column("RMSE\n(m)", "position_rmse_m", ".3f"),
-    Column("median\n(m)", "position_median_m", ".3f"),
-    Column("max\n(m)", "position_max_m", ".3f"),
+    Column("RMSE\n(m)", "position_rmse_m", ".3f", "position RMSE", " m"),
+    Column("median\n(m)", "position_median_m", ".3f", "position median", " m"),
+    Column("max\n(m)", "position_max_m", ".3f", "position maximum", " m"),
     Column("end\n(m)", "position_end_m", ".3f"),
-    Column("heading\n(°)", "heading_rmse_deg", ".2f"),
-    Column("odom.\n(m)", "odometry_position_rmse_m", ".3f"),
-    Column("wrong\n(%)", "confidence.sure_and_wrong", ".1f", per=100.0),
-    Column("NEES", "nees_mean", ".1f"),
-    Column("RMSE /\nbound", "efficiency", ".2f"),
+    Column("heading\n(°)", "heading_rmse_deg", ".2f", "heading RMSE", "°"),
+    Column("odom.\n(m)", "odometry_position_rmse_m", ".3f", "odometry alone", " m"),
+    Column("wrong\n(%)", "confidence.sure_and_wrong", ".1f", "sure and wrong", " %", per=100.0),
+    Column("NEES", "nees_mean", ".1f", "NEES (right: 3, below: cautious)"),
+    Column("RMSE /\nbound", "efficiency", ".2f", "RMSE / bound"),
 )
+NOTES = {"resid.\nχ²": "resid. χ²: 1 is right, below: cautious", "NEES": "NEES: 3 is right, below: cautious"}
+"""What stands below a table with these columns."""
 TABLES = {
     "What the run knows of itself": OWN,
     "Errors against the truth, no alignment": ERRORS,
@@ -265,7 +278,7 @@ def run_tables(runs: Mapping[str, Metrics]) -> Iterator[Table | str]:
     differing = [key for key in values if len(values[key]) > 1]
     rows = list(_rows(runs))
     for title, columns in TABLES.items():
-        known = [column for column in columns if any(column.of(row.run) is not None for row in rows)]
+        known = [column for column in columns if any(column.is_known(column.of(row.run)) for row in rows)]
         if not known:
             continue
         table = new_table(title, "run", *differing, *(column.title for column in known), texts=1 + len(differing))
@@ -274,6 +287,8 @@ def run_tables(runs: Mapping[str, Metrics]) -> Iterator[Table | str]:
             figures = (row.cell(column) for column in known)
             style = "bold" if row.values else None
             table.add_row(_broken(row.name), *about, *figures, style=style, end_section=row.ends_group)
+        table.caption = "; ".join(NOTES[column.title] for column in known if column.title in NOTES) or None
+        table.caption_justify = "left"
         yield ""
         yield table
 

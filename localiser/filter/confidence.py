@@ -12,8 +12,10 @@ from localiser.particles import Particles
 
 CORRECT_M, CORRECT_RAD = 0.5, np.radians(10.0)
 SURE = 0.9  # from here on nothing needs a reason
+LEAST_SURE = 0.5  # below this a pose is more likely wrong than right
 
-Reason = Literal["", "no edges", "edges contradict the map", "several places fit"]
+Reason = Literal["", "no edges", "edges contradict the map", "several places fit", "not found yet"]
+NOT_FOUND: Reason = "not found yet"
 MapWarning = Literal["", "this map does not fit"]
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.filter.confidence import LEAST_SURE, NOT_FOUND, SURE
 from localiser.filter.events import Located
 from localiser.filter.mcl import Mcl
 from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
 from localiser.observation import Matches, Sighting, matches_of
 
 Image = NDArray[np.uint8] | bytes
@@ -22,7 +24,8 @@ class LocatedFrame:
     """One image, located.
 
     matches: which landmark each edge shows, seen from the estimate. image: None where edges were measured elsewhere.
-    truth: (3,) true pose then, where known. stage_ms: what each stage of the work took.
+    truth: (3,) true pose then, where known. stage_ms: what each stage of the work took. wide_cov: (3, 3) of a pose that
+    is no ordinary one, because the robot is not found yet, or lost: it may be anywhere; None for an ordinary pose.
     """
 
     located: Located
@@ -30,6 +33,50 @@ class LocatedFrame:
     image: Image | None
     truth: Array | None
     stage_ms: Mapping[str, float]
+    wide_cov: Array | None = None
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the pose is an ordinary one: the robot was found, or its start stated, and it is not lost since."""
+        return self.wide_cov is None
+
+    @property
+    def pose_cov(self) -> Array:
+        """The covariance (3, 3) to tell others: the estimate's, or a wide one."""
+        return self.located.estimate.pose_cov if self.wide_cov is None else self.wide_cov
+
+
+@dataclass(slots=True, eq=False)
+class Finding:
+    """Whether the robot is found: its start was stated, or the filter was sure once.
+
+    From where it is more likely wrong than right until it is sure again, the robot is lost. anywhere: (3, 3) covariance
+    of a pose that is as far off as the map is wide.
+    """
+
+    anywhere: Array
+    is_found: bool = False
+    was_found: bool = False
+
+    @classmethod
+    def on(cls, landmark_map: LandmarkMap) -> Finding:
+        """Return it before anything is known."""
+        return cls(np.diag(np.square([*np.ptp(landmark_map.points, axis=0), np.pi]) / 3))
+
+    def begin(self, *, found: bool) -> None:
+        """Begin anew. found: whether it is known where."""
+        self.is_found = self.was_found = found
+
+    def after(self, located: Located) -> tuple[Located, Array | None]:
+        """Return what was located, and the covariance (3, 3) of a pose that is no ordinary one."""
+        p_correct = located.p_correct
+        self.was_found |= p_correct > SURE
+        self.is_found = p_correct > SURE or (self.is_found and not p_correct < LEAST_SURE)
+        if not self.was_found:
+            located = replace(located, reason=NOT_FOUND)
+        if self.is_found:
+            return located, None
+        return located, p_correct * located.estimate.pose_cov + (1 - p_correct) * self.anywhere
 
 
 def matched(mcl: Mcl, located: Located) -> Matches:

@@ -53,7 +53,7 @@ class Summary:
     def of(cls, frames: Sequence[LocatedFrame], landmarks: int) -> Summary:
         """Return the summary of images, which are gone through once. landmarks: L."""
         count, use = len(frames), np.zeros((landmarks, 2))
-        t_ns, known, wrong = np.empty(count, np.int64), np.empty(count, bool), np.empty(count, bool)
+        t_ns, known, wrong, found = np.empty(count, np.int64), *np.empty((3, count), bool)
         poses, covs, odometry = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
         numbers, residuals = np.empty((count, 3)), np.empty((count, 3))
         warnings, reasons = [], []
@@ -61,14 +61,15 @@ class Summary:
             located, landmark = frame.located, frame.matches.landmark
             use[:, 0] += frame.matches.visible
             use[np.unique(landmark[landmark >= 0]), 1] += 1
-            t_ns[i], poses[i], covs[i] = located.t_ns, located.estimate.pose, located.estimate.pose_cov
+            t_ns[i], poses[i], covs[i] = located.t_ns, located.estimate.pose, frame.pose_cov
+            found[i] = frame.is_found
             odometry[i], residuals[i] = located.odometry, evaluate.residual_sums(frame.matches)
             numbers[i] = len(located.edges), (landmark >= 0).sum(), located.p_correct
             known[i], wrong[i] = (located.edges.landmark_id >= 0).any(), located.wheels_are_wrong
             warnings.append(sys.intern(located.warning))
             reasons.append(sys.intern(located.reason))
         edges, matched, p_correct = numbers.T.copy()
-        track = Track(t_ns, poses, covs, odometry, edges, matched, p_correct, residuals)
+        track = Track(t_ns, poses, covs, odometry, edges, matched, p_correct, residuals, found)
         return cls(track, warnings, reasons, wrong, known, use)
 
     @property
@@ -156,7 +157,7 @@ def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
     warnings += clock_warnings + light_warnings + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
     if run.localiser.config.increments.source != "vision" and (jumped := jump_text(run.log)):
         warnings.append(jumped)
-    scale = {"map_scale_found": round(run.frames[-1].located.map_error.scale, 6)}
+    scale = {"map_sigma_factor": round(run.frames[-1].located.map_error.scale, 6)}
     figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height | scale
     figures |= clock | light
     in_view, matched = (summary.landmark_use > 0).T

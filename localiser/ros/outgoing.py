@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.filter import SURE, Located, LocatedFrame
+from localiser.filter import LEAST_SURE, SURE, Located, LocatedFrame
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap, landmark_ends
 from localiser.ros.drawing import annotated, landmark_markers, match_markers
@@ -24,8 +24,6 @@ STEP_M, STEP_RAD = 0.1, np.deg2rad(10.0)
 _NS = 10**9
 NAME = "localiser: pose"
 OK, WARN, ERROR = 0, 1, 2
-LEAST_SURE = 0.5
-"""Below this a pose is more likely wrong than right, and the transform, by which robots drive, is held back."""
 
 
 def diagnostics(make: Messages, frame: LocatedFrame, stamp_ns: int, facts: Mapping[str, str]) -> Any:
@@ -34,8 +32,8 @@ def diagnostics(make: Messages, frame: LocatedFrame, stamp_ns: int, facts: Mappi
     facts: more of them. Level: ERROR where the pose is more likely wrong than right, WARN where it is not sure.
     """
     located, landmark = frame.located, frame.matches.landmark
-    sigma_m = float(np.sqrt(np.trace(located.estimate.pose_cov[:2, :2])))
-    sigma_deg = float(np.degrees(np.sqrt(located.estimate.pose_cov[2, 2])))
+    sigma_m = float(np.sqrt(np.trace(frame.pose_cov[:2, :2])))
+    sigma_deg = float(np.degrees(np.sqrt(frame.pose_cov[2, 2])))
     values = {
         "p_correct": f"{located.p_correct:.4f}",
         "reason": located.reason,
@@ -160,14 +158,14 @@ class Outgoing:
         """
         self._located = frame.located
         makers: dict[str, Callable[[], Any]] = {
-            "pose": lambda: self._pose(frame.located, stamp_ns),
+            "pose": lambda: self._pose(frame, stamp_ns),
             "particles": lambda: self._particles(frame.located, stamp_ns),
             "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.map),
             "path": lambda: self._path.message(self._make, stamp_ns, self.frames.map),
             "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.camera),
             "diagnostics": lambda: diagnostics(self._make, frame, stamp_ns, facts or {}),
         }
-        if not self._path.grows(stamp_ns, frame.located.estimate.pose):
+        if not frame.is_found or not self._path.grows(stamp_ns, frame.located.estimate.pose):
             del makers["path"]
         made = ((kind, make()) for kind, make in makers.items() if kind in self.kinds and wanted(kind))
         return [self._message(kind, stamp_ns, message) for kind, message in made if message is not None]
@@ -201,9 +199,9 @@ class Outgoing:
     def _message(self, kind: str, stamp_ns: int, message: Any) -> Message:
         return Message(kind, stamp_ns, self._make.encode(message))
 
-    def _pose(self, located: Located, stamp_ns: int) -> Any:
-        estimate = located.estimate
-        return self._make.pose_in_map(stamp_ns, estimate.pose, estimate.pose_cov, self.frames.map)
+    def _pose(self, frame: LocatedFrame, stamp_ns: int) -> Any:
+        pose = frame.located.estimate.pose
+        return self._make.pose_in_map(stamp_ns, pose, frame.pose_cov, self.frames.map)
 
     def _particles(self, located: Located, stamp_ns: int) -> Any:
         """Return a geometry_msgs/PoseArray of at most MOST_PARTICLES, each as likely as its weight."""

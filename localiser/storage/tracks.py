@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from io import FileIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from localiser.documents import output_errors, write_all
-from localiser.evaluate import Track
-from localiser.filter import LocatedFrame
-from localiser.geometry import Array
+from localiser.evaluate import Track, found_images
+from localiser.filter import NOT_FOUND, LocatedFrame
 from localiser.storage.tables import Column, number, number_or_unknown, read_table
 from localiser.storage.trajectories import POSE_COLUMNS, tum_line
 
@@ -51,7 +51,7 @@ class TrackWriter:
         self._begin_csv(constants)
         cells = [str(located.t_ns)]
         cells += [f"{value:.9f}" for value in estimate.pose]
-        cells += [f"{value:.9e}" for value in estimate.pose_cov[_UPPER]]
+        cells += [f"{value:.9e}" for value in frame.pose_cov[_UPPER]]
         cells += [f"{located.ess:.3f}", str(len(located.edges))]
         cells += ["" if np.isnan(value) else f"{value:.9f}" for value in located.odometry]
         places = 1 if located.clusters is None else int((located.clusters.weight >= PLACE).sum())
@@ -59,7 +59,8 @@ class TrackWriter:
         for column in range(3, 3 + len(constants)):
             cells += [f"{estimate.mean[column]:.9e}", f"{np.sqrt(estimate.cov[column, column]):.9e}"]
         self._write(TRAJECTORY_CSV, ",".join(cells) + "\n")
-        self._write(TRAJECTORY_TUM, tum_line(located.t_ns, estimate.pose))
+        if frame.is_found:
+            self._write(TRAJECTORY_TUM, tum_line(located.t_ns, estimate.pose))
         if frame.truth is not None:
             self._write(GROUNDTRUTH_TUM, tum_line(located.t_ns, frame.truth))
 
@@ -98,7 +99,10 @@ def read_track(path: Path) -> Track:
     table.require_time_order(strictly=True)
     covs = np.empty((len(table), 3, 3))
     covs[:, _UPPER[0], _UPPER[1]] = covs[:, _UPPER[1], _UPPER[0]] = table.numbers(*_COV)
-    known: dict[str, Array] = {name: table.numbers(name) for name in ("edges", "p_correct") if name in table.columns}
+    known: dict[str, Any] = {name: table.numbers(name) for name in ("edges", "p_correct") if name in table.columns}
     if all(name in table.columns for name in _ODOMETRY):
         known["odometry"] = table.numbers(*_ODOMETRY)
+    if "p_correct" in known:
+        looked_for = table.columns.get("reason", ("",))[0] == NOT_FOUND
+        known["found"] = found_images(known["p_correct"], is_found=not looked_for)
     return Track.from_poses(table.integers("t_ns"), table.numbers("x", "z", "heading"), covs=covs, **known)

@@ -132,15 +132,18 @@ def test_recovery_ends_at_the_next_pause() -> None:
 
 
 def test_how_sure_a_run_was_and_how_rightly() -> None:
-    """Five images: lost, sure, sure and wrong by position, sure and wrong by heading, unsure but right."""
+    """Five images: not found yet, sure, wrong by position, wrong by heading though sure, lost though right."""
     t_ns = np.arange(5) * SECOND
     poses = np.array([[3.0, 0, 0], [0.1, 0, 0], [0.6, 0, 0], [0, 0, 0.3], [0, 0.2, 0]])
-    track = Track.from_poses(t_ns, poses, p_correct=[0.1, 0.95, 0.91, 0.99, 0.4])
+    track = Track.from_poses(t_ns, poses, p_correct=[0.1, 0.95, 0.91, 0.99, 0.4], found=[0, 1, 1, 1, 0])
     reasons = ["several places fit", "", "", "", "no edges"]
-    found = metrics(track, Trajectory(t_ns, np.zeros((5, 3))), log="five", reasons=reasons)["confidence"]
-    assert found["sure"] == 0.6 and found["correct"] == 0.4 and found["sure_and_wrong"] == 0.4
-    assert found["found_s"] == 1.0 and found["p_correct_min"] == 0.1
-    assert found["position_rmse_found_m"] == pytest.approx(np.sqrt((0.01 + 0.36 + 0 + 0.04) / 4), abs=1e-6)
+    figures = metrics(track, Trajectory(t_ns, np.zeros((5, 3))), log="five", reasons=reasons)
+    found = figures["confidence"]
+    assert found["sure"] == 0.6 and found["p_correct_min"] == 0.1
+    assert (found["correct"], found["sure_and_wrong"]) == pytest.approx((1 / 3, 2 / 3), abs=1e-6)
+    assert found["found_s"] == 1.0 and found["not_found"] == 0.4
+    assert figures["position_rmse_m"] == pytest.approx(np.sqrt((0.01 + 0.36 + 0) / 3), abs=1e-6)
+    assert figures["position_max_m"] == 0.6 and figures["position_end_m"] == 0.0
     assert found["reasons"] == {"no edges": 1, "several places fit": 1}
 
 

@@ -132,3 +132,19 @@ def test_page_needs_no_other_file_and_says_what_it_shows(tmp_path: Path) -> None
     assert "Probability of being right 0.870; 3σ 0.042 m" in page
     assert page == page_of(None), "the same run gives the same page"
     assert "error 0.300 m" in page_of(0.3) and "error" not in re.sub(r"<h2>What the.*", "", page, flags=re.DOTALL)
+
+
+def test_the_page_says_what_the_run_knows_and_each_thing_once() -> None:
+    figures = {
+        "log": "mine", "position_3sigma_median_m": 0.0312, "edges_matched": 0.664, "distance_m": 18.07,
+        "residuals": {"consistency": 0.547}, "pauses": [], "warnings": ["This map does not fit."],
+        "confidence": {"found_s": None, "not_found": 1.0, "sure": 0.0}, "map": "rooms 0a1b2c", "start": "anywhere",
+        "biases": {"veer": {"value": 0.01, "sigma": 0.005}}, "landmarks": {"known": 40, "in_view": 30, "matched": 20},
+    }  # fmt: skip
+    page = report_page(Track.from_poses([0], np.zeros((1, 3))), figures, [], camera=CAMERA, landmark_map=MAP)
+    for text in (
+        ">0.031 m<", ">66 %<", ">18.1 m<", ">0.55<", ">never<", ">100.0 %<", "Warning: This map does not fit.",
+        "Learnt: veer +0.57 ± 0.29°/m.", "Of 40 landmarks, 30 were in view and 20 matched.", "map rooms 0a1b2c",
+    ):  # fmt: skip
+        assert page.count(text) == 1, text
+    assert ">position RMSE<" not in page
