@@ -79,11 +79,6 @@ class Board:
         """Columns × rows as people write it."""
         return f"{self.columns}x{self.rows}"
 
-    @property
-    def corner_count(self) -> int:
-        """How many corners a whole view shows."""
-        return (self.columns - 1) * (self.rows - 1)
-
     def find(self, image: NDArray[np.uint8], name: str = "") -> BoardView | None:
         """Return the board's corners in a grey image (H, W), or None when there are too few to be of use."""
         corners_m, corners_px = self._charuco(image) if self.kind == "charuco" else self._chessboard(image)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import TURN_RATE, Edges, foot_of_edges
 from localiser.geometry import Array, compose
@@ -24,7 +23,7 @@ class Sightings:
     """The edges of T frames as columns, S of them, sorted by frame.
 
     first: (T + 1,) where each frame's edges begin. frame: (S,). bearing, sigma: (S,) rad, in the camera's level frame.
-    polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown. length_px: (S,).
+    polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown.
     slope_up: (S, 2) height above the camera of the lower and the upper end per metre ahead. cut: (S, 2) whether
     that end lies at the image's border, so that the edge may go on. foot_m, foot_sigma_m: (S,) range of the foot if it
     stands on the floor, nan where no foot is seen. profile: (S, P). mounts: (T,) of the camera at each frame, None: as
@@ -37,7 +36,6 @@ class Sightings:
     sigma: Array
     polarity: NDArray[np.int8]
     side: Array
-    length_px: Array
     slope_up: Array
     cut: NDArray[np.bool_]
     foot_m: Array
@@ -74,7 +72,6 @@ class Sightings:
             sigma=_sigmas(frames),
             polarity=column("polarity").astype(np.int8),
             side=_sides(profile),
-            length_px=column("length_px"),
             slope_up=slope_up,
             cut=cut,
             foot_m=foot_m,
@@ -190,11 +187,3 @@ def per_point(points: Array, cameras: Array) -> Array:
     offset = points - cameras[:, :2]
     squared = np.maximum((offset**2).sum(axis=1), 1e-12)
     return np.asarray(np.stack([offset[:, 1], -offset[:, 0]], axis=-1) / squared[:, None])
-
-
-def parallax(directions: Array) -> float:
-    """Return the widest angle (rad) between headings (K,) that lie within half a turn of each other."""
-    if len(directions) < 2:
-        return 0.0
-    turned = geometry.wrap_angle(directions - geometry.circular_mean(directions))
-    return float(turned.max() - turned.min())

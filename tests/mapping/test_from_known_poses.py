@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mapping_worlds import world
+from mapping_worlds import parallax, world
 from numpy.typing import NDArray
 from simulated_edges import EdgeNoise, simulated_edges
 
@@ -20,7 +20,7 @@ from localiser.geometry import Array, Trajectory, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Built, MappingParameters, Sightings
 from localiser.mapping.landmarks import triangulate
-from localiser.mapping.sightings import direction_of, parallax, per_point
+from localiser.mapping.sightings import direction_of, per_point
 from localiser.mapping.tracks import assign, looks_alike
 from localiser.storage import open_log
 
@@ -59,11 +59,6 @@ def test_derivative_of_direction_agrees_with_differences() -> None:
         for d in step * np.eye(2)
     ]
     assert per_point(point, camera)[0] == pytest.approx(numeric, rel=1e-6)
-
-
-def test_parallax_does_not_mind_where_angles_wrap() -> None:
-    assert parallax(np.deg2rad([179.0, -178.0, 177.0])) == pytest.approx(np.deg2rad(5.0))
-    assert parallax(np.zeros(1)) == 0.0
 
 
 def rays(points: Array, sigma: float, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array, Array]:

@@ -119,16 +119,8 @@ def edges_with_feet(true_scale: float, lifted_m: Array, seed: int = 0) -> tuple[
         ends = np.stack([CAMERA.project_level(foot), CAMERA.project_level(top)], axis=1)
         unknown = np.full(count, 0.01)
         frames.append(Edges.from_columns(bearing, unknown, bearing, unknown, ends_px=ends))
-    return (
-        Sightings.from_edges(frames, CAMERA),
-        points / true_scale,
-        CAMERA.pose_in_map(poses)
-        / [
-            true_scale,
-            true_scale,
-            1,
-        ],
-    )
+    cameras = CAMERA.pose_in_map(poses) / [true_scale, true_scale, 1]
+    return Sightings.from_edges(frames, CAMERA), points / true_scale, cameras
 
 
 @pytest.mark.parametrize("true_scale", [0.96, 1.0, 1.05])
@@ -281,22 +273,12 @@ def visits(drifts: list[Array], repeats: bool = False) -> tuple[Array, Built, In
     return np.concatenate(parts), fitted_nowhere(landmark), frame
 
 
-def test_a_group_that_drifted_by_more_than_its_spacing_is_known_again() -> None:
-    points, built, frame = visits([np.array([1.5, -0.8, 0.2])])
-    assert recognise_groups(points, built, frame).number.tolist() == [*range(12), *range(12)]
-
-
 def test_a_group_that_fits_in_two_places_is_not_decided() -> None:
     points, built, frame = visits([np.array([0.4, 0.0, 0.0])], repeats=True)
     assert recognise_groups(points, built, frame).number.tolist() == list(range(len(points)))
 
 
-def test_a_third_visit_is_compared_with_the_first_alone() -> None:
-    points, built, frame = visits([np.array([1.5, -0.8, 0.2]), np.array([-0.6, 1.1, -0.1])])
-    assert recognise_groups(points, built, frame).number.tolist() == [*range(12)] * 3
-
-
-def test_drift_is_followed_from_visit_to_visit_however_far_it_goes() -> None:
+def test_drift_by_more_than_the_spacing_is_followed_from_visit_to_visit_however_far_it_goes() -> None:
     points, built, frame = visits([number * np.array([2.0, -1.5, 0.25]) for number in range(1, 8)])
     assert recognise_groups(points, built, frame).number.tolist() == [*range(12)] * 8
 

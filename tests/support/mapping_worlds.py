@@ -13,11 +13,16 @@ from simulated_edges import EdgeNoise, simulated_edges
 from localiser import documents, simulate
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, Trajectory, between, compose
+from localiser.geometry import Array, Trajectory, between, circular_mean, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.mapping import Sightings, direction_of, parallax
+from localiser.mapping import Sightings, direction_of
 
 WORLDS = Path(__file__).resolve().parents[2] / "configs" / "worlds"
+
+
+def parallax(headings: Array) -> float:
+    """Return the widest angle (rad) between headings (K,) that lie within half a turn of each other."""
+    return float(np.ptp(wrap_angle(headings - circular_mean(headings))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
