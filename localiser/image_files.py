@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_PICTURE = frozenset((b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"))
+_PNG_DEPTH = 24  # the byte that says how many bits a value has
 _PNG_RATIO = 1032  # what zlib packs into one byte at most
 _QUICK_BYTES = 2**29  # unpacked in a second
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
@@ -44,9 +45,9 @@ def measure(data: bytes) -> tuple[tuple[int, int], bool]:
 def decode(data: bytes, flags: int) -> NDArray[Any] | None:
     """Return the pixels that OpenCV reads from a JPEG or PNG file, None where it cannot. flags: of cv2.imdecode.
 
-    Of a PNG it gets the chunks of the picture alone: texts and profiles unpack to any size, and animations are many
-    pictures. Raises ValueError as `measure` does, where there are too many pixels, and where a PNG holds more than
-    it states.
+    Values of 16 bits become 8 by `eight_bits`, unless they are asked for unchanged. Of a PNG OpenCV gets the chunks of
+    the picture alone: texts and profiles unpack to any size, and animations are many pictures. Raises ValueError as
+    `measure` does, where there are too many pixels, and where a PNG holds more than it states.
     """
     (width, height), _ = measure(data)
     if width * height > MOST_PIXELS:
@@ -56,10 +57,25 @@ def decode(data: bytes, flags: int) -> NDArray[Any] | None:
         packed = b"".join(chunk[8:-4] for name, chunk in chunks if name == b"IDAT")
         _check_unpacked(packed, (8 * width + 2) * height + 2**16)  # a pixel has 8 bytes at most, an interlaced row 2
         data = PNG_SIGNATURE + b"".join(chunk for _, chunk in chunks)
+    is_deep = (
+        data.startswith(PNG_SIGNATURE)
+        and data[_PNG_DEPTH : _PNG_DEPTH + 1] == b"\x10"
+        and flags != cv2.IMREAD_UNCHANGED
+    )
     try:
-        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        found = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags | (cv2.IMREAD_ANYDEPTH if is_deep else 0))
+        return eight_bits(found) if is_deep and found is not None else found
     except cv2.error:
         return None
+
+
+def eight_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return whole numbers of 16 bits as 8 bits, by the range that they use: 8, 10, 12, 14 or 16 bits.
+
+    It is the smallest that has the largest of them, as a sensor of 12 bits in 16 leaves the upper four empty.
+    """
+    used = next(bits for bits in (8, 10, 12, 14, 16) if pixels.max(initial=0) < 2**bits)
+    return np.asarray(pixels >> (used - 8), dtype=np.uint8)
 
 
 def _measure_jpeg(data: bytes) -> tuple[tuple[int, int], bool]:

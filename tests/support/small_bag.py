@@ -73,7 +73,14 @@ class Recorder:
         self.send(topic, CAMERA_INFO, t_ns, header=self.header(t_ns, "optical"), **fields)
 
     def odometry(
-        self, t_ns: int, x: float = 0.0, *, topic: str = "/odom", base: str = "base_link", **turned: float
+        self,
+        t_ns: int,
+        x: float = 0.0,
+        *,
+        topic: str = "/odom",
+        base: str = "base_link",
+        recorded_ns: int | None = None,
+        **turned: float,
     ) -> None:
         make = self.make
         quaternion = make("geometry_msgs/msg/Quaternion", **({"w": 1.0} | turned))
@@ -81,7 +88,21 @@ class Recorder:
             "geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", x=x, y=0.0), orientation=quaternion
         )
         full = make("geometry_msgs/msg/PoseWithCovariance", pose=pose)
-        self.send(topic, ODOMETRY, t_ns, header=self.header(t_ns, "odom"), child_frame_id=base, pose=full)
+        recorded = t_ns if recorded_ns is None else recorded_ns
+        self.send(topic, ODOMETRY, recorded, header=self.header(t_ns, "odom"), child_frame_id=base, pose=full)
+
+    def pose(self, t_ns: int, x: float, topic: str, kind: str) -> None:
+        """Write a pose as PoseStamped, PoseWithCovarianceStamped or TransformStamped."""
+        make, place = self.make, {"x": x}
+        turned = make("geometry_msgs/msg/Quaternion", w=1.0)
+        if kind == "TransformStamped":
+            moved = make("geometry_msgs/msg/Vector3", **place)
+            fields = {"transform": make("geometry_msgs/msg/Transform", translation=moved, rotation=turned)}
+        else:
+            pose = make("geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", **place), orientation=turned)
+            with_cov = kind == "PoseWithCovarianceStamped"
+            fields = {"pose": make("geometry_msgs/msg/PoseWithCovariance", pose=pose) if with_cov else pose}
+        self.send(topic, f"geometry_msgs/msg/{kind}", t_ns, header=self.header(t_ns, "map"), **fields)
 
     def transform(
         self,
@@ -89,17 +110,20 @@ class Recorder:
         child: str,
         translation: tuple[float, float, float],
         rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
+        topic: str = "/tf_static",
+        t_ns: int = 0,
+        msgtype: str = TRANSFORMS,
     ) -> None:
         make = self.make
         moved = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, translation), strict=True)))
         turned = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, rotation), strict=True)))
         stamped = make(
             "geometry_msgs/msg/TransformStamped",
-            header=self.header(0, parent),
+            header=self.header(t_ns, parent),
             child_frame_id=child,
             transform=make("geometry_msgs/msg/Transform", translation=moved, rotation=turned),
         )
-        self.send("/tf_static", TRANSFORMS, 0, transforms=[stamped])
+        self.send(topic, msgtype, t_ns, transforms=[stamped])
 
     def setting(self) -> None:
         """Write what every log needs beside images: camera, mount, odometry for a second."""

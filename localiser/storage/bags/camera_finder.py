@@ -89,6 +89,11 @@ class CameraFinder:
         self._first_ns: int | None = None
         self._optical = self._base = ""
 
+    @property
+    def floor(self) -> str:
+        """The frame above which heights are."""
+        return self._tree.floor_of(self._base) or self._base
+
     def take_camera(self, camera: Camera) -> None:
         """Take the camera from a file, as the argument `given`."""
         self.camera, self.is_given = camera, True
@@ -145,15 +150,17 @@ class CameraFinder:
             self.size = size
 
     def take_odometry(self, odometry: Any) -> None:
-        """Take an Odometry."""
+        """Take an Odometry, or other poses that name the robot's frame."""
         if not self._base:
-            self._base = plain_frame(odometry.child_frame_id)
+            self._base = plain_frame(getattr(odometry, "child_frame_id", ""))
             self._look()
 
     def made(self) -> Camera:
         """Return the camera by everything until now. Raises InputError; ValueError where something is missing."""
         if self._info is None:
             raise ValueError("expected a topic of sensor_msgs/CameraInfo, found none")
+        if not self._base:
+            raise ValueError("expected odometry that names the robot's frame (child_frame_id), found none")
         mount = mount_of(self._tree, self._base, self._optical, self._first_ns or 0)
         if self._rectified is None and is_ambiguous(self._info):
             name = self._topic

@@ -323,17 +323,29 @@ def base_from_optical(mount: Mount, level_from_camera: Array) -> Array:
 # -- floor poses ------------------------------------------------------------------------------------------------------
 
 
+class LostPoseError(ValueError):
+    """A pose that its sender did not know."""
+
+
 def floor_pose(message: Any) -> tuple[float, float, float]:
-    """Return x, z, heading of a nav_msgs/Odometry or a PoseWithCovarianceStamped. Raises ValueError.
+    """Return x, z, heading of a message of a pose, or of a transform.
+
+    Raises ValueError; LostPoseError where it is null or nan.
 
     Rounded to 1e-9, as log folders have them, so that converting a log and back changes nothing; wrapped after rounding
     and rounded again: -3.141592654 is less than -π.
     """
-    pose = message.pose.pose
-    at, turned = pose.position, pose.orientation
+    if hasattr(message, "transform"):
+        at, turned = message.transform.translation, message.transform.rotation
+    else:
+        pose = getattr(message.pose, "pose", message.pose)
+        at, turned = pose.position, pose.orientation
+    quaternion = turned.x, turned.y, turned.z, turned.w
+    if not any(quaternion) or math.isnan(sum((at.x, at.y, *quaternion))):
+        raise LostPoseError("expected a pose, found one that is null or nan")
     if not (math.hypot(at.x, at.y) <= _LARGEST_POSITION_M):
         raise ValueError(f"expected a position within {_LARGEST_POSITION_M:.0e} m, found x = {at.x}, y = {at.y}")
-    rotation = rotation_from_quaternion(turned.x, turned.y, turned.z, turned.w)
+    rotation = rotation_from_quaternion(*quaternion)
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])
     x, z, heading = np.round(pose_from_ros([at.x, at.y, yaw]), 9)
     return float(x), float(z), float(np.round(wrap_angle(heading), 9))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.camera import Camera, Mount
 from localiser.documents import Document, plain_name, validate
@@ -19,8 +20,8 @@ from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Message, Topic, numbered
 from localiser.storage.bags.camera_finder import CameraFinder
-from localiser.storage.bags.frames import floor_pose
-from localiser.storage.bags.images import image_file
+from localiser.storage.bags.frames import LostPoseError, floor_pose, plain_frame, stamp_of
+from localiser.storage.bags.images import image_file, shows_light
 from localiser.storage.bags.recorded import FORMAT, Decisions, Label, document_of, labelled, with_sigma
 from localiser.storage.bags.topics import (
     CAMERA_TOPIC,
@@ -29,7 +30,10 @@ from localiser.storage.bags.topics import (
     LOG_TOPIC,
     MAP_TOPIC,
     STATE_TOPIC,
+    TIMES,
+    choice_text,
     choose,
+    speaks_of_depth,
 )
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
@@ -38,6 +42,7 @@ from localiser.storage.log import Log, ReadOptions, require_overlap
 from localiser.storage.maps import map_from_document
 
 Made = TypeVar("Made")
+MOST_LOST = 0.1  # of the poses
 
 
 class BagReader:
@@ -53,7 +58,10 @@ class BagReader:
         """Return the log; the bag is read once from end to end. Raises InputError."""
         given = read_camera(options.camera) if options.camera else None
         with Bag(path) as bag:
-            roles = choose(path, bag.topics, options.topics, _stated_topics(bag))
+            asked = dict(options.topics)
+            if (times := asked.pop(TIMES, "stamps")) not in ("stamps", "recorded"):
+                raise InputError(f"expected {TIMES}=recorded, found {times!r}", field="--topic")
+            roles = choose(path, bag.topics, asked, _stated_topics(bag), lambda topic: _is_picture(bag, topic))
             image = next(topic for topic, role in roles.items() if role == "image")
             is_live = DECISIONS_TOPIC in roles.values()
             infos = [topic.name for topic, role in roles.items() if role == "camera_info"]
@@ -65,13 +73,25 @@ class BagReader:
                     image.name,
                     " ".join([str(path), *infos]),
                     at_once=is_live,
-                    rectified=next((kind == "image_rect" for kind in IMAGE_KINDS if kind in options.topics), None),
+                    rectified=next((kind == "image_rect" for kind in IMAGE_KINDS if kind in asked), None),
                 ),
+                is_recorded=times == "recorded",
+                truth_frame="" if "groundtruth" in roles.values() else plain_frame(asked.get("groundtruth", "")),
             )
             fault = _taken(content, bag, roles, up_to_fault=is_live and options.up_to_fault)
             if bag.broken:
                 warn(f"cannot be read to its end: {bag.broken}; the log ends there", path=path)
-        return replace(_log(content, image, given), fault=fault)
+            log = _log(content, image, given)
+            if content.label is None:
+                floor = content.finder.floor if given is None else "the floor, by the camera file"
+                warn(f"{choice_text(roles, bag.topics)}; heights above {floor}", path=path)
+        return replace(log, fault=fault)
+
+
+def _is_picture(bag: Bag, topic: Topic) -> bool:
+    """Whether the first image of a topic shows light; whole numbers of 16 bits do where its name speaks of no depth."""
+    first = next(bag.messages([topic]), None)
+    return first is None or shows_light(first.content, is_deep=speaks_of_depth(topic.name))
 
 
 def _taken(content: _Content, bag: Bag, topics: Collection[Topic], *, up_to_fault: bool) -> InputError | None:
@@ -107,30 +127,62 @@ def _document(path: Path, message: Message) -> Document:
 
 @dataclass(slots=True, eq=False)
 class _Poses:
-    """Poses of one odometry topic. rows: (t_ns, x, z, heading)."""
+    """Poses of one topic, or of one frame. rows: (t_ns, x, z, heading), nan where the robot was lost."""
 
     rows: list[tuple[int, float, float, float]] = field(default_factory=list)
     topic: str = ""
 
-    def take(self, message: Message, offset_ns: int) -> None:
-        """Add the floor part of a nav_msgs/Odometry. Raises ValueError."""
-        self.rows.append((message.stamp_ns + offset_ns, *floor_pose(message.content)))
-        self.topic = message.topic
+    def take(self, stamp_ns: int, topic: str, content: Any) -> None:
+        """Add the floor part of a message of poses. Raises ValueError."""
+        try:
+            pose = floor_pose(content)
+        except LostPoseError:
+            pose = (np.nan, np.nan, np.nan)
+        self.rows.append((stamp_ns, *pose))
+        self.topic = topic
 
     def trajectory(self, path: Path) -> Trajectory:
-        """Return the poses in the order of their stamps. Raises InputError when two have the same."""
-        rows = sorted(self.rows)
-        times = _distinct([row[0] for row in rows], path, self.topic)
-        return Trajectory(times, np.array([row[1:] for row in rows]))
+        """Return the poses in the order of their stamps. Raises InputError when too many are lost."""
+        rows = np.array(self.rows)
+        known = np.isfinite(rows[:, 1:]).all(axis=1)
+        if lost := int((~known).sum()):
+            told = f"{lost} of {len(rows)} poses of {self.topic} that are null or nan"
+            if lost > MOST_LOST * len(rows):
+                raise InputError(f"expected at most a tenth of the poses to be null or nan, found {told}", path=path)
+            warn(f"left out {told}", path=path)
+        times = np.array([row[0] for row in self.rows], dtype=np.int64)[known]
+        order = _first_of_each(times, path, self.topic)
+        return Trajectory(times[order], rows[known][order, 1:])
+
+
+def _first_of_each(times: NDArray[np.int64], path: Path, topic: str) -> NDArray[np.int64]:
+    """Return the order of times; of those that are the same the first is kept, which is told.
+
+    Raises InputError where headers have no stamps.
+    """
+    if len(times) > 1 and not times.any():
+        problem = f"expected stamps in the headers, found none in {len(times)} messages; take the times of recording "
+        raise InputError(f"{problem}with --topic {TIMES}=recorded", path=path, field=topic)
+    order = np.argsort(times, kind="stable")
+    again = np.diff(times[order], prepend=-1) == 0
+    if again.any():
+        told = f"{again.sum()} of {len(times)} messages of {topic} with a stamp that was there already"
+        warn(f"left out {told}, such as {times[order][again][0] / 1e9:.9f} s", path=path)
+    return np.asarray(order[~again])
 
 
 @dataclass(slots=True, eq=False)
 class _Content:
-    """What one pass over a bag collects. roles: what each topic is for, by its name and the type of its messages."""
+    """What one pass over a bag collects. roles: what each topic is for, by its name and the type of its messages.
+
+    is_recorded: whether times are those of recording. truth_frame: a frame of /tf whose transforms are the truth.
+    """
 
     path: Path
     roles: dict[tuple[str, str], str]
     finder: CameraFinder
+    is_recorded: bool = False
+    truth_frame: str = ""
     images: list[ImagePlace] = field(default_factory=list)
     odometry: _Poses = field(default_factory=_Poses)
     groundtruth: _Poses = field(default_factory=_Poses)
@@ -149,13 +201,18 @@ class _Content:
 
     def _take(self, role: str, message: Message) -> None:
         content, offset_ns = message.content, self.decisions.offset_ns
+        if self.is_recorded:
+            first = next(iter(getattr(content, "transforms", ())), content)
+            offset_ns = message.t_ns - stamp_of(first) if hasattr(first, "header") else 0
         if role == "image":
-            self._take_image(message, offset_ns)
+            self.finder.take_image(content)
+            stamp_ns = message.stamp_ns + offset_ns
+            self.images.append(ImagePlace(stamp_ns, message.place, len(self.images), offset_ns))
         elif role == "odometry":
-            self.odometry.take(message, offset_ns)
+            self.odometry.take(message.stamp_ns + offset_ns, message.topic, content)
             self.finder.take_odometry(content)
         elif role == "groundtruth":
-            self.groundtruth.take(message, offset_ns)
+            self.groundtruth.take(message.stamp_ns + offset_ns, message.topic, content)
         elif role == "camera_info":
             self.finder.take_info(content)
         elif role == "transforms":
@@ -164,7 +221,15 @@ class _Content:
             self.finder.take_inertial(content, offset_ns)
         elif role == "moving_transforms":
             self.finder.take_moving(content, offset_ns)
-        elif role == DECISIONS_TOPIC:
+            for stamped in content.transforms if self.truth_frame else ():
+                if plain_frame(stamped.child_frame_id) == self.truth_frame:
+                    self.groundtruth.take(stamp_of(stamped) + offset_ns, self.truth_frame, stamped)
+        else:
+            self._take_text(role, message)
+
+    def _take_text(self, role: str, message: Message) -> None:
+        content = message.content
+        if role == DECISIONS_TOPIC:
             self.decisions.take(content.data)
         elif role == STATE_TOPIC:
             self.resumed = b64decode(content.data, validate=True)
@@ -174,11 +239,6 @@ class _Content:
             self.landmark_map = map_from_document(_document(self.path, message))
         elif role == CAMERA_TOPIC and self.finder.camera is None:
             self.finder.take_camera(camera_from_document(_document(self.path, message)))
-
-    def _take_image(self, message: Message, offset_ns: int) -> None:
-        self.finder.take_image(message.content)
-        stamp_ns = message.stamp_ns + offset_ns
-        self.images.append(ImagePlace(stamp_ns, message.place, len(self.images), offset_ns))
 
 
 # -- from what was collected to a log ---------------------------------------------------------------------------------
@@ -193,8 +253,11 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
         content.images = [place for place in content.images if place.order in decisions.images]
     if not content.images or not content.odometry.rows:
         raise InputError("expected images and odometry, found a bag that is cut off", path=path)
-    places = sorted(content.images, key=lambda place: place.stamp_ns)
-    _distinct([place.stamp_ns for place in places], path, topic.name)
+    stamps = np.array([place.stamp_ns for place in content.images], dtype=np.int64)
+    places = [content.images[number] for number in _first_of_each(stamps, path, topic.name)]
+    if content.truth_frame and not content.groundtruth.rows:
+        problem = f"expected a topic of poses, or a frame of /tf, found no {content.truth_frame!r}"
+        raise InputError(problem, path=path, field="groundtruth")
     odometry = content.odometry.trajectory(path)
     label = content.label or Label(format=FORMAT, name=plain_name(path.resolve().stem))
     mounts: Sequence[Mount | None] = [None] * len(places)
@@ -234,15 +297,6 @@ def _made(content: _Content, make: Callable[[], Made]) -> Made:
     except ValueError as error:
         problem = f"{error}; give camera and mount with --camera FILE"
         raise InputError(problem, path=content.path, field="camera") from None
-
-
-def _distinct(times: list[int], path: Path, topic: str) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return sorted times as an array. Raises InputError when two are the same."""
-    found = np.array(times, dtype=np.int64)
-    same = np.flatnonzero(np.diff(found) == 0)
-    if len(same):
-        raise InputError(f"expected stamps that differ, found {found[same[0]]} ns twice", path=path, field=topic)
-    return found
 
 
 @dataclass(frozen=True, slots=True)
