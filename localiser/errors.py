@@ -28,6 +28,19 @@ def one_paragraph(text: str) -> str:
     return line if len(line) <= _LONGEST else line[:_LONGEST] + "…"
 
 
+def reason_of(error: OSError) -> str:
+    """Return why the system refused something; where a folder was copied, why the first of its files was not."""
+    if error.args and isinstance(error.args[0], list):  # of shutil: (source, target, reason) of each file
+        return str(error.args[0][0][-1])
+    return error.strerror or str(error)
+
+
+def is_lack_of_memory(error: BaseException) -> bool:
+    """Whether an error comes of too little memory, whoever tells it: Python, the loader of a library, or OpenCV."""
+    told = ("Cannot allocate memory", "failed to map segment", "start new thread", "Insufficient memory")
+    return isinstance(error, MemoryError) or any(words in str(error) for words in told)
+
+
 class InputError(LocaliserError):
     """A file, a field or an option that is not what it should be.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -61,16 +62,16 @@ def demo(
 
 def copy_to(folder: Path) -> None:
     """Write the example's files to a folder, where they can be changed. Raises OutputError for what is there."""
-    from localiser.storage import output_errors
+    from localiser.documents import drafted
 
     source = example_folder()
     for part in PARTS:
         if (folder / part).exists():
             raise OutputError(f"{folder / part}: expected nothing there, found a file or a folder")
-    for part in PARTS:
-        with output_errors(folder / part):
-            (folder / part).parent.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as drafts:  # all take their places at the end, or none does
+        for part in PARTS:
+            draft = drafts.enter_context(drafted(folder / part, is_new=True))
             if (source / part).is_dir():
-                shutil.copytree(source / part, folder / part, copy_function=shutil.copyfile)
+                shutil.copytree(source / part, draft, copy_function=shutil.copyfile)
             else:
-                shutil.copyfile(source / part, folder / part)
+                shutil.copyfile(source / part, draft)

@@ -24,7 +24,7 @@ from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
 from localiser.commands.options import be_quiet
 from localiser.commands.pose import pose_app
-from localiser.errors import InputError, InputWarning, LocaliserError
+from localiser.errors import InputError, InputWarning, LocaliserError, is_lack_of_memory, one_paragraph, reason_of
 
 app = typer.Typer(
     name="localiser",
@@ -159,9 +159,12 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     warnings.showwarning = _shown_by(warnings.showwarning)
     try:
+        _check_memory(arguments)
         _check_options(arguments)
         _run([*of_all, *arguments])
-    except (LocaliserError, OSError) as error:
+    except Exception as error:
+        if not (isinstance(error, (LocaliserError, OSError)) or is_lack_of_memory(error)):
+            raise
         if "--debug" in of_all:
             traceback.print_exc()
         with suppress(OSError):
@@ -174,11 +177,26 @@ def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
 
     def show(message: Warning | str, *where: Any, **how: Any) -> None:
         if isinstance(message, InputWarning):
-            typer.secho(str(message), fg="yellow", err=True)
+            typer.secho(one_paragraph(str(message)), fg="yellow", err=True)
         else:
             usual(message, *where, **how)
 
     return show
+
+
+_LEAST_MB = 1200
+"""Of addresses: a replay reserves 1150 MB, of which it uses a third."""
+
+
+def _check_memory(arguments: list[str]) -> None:
+    """Raise LocaliserError where the libraries would end in a segmentation fault, or wait for ever."""
+    if sys.platform == "win32" or {"--help", "--version"} & set(arguments):
+        return
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_MB * 10**6:
+        raise LocaliserError(f"`ulimit -v`: expected at least {_LEAST_MB} MB, found {limit // 10**6} MB")
 
 
 def _run(arguments: list[str]) -> None:
@@ -200,9 +218,12 @@ def _flush() -> None:
             raise
 
 
-def _message_of(error: LocaliserError | OSError) -> str:
+def _message_of(error: Exception) -> str:
     """Return what is wrong; of the system's errors, with the path that it is about."""
     if isinstance(error, LocaliserError):
         return str(error)
-    reason = error.strerror or str(error)
-    return f"{error.filename}: {reason}" if error.filename else f"cannot be written or read: {reason}"
+    if is_lack_of_memory(error):
+        return one_paragraph(f"there is too little memory (`ulimit -v`, a container's limit?): {error}")
+    reason = reason_of(error) if isinstance(error, OSError) else ""
+    filename = getattr(error, "filename", None)
+    return one_paragraph(f"{filename}: {reason}" if filename else f"cannot be written or read: {reason}")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from localiser.errors import OutputError
+from localiser.errors import OutputError, reason_of
 
 
 @contextmanager
@@ -19,7 +19,7 @@ def output_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise OutputError(f"{path}: cannot be written: {reason_of(error)}") from None
 
 
 @contextmanager

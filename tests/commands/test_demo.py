@@ -17,6 +17,7 @@ from folders import ROOT
 from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 
 from localiser.commands import demo
+from localiser.errors import OutputError
 
 NO_DISPLAY = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
 
@@ -52,6 +53,14 @@ def test_what_is_kept_is_what_a_clone_has(empty: Path) -> None:
     written = files(empty / "here")
     assert set(written) >= {"logs/corridor/log.yaml", "configs/worlds/office.yaml"}
     assert filecmp.cmpfiles(ROOT, empty / "here", written, shallow=False) == (written, [], [])
+
+
+def test_an_example_that_cannot_be_copied_whole_is_told_and_leaves_nothing(empty: Path, installed: Path) -> None:
+    (installed / demo.LOG / "images.link").symlink_to("nowhere")
+    with pytest.raises(OutputError, match="No such file or directory") as told:
+        demo.copy_to(empty / "here")
+    assert "[(" not in str(told.value) and "corridor" in str(told.value)
+    assert files(empty / "here") == []
 
 
 def test_the_demo_keeps_the_files_of_an_installed_package(localiser: Localiser, empty: Path, installed: Path) -> None:

@@ -424,6 +424,55 @@ def test_an_output_that_is_full_is_told_in_one_line() -> None:
     assert (done.returncode, done.stderr) == (2, "Error: cannot be written or read: No space left on device\n")
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        "MemoryError()",
+        "ImportError('x.so: failed to map segment from shared object')",
+        "OSError(12, 'Cannot allocate memory')",
+    ],
+)
+def test_too_little_memory_is_told_in_one_line(error: str) -> None:
+    code = f"""
+import sys
+import localiser.commands
+def app(*_, **__): raise {error}
+program = sys.modules["localiser.commands.main"]
+program.app = app
+program.main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("Error: there is too little memory")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ulimit -v")
+def test_a_limit_below_what_the_libraries_need_is_told_before_they_are_loaded() -> None:
+    """They would end in a segmentation fault, or never."""
+    limited = ["sh", "-c", 'ulimit -v 300000; exec "$0" -m localiser replay logs/corridor', sys.executable]
+    done = subprocess.run(limited, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("Error: `ulimit -v`: expected at least")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_second_signal_does_not_interrupt_what_the_first_has_removed() -> None:
+    code = """
+import os, signal
+from localiser import __main__ as program
+def main():
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGHUP)
+        print("removed", flush=True)
+program.cli.main = main
+program.main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (143, "removed\n", "")
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such names")
 def test_a_terminal_of_ascii_and_a_name_that_is_no_text_are_served() -> None:
     command = [sys.executable, "-m", "localiser", "replay", b"/no\xff\xc3\xbc.bag"]
