@@ -5,6 +5,7 @@
     python benchmarks/scoreboard.py --only office_real "30 %"   rows whose title has one of these words
     python benchmarks/scoreboard.py --against benchmarks/scoreboard.json    what is worse or better than a saved page
     python benchmarks/scoreboard.py --against HEAD~3            than that commit, which is run here, too
+    python benchmarks/scoreboard.py --off wheels-check --against HEAD       what a mechanism is worth
     python benchmarks/scoreboard.py --save page.json --page page.md    keep all figures, and the page to read
 
 Edges are found once and kept by content of image, camera and the code that finds them (`results/scoreboard`, or
@@ -46,6 +47,7 @@ sys.path.insert(0, os.environ.get("LOCALISER_SOURCE", str(ROOT)))  # whatever is
 
 from board import page
 from board.drives import drive_of, map_of
+from board.off import MECHANISMS, switch_off
 from board.rows import Row, every_row, maps_needed
 from board.run import FIGURES, Values
 from joblib import Parallel, delayed, parallel_config
@@ -60,14 +62,18 @@ def prepare(make: Callable[[str], object], name: str) -> None:
     make(name)
 
 
-def outcome(title: str, seed: int) -> tuple[str, int, Values]:
-    """Return the figures of one run."""
+def outcome(title: str, seed: int, off: str) -> tuple[str, int, Values]:
+    """Return the figures of one run, without these mechanisms."""
+    switch_off(off)
     (row,) = (one for one in every_row() if one.title == title)
     return title, seed, page.rounded(row.judged(seed))
 
 
-def measured(rows: Sequence[Row], seeds: Sequence[int], jobs: int) -> page.Page:
-    """Return the figures of all rows and seeds. Seeds of a row follow each other: a process keeps its log."""
+def measured(rows: Sequence[Row], seeds: Sequence[int], jobs: int, off: str = "") -> page.Page:
+    """Return the figures of all rows and seeds. Seeds of a row follow each other: a process keeps its log.
+
+    off: mechanisms that are switched off, separated by commas.
+    """
     tasks = [(row.title, seed) for row in rows for seed in (seeds[:1] if row.is_exact else seeds)]
     left = Counter(title for title, _ in tasks)
     needed = {log for row in rows for log in row.logs}
@@ -85,7 +91,9 @@ def measured(rows: Sequence[Row], seeds: Sequence[int], jobs: int) -> page.Page:
             for _ in Parallel(return_as="generator_unordered")(first):
                 bar.advance(counted)
         counted = bar.add_task("Replaying", total=len(tasks))
-        for title, seed, values in Parallel(return_as="generator_unordered")(delayed(outcome)(*task) for task in tasks):
+        for title, seed, values in Parallel(return_as="generator_unordered")(
+            delayed(outcome)(*task, off) for task in tasks
+        ):
             found.setdefault(title, {})[seed] = values
             bar.advance(counted)
             left[title] -= 1
@@ -139,7 +147,7 @@ def main() -> int:
         return 0
     seeds = page.seeds_of(options.seeds or (QUICK_SEEDS if options.quick else "0-4"))
     begin = perf_counter()
-    now = measured(rows, seeds, options.jobs)
+    now = measured(rows, seeds, options.jobs, options.off)
     minutes = (perf_counter() - begin) / 60
     print(page.tables(now))
     print(f"{len(rows)} rows, seeds {seeds[0]} to {seeds[-1]}, {minutes:.1f} minutes with {options.jobs} processes\n")
@@ -157,6 +165,13 @@ def main() -> int:
     return int(bool(gone) or any(one.verdict == "worse" for one in found))
 
 
+def mechanisms(names: str) -> str:
+    """Return names of mechanisms, all of which are there. Raises argparse.ArgumentTypeError."""
+    if unknown := [name for name in filter(None, names.split(",")) if name not in MECHANISMS]:
+        raise argparse.ArgumentTypeError(f"expected some of {', '.join(MECHANISMS)}; found {', '.join(unknown)}")
+    return names
+
+
 def arguments() -> argparse.Namespace:
     """Return what was asked for."""
     figures = "\n".join(f"    {one.title:12} {one.meaning}" for one in FIGURES.values())
@@ -169,6 +184,13 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="real and tracking rows, seeds 0-2")
     parser.add_argument("--seeds", metavar="FIRST-LAST", help="default: 0-4, with --quick 0-2")
     parser.add_argument("--against", metavar="REF", help="a saved page, or a commit, to compare with")
+    parser.add_argument(
+        "--off",
+        default="",
+        metavar="NAME,...",
+        type=mechanisms,
+        help=f"mechanisms that are switched off here, not in what it is compared with: {', '.join(MECHANISMS)}",
+    )
     parser.add_argument("--save", type=Path, metavar="FILE", help="where to keep all figures, as JSON")
     parser.add_argument("--page", type=Path, metavar="FILE", help="where to write the page, as Markdown")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")

@@ -1,0 +1,99 @@
+"""Mechanisms of the filter that `--off` switches off, while it is decided which of them pay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+Patch = Callable[[], None]
+
+
+def _set(path: str, value: Any) -> Patch:
+    """Return what replaces an attribute, written `package.module:name` or `package.module:Class.name`."""
+
+    def patch() -> None:
+        module, _, name = path.partition(":")
+        owner: Any = import_module(f"localiser.{module}")
+        *classes, attribute = name.split(".")
+        for one in classes:
+            owner = getattr(owner, one)
+        if not hasattr(owner, attribute):
+            raise AttributeError(f"localiser.{path} is gone: mend board/off.py")
+        setattr(owner, attribute, value)
+
+    return patch
+
+
+def _same(self: Any, *_: Any, **__: Any) -> Any:
+    return self
+
+
+def _all(*patches: Patch) -> Patch:
+    def patch() -> None:
+        for one in patches:
+            one()
+
+    return patch
+
+
+def _unchecked(mcl: Any, state: Any, _: Any, drive: Any, rng: Any) -> Any:
+    if state.particles is None:
+        return drive, None
+    from localiser.filter import mcl as module
+
+    return drive, mcl.moved(module.thinned(state.particles, module.FEW), drive.moves, rng)
+
+
+def _never_carried() -> None:
+    from localiser.filter.scene import Scene
+
+    followed = Scene.followed
+
+    def without(self: Any, *arguments: Any) -> Any:
+        scene, density, jump = followed(self, *arguments)
+        return scene, density, replace(jump, log_ratio=0.0)
+
+    Scene.followed = without  # type: ignore[method-assign]
+
+
+MECHANISMS: dict[str, Patch] = {
+    "repetition": _set("filter.mcl:_repetition", lambda mcl, state, *_: state.repetition),
+    "second-cloud": _set("filter.mcl:FEW", 10**9),
+    "map-error": _set("filter.mcl:_map_error", lambda mcl, state, *_: state.map_error),
+    "map-decorrelation": _set("filter.map_error:LONGEST", 1.0),
+    "height": _all(
+        _set("filter.mcl:_tells_height_with_poses", lambda *_: False),
+        _set("filter.mcl:_height", lambda mcl, state, *_: state.height),
+    ),
+    "height-with-poses": _set("filter.mcl:_tells_height_with_poses", lambda *_: False),
+    "near-landmarks": _set("observation.near_landmarks:NearLandmarks.after", _same),
+    "visibility": _set("observation.visibility:Visibility.after", _same),
+    "wheels-check": _set("filter.mcl:_checked", _unchecked),
+    "jump": _never_carried,
+    "persistent-clutter": _set(
+        "observation.edge_observation:EdgeObservation.with_persistent_clutter", lambda self, sighting, *_: sighting
+    ),
+    "scene-clutter": _set(
+        "observation.edge_observation:EdgeObservation.scene_clutter",
+        lambda self, sighting, *_: (np.ones(len(sighting.edges)), np.ones(len(sighting.edges))),
+    ),
+    "polarity": _set("observation.polarity:mean_polarity", lambda polarity: 0.0 * np.nan_to_num(polarity)),
+    "history": _set("relocalisation.history:SCENES", 1),
+    "fourth-root": _set("relocalisation.candidates:EVENNESS", 1.0),
+    "limits": _set("filter.belief:SUPPORTED", np.inf),
+    "omega": _set("relocalisation.global_localisation:POWER", 1.0),
+    "as-tracked": _set("relocalisation.global_localisation:Clues.as_tracked", lambda self, particles: None),
+    "attitude": _set("filter.attitude:Level.levelled", lambda self, attitude, edges, *_: (edges, attitude)),
+    "optimal-proposal": _set("filter.mcl:_proposed", lambda *_: None),
+    "tempering-stages": _all(_set("filter.tempering:MOST_STAGES", 1), _set("filter.optimal_proposal:MOST_STAGES", 0)),
+}
+
+
+def switch_off(names: str) -> None:
+    """Switch off mechanisms, whose names are separated by commas, in this process. Raises KeyError."""
+    for name in filter(None, names.split(",")):
+        MECHANISMS[name]()
