@@ -61,7 +61,6 @@ def _never_carried() -> None:
 
 
 MECHANISMS: dict[str, Patch] = {
-    "repetition": _set("filter.mcl:_repetition", lambda mcl, state, *_: state.repetition),
     "second-cloud": _set("filter.mcl:FEW", 10**9),
     "map-error": _set("filter.mcl:_map_error", lambda mcl, state, *_: state.map_error),
     "map-decorrelation": _set("filter.map_error:LONGEST", 1.0),

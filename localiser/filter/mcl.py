@@ -30,7 +30,6 @@ from localiser.filter.height import (
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.moves import moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
-from localiser.filter.repetition import Repetition
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering
 from localiser.filter.wheels import MOST_EDGES, Evidence, Wheels
@@ -51,7 +50,6 @@ from localiser.observation import (
     ScalesMaps,
     Sighting,
     TempersByScale,
-    correlation_of,
     likelihood_by_rate,
     matches_of,
     novelty_of,
@@ -127,7 +125,6 @@ class FilterState:
     attitude: Attitude | None = None
     height: Height = field(default_factory=Height)
     map_error: MapError = field(default_factory=MapError)
-    repetition: Repetition = field(default_factory=Repetition)
     seen: Sighting | None = None
     pace: Gaussian | None = None
     odometry: deque[Odometry] = field(default_factory=deque)
@@ -198,7 +195,6 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if matches is not None and mcl.search is not None:
         pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
         state.belief = state.belief.seen(matches, points, pose, image.jump.novelty)
-    state.repetition = _repetition(mcl, state, located, image, matches)
     state.height = _height(mcl, state, located, image)
     state.map_error = _map_error(mcl, state, located, image)
     # Resample: as many particles as the way needs, from those that explain the edges.
@@ -229,7 +225,7 @@ class _Image:
     moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now; jumped:
     whether it did since the last image.
     sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1, of the errors
-    of its edges; least_novelty: the same if all errors repeated. jump: how new what it shows is.
+    of its edges. jump: how new what it shows is.
     """
 
     moves: list[Increment]
@@ -238,7 +234,6 @@ class _Image:
     jumped: bool
     sighting: Sighting
     novelty: float
-    least_novelty: float
     jump: Jump
 
 
@@ -311,12 +306,8 @@ def _checked(
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
     """Return what the motion and earlier images tell of an image."""
     motion, seen, increment = mcl.motion, state.seen, drive.increment
-    novelty = least_novelty = 1.0
-    if state.weighed:
-        longer = state.map_error.decorrelation
-        novelty = novelty_of(increment, mcl.correlation, longer, state.repetition.share)
-        least_novelty = novelty_of(increment, mcl.correlation, longer)
-    jump, clutter = Jump(least_novelty), None
+    novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
+    jump, clutter = Jump(novelty), None
     if mcl.search is not None and isinstance(mcl.observation, PredictsScenes):
         state.scene, clutter, jump = state.scene.followed(mcl.observation, motion, sighting, increment)
     if seen is not None and novelty < 1.0 and isinstance(mcl.observation, FollowsClutter):
@@ -324,9 +315,9 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
         sighting = mcl.observation.with_persistent_clutter(sighting, seen, increment, turn_var)
     sighting = replace(sighting, clutter=clutter)
     if mcl.level is not None:
-        edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, least_novelty)
+        edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(drive.moves, increment, drive.odometry, drive.jumped, sighting, novelty, least_novelty, jump)
+    return _Image(drive.moves, increment, drive.odometry, drive.jumped, sighting, novelty, jump)
 
 
 def _proposed(
@@ -482,7 +473,7 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
     if mcl.level is None or not isinstance(observation, ComparesEnds) or state.particles is None or not len(edges):
         return state.height
     stated = mcl.level.camera.at(located.edges.mount)
-    height = state.height.seen(image.least_novelty if state.weighed else 0.0)
+    height = state.height.seen(image.novelty if state.weighed else 0.0)
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height
     as_stated = image.sighting
@@ -497,24 +488,13 @@ def _matches(mcl: Mcl, estimate: Estimate, sighting: Sighting) -> Matches:
     return matches_of(mcl.observation, estimate.pose_as_seen, replace(sighting, edges=edges), mcl.landmark_map)
 
 
-def _repetition(mcl: Mcl, state: FilterState, located: Located, image: _Image, matches: Matches | None) -> Repetition:
-    """Return what is known of the share of errors that repeats after an image, where the pose is sure.
-
-    matches: None where no place is tracked. Images with an unknown motion between them are not compared.
-    """
-    if matches is None or state.seen is None or located.p_correct < SURE:
-        return state.repetition.interrupted()
-    longer = state.map_error.decorrelation
-    return state.repetition.after(matches, correlation_of(image.increment, mcl.correlation, longer))
-
-
 def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> MapError:
     """Return what is known of the landmarks' errors after an image, where the pose is sure."""
     observation, sighting = mcl.observation, image.sighting
     is_sure = state.particles is not None and located.p_correct >= SURE
     if not isinstance(observation, ScalesMaps) or not len(sighting.edges) or not is_sure:
         return state.map_error
-    found = state.map_error.seen(image.least_novelty)
+    found = state.map_error.seen(image.novelty)
     if found.novelty < LEAST_NOVELTY:
         return found
     return found.after(observation.by_map_scale(located.estimate, sighting, mcl.landmark_map, SCALES))

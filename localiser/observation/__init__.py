@@ -8,7 +8,7 @@ from localiser.observation.endpoint_likelihood import SIGMA_PX as ENDPOINT_SIGMA
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate, log_sum_of_rates
 from localiser.observation.known_association import IdentifiedObservation, observation_of
 from localiser.observation.near_landmarks import NearLandmarks
-from localiser.observation.parameters import ObservationParameters, correlation_of, novelty_of
+from localiser.observation.parameters import ObservationParameters, novelty_of
 from localiser.observation.protocols import (
     Associates,
     ComparesEnds,

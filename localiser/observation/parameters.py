@@ -43,33 +43,17 @@ class ObservationParameters:
     sight: SightParameters = field(default_factory=SightParameters)
 
 
-def correlation_of(increment: Increment, parameters: ObservationParameters, longer: float = 1.0) -> float:
-    """Return how far errors of an edge that repeat agree before and after moving by `increment`, 0 … 1.
-
-    They are taken as a first-order Markov process over the path, ρ = exp(-path/decorrelation_m -
-    turned/decorrelation_rad). longer: by how much they repeat longer than that.
-    """
-    exponent = 0.0
-    longer *= LEANS_REPEAT if parameters.kind == "slope" else 1.0
-    for moved, scale in (
-        (increment.path_m, parameters.decorrelation_m),
-        (increment.turned_rad, np.radians(parameters.decorrelation_deg)),
-    ):
-        if scale == 0:
-            return 0.0
-        exponent += moved / (longer * scale)
-    return float(np.exp(-exponent))
-
-
-def novelty_of(
-    increment: Increment, parameters: ObservationParameters, longer: float = 1.0, repeated: float = 1.0
-) -> float:
+def novelty_of(increment: Increment, parameters: ObservationParameters, longer: float = 1.0) -> float:
     """Return the share of a frame's log-likelihood that is new after moving by `increment`, 0 … 1.
 
-    A chain of images whose errors repeat with correlation ρ tells as much about a constant as if each image counted
-    1 / (1 + 2 f ρ / (1 - ρ)), where f is the share of the variance that repeats; (1 - ρ) / (1 + ρ) if all of it does.
-    So a robot that stands still learns nothing from seeing the same image again. repeated: f. longer: see
-    `correlation_of`.
+    Errors of an edge are taken as a first-order Markov process over the path. After x decorrelation lengths they agree
+    by ρ = exp(-x). A chain of such images tells as much about a constant as if each counted
+    (1 - ρ) / (1 + ρ) = tanh(x / 2). So a robot that stands still learns nothing from seeing the same image again.
+    longer: by how much errors repeat longer than that.
     """
-    correlation = correlation_of(increment, parameters, longer)
-    return (1.0 - correlation) / (1.0 - correlation + 2.0 * repeated * correlation)
+    if parameters.decorrelation_m == 0 or parameters.decorrelation_deg == 0:
+        return 1.0
+    lengths = increment.path_m / parameters.decorrelation_m
+    lengths += increment.turned_rad / np.radians(parameters.decorrelation_deg)
+    longer *= LEANS_REPEAT if parameters.kind == "slope" else 1.0
+    return float(np.tanh(lengths / longer / 2.0))
