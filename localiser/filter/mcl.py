@@ -497,7 +497,7 @@ def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) ->
     found = state.map_error.seen(image.novelty)
     if found.novelty < LEAST_NOVELTY:
         return found
-    return found.after(observation.by_map_scale(located.estimate, sighting, mcl.landmark_map, SCALES))
+    return found.after(observation.by_map_scale(located.estimate.pose_as_seen, sighting, mcl.landmark_map, SCALES))
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:

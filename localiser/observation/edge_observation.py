@@ -32,7 +32,6 @@ from localiser.geometry import Array, Increment, between, compose
 from localiser.landmarks import (
     LandmarkMap,
     Sight,
-    bearing_jacobian,
     field_of_view_rad,
     image_heights,
     in_camera,
@@ -48,17 +47,15 @@ from localiser.observation.parameters import ObservationParameters
 from localiser.observation.persistent_clutter import clutter_density
 from localiser.observation.protocols import EarlierImage, EndOffsets, Matches, Sighting, Targets
 from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
-from localiser.particles import CAMERA_YAW, POSE, Estimate, Particles, estimate, take, thinned
+from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take, thinned
 
 Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
-ALONE_M = 0.15  # no other edge and no other landmark is nearer to one that tells how far the map errs
+BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
 _FAR_SIGMAS = 12.0  # beyond this a normal density is below 1e-31 of its peak: nothing beside clutter
 _SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
 _FEW = 64  # particles that tell how wide the cloud is
-_FIT_STEPS = 3  # of Gauss and Newton, until the pose hardly moves
-_LEAST_SIGMA: Array = np.array([0.002, 0.002, np.radians(0.05)])  # m, m, rad: so that any covariance has an inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -309,51 +306,37 @@ class EdgeObservation:
         matches.landmark[edge], matches.residual[edge] = seen.landmark[pair], residual
         return replace(matches, sigma=_placed(sigma, edge, len(edges)), gate=_placed(gate, edge, len(edges)))
 
-    def by_map_scale(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
-        """Return log p(edges | scale) (K,) for scales (K,) of the map's sigmas, by landmarks that stand alone.
+    def by_map_scale(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
+        """Return log p(edges | scale) (K,) for scales (K,) of the map's sigmas, seen from one robot pose (3,).
 
-        Edges crowd where landmarks do: frames, shelves, folding doors. So a landmark tells of its error only where one
-        edge alone is within `ALONE_M` of it, and that edge is near no other landmark. Within that window, 2 w wide,
+        Each landmark has a window of its own: the bearings that are nearer to it than to any other landmark, and
+        within `BESIDE_M` of it. At most one of the n edges inside, each as likely as the other, is the landmark's:
 
-            p(q_e | scale) = (1 - π) / 2w + π N(q_e; q_l(pose), σ_e² + scale² σ_l²),
+            p(q_1 … q_n | scale) ∝ 1 - π + π/n Σ_e 2 w N(q_e; q_l(pose), σ_e² + scale² σ_l²) / P(window),
 
-        where π, how many of these edges are their landmark's, is integrated out. So an edge that is on no map says
-        nothing of the scale. An error of the pose must not be taken for one of the map: the pose is the one among those
-        of the estimate at which edges lie nearest to their landmarks.
+        where w is half of the window, P(window) the part of the normal that lies inside, and π, how often an edge is
+        the landmark's, is integrated out. So neither an edge that is on no map nor a landmark that stands among others
+        says that the map is poor.
         """
+        from scipy.special import erf
+
         edges, self = sighting.edges, self.at(sighting.edges)  # noqa: PLW0642
-        expected = self._expected_from(self._fitted(located, sighting, landmark_map), landmark_map, 1.0)
+        expected = self._expected_from(pose, landmark_map, 1.0)
         measured, measured_var = self.angle.measured(edges)
-        sigma_m = sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[expected.seen.landmark]
-        window = ALONE_M * np.sqrt(expected.variance) / np.maximum(sigma_m, 1e-9)
+        order = np.argsort(expected.angle, kind="stable")
+        gap = np.diff(expected.angle[order], prepend=-np.inf, append=np.inf)
+        window = BESIDE_M * np.sqrt(expected.variance)
+        window /= np.maximum(sigmas_m(landmark_map, self.parameters.landmark_sigma_m)[expected.seen.landmark], 1e-9)
+        window[order] = np.minimum(window[order], np.minimum(gap[:-1], gap[1:]) / 2)
         apart = measured - expected.angle[:, None]
-        near = np.abs(apart) < window[:, None]
-        pair, edge = np.nonzero(near & (near.sum(axis=1) == 1)[:, None] & (near.sum(axis=0) == 1))
+        pair, edge = np.nonzero((np.abs(apart) < window[:, None]) & np.isfinite(measured_var))
+        landmark, index, count = np.unique(pair, return_inverse=True, return_counts=True)
         variance = expected.variance[pair] * scales[:, None] ** 2 + measured_var[edge]
-        ratio = _normal(apart[pair, edge], variance) * 2.0 * window[pair]
-        by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=2)
+        inside = erf(window[pair] / np.sqrt(2.0 * variance))
+        ratio = np.zeros((len(landmark), len(scales)))
+        np.add.at(ratio, index, (2.0 * window[pair] * _normal(apart[pair, edge], variance) / inside / count[index]).T)
+        by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=1)
         return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
-
-    def _fitted(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
-        """Return the pose (3,) among those of the estimate at which edges lie nearest to their landmarks.
-
-        It is found by Gauss-Newton steps, each with the landmarks that edges have from the pose before.
-        """
-        pose = fitted = located.pose_as_seen
-        known = np.linalg.inv(located.pose_cov + np.diag(_LEAST_SIGMA**2))
-        for _ in range(_FIT_STEPS):
-            matches = self.associate(fitted, sighting, landmark_map)
-            edge = np.flatnonzero(matches.landmark >= 0)
-            assert matches.sigma is not None
-            camera_pose = self.camera.pose_in_map(fitted[None])[0]
-            points = landmark_map.points[matches.landmark[edge]]
-            right, ahead = in_camera(camera_pose[None], points)
-            _, per_bearing = self.angle.predicted(right[0] / ahead[0])
-            by_pose = per_bearing[:, None] * bearing_jacobian(fitted, camera_pose, points)
-            weighted = by_pose.T / matches.sigma[edge] ** 2
-            towards = weighted @ matches.residual[edge] - known @ (fitted - pose)
-            fitted = fitted + np.linalg.solve(weighted @ by_pose + known, towards)
-        return np.asarray(fitted)
 
     def end_offsets(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> EndOffsets:
         """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).

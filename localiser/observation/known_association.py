@@ -21,7 +21,7 @@ from localiser.observation.edge_observation import EdgeObservation
 from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.parameters import ObservationParameters
 from localiser.observation.protocols import Matches, Sighting, Targets
-from localiser.particles import POSE, Estimate, Particles
+from localiser.particles import POSE, Particles
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class IdentifiedObservation(EdgeObservation):
         ratio = np.where(np.isfinite(density), density, 0.0) * self.angle.span_rad
         return np.stack([np.log1p(rate * (ratio - 1.0)).sum(axis=1) for rate in INLIER_RATES])
 
-    def by_map_scale(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
+    def by_map_scale(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
         """Return (K,) that no scale of the map's sigmas is likelier than another: they are taken as stated."""
         return np.zeros(len(scales))
 

@@ -21,7 +21,7 @@ from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.observation.inlier_rate import INLIER_RATES
 from localiser.observation.parameters import ObservationParameters
-from localiser.particles import Estimate, Particles
+from localiser.particles import Particles
 
 _IMPOSSIBLE = -1e300  # stands for a log-likelihood of -inf, of which no difference can be taken
 
@@ -173,7 +173,7 @@ class Associates(Observation, Protocol):
 class ScalesMaps(Observation, Protocol):
     """An observation that tells how far landmarks are from where the map has them."""
 
-    def by_map_scale(self, located: Estimate, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
+    def by_map_scale(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, scales: Array) -> Array:
         """Return log p(sighting | scale) (K,) where the robot is; scales: (K,) of the map's sigmas."""
         ...
 
