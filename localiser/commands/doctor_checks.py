@@ -26,6 +26,7 @@ from localiser.config import Config, LiveParameters
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
+from localiser.image_files import decode
 from localiser.live import (
     Arrival,
     CameraSource,
@@ -92,11 +93,11 @@ def versions() -> Iterator[Finding]:
 def camera_check(address: str, seconds: float) -> tuple[Finding, Image | None]:
     """Return whether a camera that OpenCV reads can be opened and how many frames a second come, and the last one."""
     times: list[float] = []
-    newest: deque[Image] = deque(maxlen=1)
+    newest: deque[bytes] = deque(maxlen=1)
 
-    def take(_t_ns: int, image: Image) -> None:
+    def take(_t_ns: int, file: bytes) -> None:
         times.append(time.monotonic())
-        newest.append(image)
+        newest.append(file)
 
     try:
         source = CameraSource(address, take)
@@ -105,12 +106,15 @@ def camera_check(address: str, seconds: float) -> tuple[Finding, Image | None]:
     source.start()
     time.sleep(seconds)
     source.close()
-    if len(times) < 2:
-        text = f"opened, but {len(times)} frames in {seconds:g} s"
-        return Finding("camera", "warning", text), newest[0] if newest else None
-    height, width = newest[0].shape[:2]
+    try:
+        image = decode(newest[0], cv2.IMREAD_COLOR) if newest else None
+    except ValueError as error:
+        return Finding("camera", "warning", str(error)), None
+    if image is None or len(times) < 2:
+        return Finding("camera", "warning", f"opened, but {len(times)} frames in {seconds:g} s"), image
+    height, width = image.shape[:2]
     rate = (len(times) - 1) / (times[-1] - times[0])
-    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second"), newest[0]
+    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second"), image
 
 
 def save_picture(path: Path, image: Image, camera: Camera | None, config: Config) -> None:

@@ -6,6 +6,7 @@ import heapq
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -14,12 +15,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.documents import nearest, text_of
 from localiser.errors import InputError
 from localiser.live.transport import Topic
 from localiser.ros import Output, topic_in
+from localiser.storage import encode_image, open_stream
 from localiser.storage.bags import (
     CAMERA_INFO,
     CLOCK,
@@ -189,22 +190,24 @@ def _check_apart(named: list[tuple[str, str, str]]) -> None:
 
 # -- a camera ---------------------------------------------------------------------------------------------------------
 
+JPEG_QUALITY = 95  # the filter sees what is recorded
 _RETRY_S = 1.0
 
 
 class CameraSource:
-    """Hands every frame with its time over, in a thread of its own; a camera that goes away is tried again.
+    """Hands every frame with its time over as a JPEG file, in a thread of its own; one that goes away is tried again.
 
-    A frame's time is when it came out of the camera, by the calendar. A file is played at its own rate.
+    A frame's time is when it came out of the camera, by the calendar. A file is played at its own rate. Frames that are
+    JPEG files already are not decoded here, nor looked at.
     """
 
-    def __init__(self, address: str, take: Callable[[int, NDArray[np.uint8]], None]) -> None:
-        """Open the camera. take: gets the time (ns) and (H, W, 3) BGR or (H, W) grey. Raises InputError."""
+    def __init__(self, address: str, take: Callable[[int, bytes], None]) -> None:
+        """Open the camera. take: gets the time (ns) and the file. Raises InputError."""
         self._address, self._take = address, take
         self._is_file = Path(address).is_file()
         self._stop = Event()
-        self._capture: Any = _open(address)
-        if self._capture is None:
+        self._opened = self._open()
+        if self._opened is None:
             raise InputError("expected a camera that can be opened", path=address, field="--image")
         self._thread = Thread(target=self._read, name="camera", daemon=True)
 
@@ -221,28 +224,27 @@ class CameraSource:
     def _read(self) -> None:
         begin_ns = time.time_ns()
         while not self._stop.is_set():
-            done, image = self._capture.read() if self._capture is not None else (False, None)
-            if done and image is not None and image.dtype == np.uint8:
+            capture, is_packed = self._opened or (None, False)
+            image = None if capture is None else capture.read()[1]
+            if capture is not None and image is not None and image.dtype == np.uint8:
                 t_ns = time.time_ns()
                 if self._is_file:
-                    t_ns = begin_ns + round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+                    t_ns = begin_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
                     self._stop.wait((t_ns - time.time_ns()) / 1e9)
-                self._take(t_ns, image)
+                self._take(t_ns, image.tobytes() if is_packed else encode_image(image, ".jpg", JPEG_QUALITY))
             elif self._is_file:
                 return
             else:
                 self._stop.wait(_RETRY_S)
-                self._capture = _open(self._address)
+                with suppress(InputError):  # another stream than at the begin, which is not read
+                    self._opened = self._open()
 
-
-def _open(address: str) -> Any | None:
-    """Return the open camera, or None."""
-    capture = (
-        cv2.VideoCapture(int(address))
-        if address.isascii() and address.isdigit()
-        else cv2.VideoCapture(text_of(address))
-    )
-    if not capture.isOpened():
-        return None
-    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where the driver knows it: the newest frame, not the oldest
-    return capture
+    def _open(self) -> tuple[Any, bool] | None:
+        """Return the open camera, and whether its frames come as files; or None. Raises InputError."""
+        if not (self._address.isascii() and self._address.isdigit()):
+            return open_stream(text_of(self._address))
+        capture = cv2.VideoCapture(int(self._address))
+        if not capture.isOpened():
+            return None
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where the driver knows it: the newest frame, not the oldest
+        return capture, False

@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
 from localiser.live.clock import Clocks, SimulatedTime
-from localiser.live.inbox import Arrival, CameraSource, Inbox, check_outputs, input_topics, topic_for
+from localiser.live.inbox import JPEG_QUALITY, Arrival, CameraSource, Inbox, check_outputs, input_topics, topic_for
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, Outputs, Published, Publisher, Recording
 from localiser.live.run import LiveRun
@@ -35,7 +35,6 @@ from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFin
 
 _CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0), "plumb_bob", (-0.1,) * 5)
 _MOVING_KEPT = 2000  # times of each transform that changes: longer than images wait
-JPEG_QUALITY = 95  # of a camera that OpenCV reads; the filter sees what is recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,9 +230,8 @@ def open_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
     """Return the camera whose frames come into the inbox as compressed images, as a robot would send them."""
     make = Messages()
 
-    def take(t_ns: int, image: Any) -> None:
-        message = make.compressed(t_ns, encode_image(image, ".jpg", JPEG_QUALITY))
-        inbox.put(Arrival("image", topic, make.encode(message)))
+    def take(t_ns: int, file: bytes) -> None:
+        inbox.put(Arrival("image", topic, make.encode(make.compressed(t_ns, file))))
 
     source = CameraSource(address, take)
     source.start()

@@ -26,5 +26,5 @@ from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_
 from localiser.storage.tables import csv_of
 from localiser.storage.tracks import TrackWriter, read_track
 from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum
-from localiser.storage.video import is_video, read_video
+from localiser.storage.video import is_video, open_stream, read_video
 from localiser.storage.worlds import read_world, simulate_log

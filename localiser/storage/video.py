@@ -14,7 +14,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.documents import plain_name, require_regular, text_of
 from localiser.errors import InputError
-from localiser.image_files import MOST_SCANS
+from localiser.image_files import MOST_PIXELS, MOST_SCANS
 from localiser.storage.cameras import read_camera
 from localiser.storage.images import check_size, encode_image, image_event
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Log, require_overlap
@@ -62,11 +62,33 @@ def _open(path: Path) -> Any:
     Frames that are PNG files are refused: FFmpeg unpacks what is beside the pixels, too, to any size.
     """
     require_regular(path, "video")
-    capture = cv2.VideoCapture(text_of(path.resolve()), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
+    capture = _by_ffmpeg(text_of(path.resolve()))
+    if capture is None:
         raise InputError("expected a video that can be decoded", path=path)
+    return capture
+
+
+def open_stream(address: str) -> tuple[Any, bool] | None:
+    """Return an open video or stream, and whether its frames come as JPEG files, not decoded; None where it is gone.
+
+    Other codecs are decoded by FFmpeg, which bounds what they take by the size. Raises InputError where that is more
+    than an image may have, or a frame is a PNG file.
+    """
+    capture = _by_ffmpeg(address)
+    if capture is None:
+        return None
+    width, height = (int(capture.get(of)) for of in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if width * height > MOST_PIXELS:
+        raise InputError(f"expected images of at most {MOST_PIXELS} pixels, found {width}×{height}", path=address)
+    return capture, _codec(capture) in _JPEG_CODECS and bool(capture.set(cv2.CAP_PROP_FORMAT, -1))
+
+
+def _by_ffmpeg(address: str) -> Any | None:
+    capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        return None
     if _codec(capture) in _PNG_CODECS:
-        raise InputError("expected frames of H.264 or another codec for video, found PNG; convert them", path=path)
+        raise InputError("expected frames of H.264 or another codec for video, found PNG; convert them", path=address)
     return capture
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from threading import Event
 
+import attack_bombs as bombs
 import cv2
 import numpy as np
 import pytest
@@ -54,20 +55,49 @@ def test_a_video_file_is_a_camera(tmp_path: Path) -> None:
     for level in range(5):
         writer.write(np.full((48, 64, 3), 40 * level, dtype=np.uint8))
     writer.release()
-    frames: list[tuple[int, np.ndarray]] = []
+    frames = taken(path, 5)
+    images = [cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_GRAYSCALE) for _, file in frames]
+    assert [round(float(image.mean()) / 40) for image in images] == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(np.diff([t_ns for t_ns, _ in frames]), 5e7, atol=1e6)
+
+
+def taken(path: Path, count: int) -> list[tuple[int, bytes]]:
+    """Return time and file of the first frames of a video."""
+    frames: list[tuple[int, bytes]] = []
     last = Event()
 
-    def take(t_ns: int, image: np.ndarray) -> None:
-        frames.append((t_ns, image))
-        if len(frames) == 5:
+    def take(t_ns: int, file: bytes) -> None:
+        frames.append((t_ns, file))
+        if len(frames) == count:
             last.set()
 
     source = CameraSource(str(path), take)
     source.start()
     assert last.wait(PATIENCE_S)
     source.close()
-    assert [round(float(image.mean()) / 40) for _, image in frames] == [0, 1, 2, 3, 4]
-    np.testing.assert_allclose(np.diff([t_ns for t_ns, _ in frames]), 5e7, atol=1e6)
+    return frames
+
+
+def test_pictures_of_a_stream_are_not_decoded_before_they_are_checked(tmp_path: Path, localiser: Localiser) -> None:
+    """Those that are JPEG files reach the check of every image that comes in, as they are."""
+    bomb, fine = bombs.jpeg_of_scans((64, 48), 300), bombs.jpeg_of_scans((64, 48), 10)
+    (tmp_path / "drive.avi").write_bytes(bombs.movie([fine, bomb], (64, 48), b"MJPG"))
+    files = [file for _, file in taken(tmp_path / "drive.avi", 2)]
+    assert [file.startswith(one) for file, one in zip(files, (fine, bomb), strict=True)] == [True, True]
+    result = localiser("doctor", "--image", tmp_path / "drive.avi", "--seconds", 1)
+    assert result.exit_code == 0 and "at most 100 scans" in result.out
+
+
+@pytest.mark.parametrize(
+    ("size", "codec", "told"), [((64, 48), b"MPNG", "found PNG"), ((8192, 8192), b"MJPG", "found 8192×8192")]
+)
+def test_streams_that_cannot_be_checked_are_refused(
+    tmp_path: Path, size: tuple[int, int], codec: bytes, told: str
+) -> None:
+    frame = bombs.black((64, 48)) if codec == b"MPNG" else bombs.jpeg_of_scans(size, 1)
+    (tmp_path / "drive.avi").write_bytes(bombs.movie([frame], size, codec))
+    with pytest.raises(InputError, match=told):
+        CameraSource(str(tmp_path / "drive.avi"), lambda t_ns, file: None)
 
 
 def test_doctor_shows_what_a_camera_sees(tmp_path: Path, localiser: Localiser) -> None:
@@ -86,4 +116,4 @@ def test_doctor_shows_what_a_camera_sees(tmp_path: Path, localiser: Localiser) -
 
 def test_a_camera_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="camera that can be opened"):
-        CameraSource(str(tmp_path / "none.mp4"), lambda t_ns, image: None)
+        CameraSource(str(tmp_path / "none.mp4"), lambda t_ns, file: None)
