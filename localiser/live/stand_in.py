@@ -104,8 +104,8 @@ class StandIn:
             assert isinstance(frame, ImageEvent)
             if frame.mount is not None:
                 self._publish(MOVING, make.encode(make.mount(stamp_ns, log.camera.at(frame.mount))))
-            self._publish(IMAGE, make.encode(make.compressed(stamp_ns, frame.encoded())))
             self._publish(INFO, make.encode(make.camera_info(stamp_ns, log.camera)))
+            self._publish(IMAGE, make.encode(make.compressed(stamp_ns, frame.encoded())))
         else:
             wheels, truth = self._passage.wheels, log.groundtruth
             if truth is not None:  # before the wheels' pose, at which an image is weighed and compared with the truth
