@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from live_networks import KINDS, Network, domains
-from live_processes import LEAST_HZ, PATIENCE_S, SETTINGS, START, free_domain, program
+from live_processes import PATIENCE_S, SETTINGS, START, free_domain, program
 from short_log import CORRIDOR, Localiser
 
 from localiser.live import open_transport
@@ -71,23 +70,6 @@ def test_messages_do_not_leave_their_domain(domain: Callable[[], Network]) -> No
         beside.publish(WHEELS, unwanted)
         wait_until(lambda: member.publish(WHEELS, wanted) or heard)
     assert set(heard) == {wanted}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="signals as Linux has them")
-def test_two_robots_in_two_domains_do_not_hear_each_other(domain: Callable[[], Network]) -> None:
-    """Each run follows its own robot, which started later than the other one; neither notices a second publisher."""
-    first, second = domain(), domain()
-    with program(*LIVE, *first.arguments) as one, program(*LIVE, *second.arguments) as two, ExitStack() as robots:
-        for run, network in ((one, first), (two, second)):
-            run.wait_to_say("ready")
-            robots.enter_context(program(*ROBOT, *network.arguments))
-        for run in (one, two):
-            lines = run.poses_at(LEAST_HZ, 20)
-            assert np.median([line["error_m"] for line in lines if "error_m" in line]) < WORST_M
-            run.end()
-            said = run.all_said()
-            assert "two publishers" not in said and "Traceback" not in said
 
 
 @pytest.mark.slow

@@ -100,12 +100,3 @@ def test_fixed_transforms_come_before_those_that_change() -> None:
     feed = Feed()([*camera(), *sorted([*NODDING, *drive(N)], key=lambda message: message.at_ns)])
     assert all(published.located.edges.mount is None for published in feed.published)
     assert len(feed.times) == N
-
-
-def test_too_many_frames_are_refused_and_cost_nothing_else(nodding: Feed) -> None:
-    message = MAKE.mount(BEGIN_NS, LOG.camera)
-    (one,) = message.transforms
-    message.transforms = [replace(one, child_frame_id=f"frame_{number}") for number in range(1001)]
-    feed = Feed()(sent([*NODDING[:1], arrival("moving_transforms", 1, MAKE.encode(message)), *NODDING[1:]]))
-    np.testing.assert_array_equal(feed.poses, nodding.poses)
-    assert any("at most 1000" in text for text in feed.said)

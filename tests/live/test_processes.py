@@ -9,20 +9,27 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from os import kill
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from folders import ROOT
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
 from short_log import CORRIDOR, Localiser
 
+from localiser.config import LiveParameters
+from localiser.live import open_transport
+from localiser.live.transport import Topic
 from localiser.storage import open_log, read_track
+from localiser.storage.bags import POSE
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and limits as Linux has them")
 
+ROUTER = ROOT / "tests" / "support" / "zenoh_router.py"
 DISK_BYTES = 1_000_000
 IMAGES = 15
 LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--json", *SETTINGS)
@@ -124,6 +131,33 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint
         assert live.end() == 0
     assert "Traceback" not in live.all_said()
     assert len(open_log(bag).frames) > 1
+
+
+@pytest.mark.slow  # quick, without processes: test_transports.py
+def test_a_router_that_is_killed_and_comes_back() -> None:
+    """Images are located again at the rate at which they come, and the poses go out again to who listened before."""
+    endpoint = free_endpoint()
+    heard: list[bytes] = []
+    with program(*LIVE, "--start", START, "--connect", endpoint) as run:
+        run.wait_to_say("ready")
+        with program(endpoint, script=ROUTER) as killed:
+            killed.poses(1)
+            with (
+                program("simulate", CORRIDOR, "--serve", "--set", f"live.connect={endpoint}"),
+                closing(open_transport(LiveParameters([endpoint], domain=0))) as other,
+            ):
+                other.subscribe(Topic("/localiser/pose", POSE), lambda content, source: heard.append(content))
+                run.poses(IMAGES)
+                killed.end(signal.SIGKILL)
+                run.wait_to_say("image: nothing")
+                with program(endpoint, script=ROUTER):
+                    run.rest()
+                    heard.clear()
+                    run.poses_at(LEAST_HZ, IMAGES)
+                    while not heard:
+                        run.poses(1)
+        run.end()
+    assert "Traceback" not in run.all_said()
 
 
 @pytest.mark.slow  # quick: tests/live/test_run.py states one to the same loop

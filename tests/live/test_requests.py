@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_feed import BEGIN_NS, LOG, Feed, camera, drive, image
+from live_feed import LOG, Feed, camera, drive, image
 from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 
@@ -29,7 +29,7 @@ from localiser.ros import (
     service_bytes,
     service_message,
 )
-from localiser.storage import read_track, write_map
+from localiser.storage import write_map
 
 N = 8
 
@@ -64,10 +64,7 @@ def test_a_robot_that_is_looked_for_again_is_found_and_the_recording_replays(
     feed(rest).close()
     assert len(feed.times) == N + 6 and feed.published[-1].located.p_correct > 0.5
     assert len(transport.sent["/tf"]) > before
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
-    track = read_track(run / "trajectory.csv")
-    assert (track.t_ns - BEGIN_NS).tolist() == feed.times
-    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+    feed.assert_replays(localiser)
 
 
 def test_another_map_is_loaded_while_running(tmp_path: Path) -> None:

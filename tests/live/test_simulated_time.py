@@ -14,7 +14,6 @@ from short_log import Localiser
 from localiser.filter import Start
 from localiser.live.clock import SLACK_NS, SimulatedTime
 from localiser.live.inbox import Arrival
-from localiser.storage import read_track
 from localiser.storage.bags import CLOCK
 
 N = 6
@@ -62,17 +61,13 @@ def test_a_bag_that_begins_again_begins_a_new_run_and_the_recording_replays(
     feed(camera())
     for turn in range(2):
         feed(played(drive(N), 1.0, turn * 10**10))
-    feed.close()
     stamps = [published.stamp_ns - BEGIN_NS for published in feed.published]
     assert stamps == [frame.t_ns for frame in LOG.frames[:N]] * 2
     assert (np.diff(feed.times) > 0).all()
     truth = LOG.groundtruth.sampled(stamps).poses
     assert np.hypot(*(feed.poses - truth)[:, :2].T).max() < 0.3
     assert sum("begins anew" in text for text in feed.said) == 1
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
-    track = read_track(run / "trajectory.csv")
-    assert (track.t_ns - BEGIN_NS).tolist() == feed.times
-    np.testing.assert_allclose(track.poses, feed.poses, rtol=0, atol=1e-9)
+    feed.assert_replays(localiser)
 
 
 @pytest.mark.parametrize("behind_ns", [70_000_000, -70_000_000])
@@ -103,9 +98,7 @@ def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(
         assert stamps.count(stamp_ns) == 4, (stamp_ns, stamps)
     assert not feed.run.outputs.monitor.wrong, feed.run.outputs.monitor.wrong
     assert sum("begins anew" in text for text in feed.said) == 3 and not feed.run.clocks.robot.jumps
-    feed.close()
-    run = localiser.replay(tmp_path / "drive.db3", tmp_path / "results", few=False)
-    np.testing.assert_allclose(read_track(run / "trajectory.csv").poses, feed.poses, rtol=0, atol=1e-9)
+    feed.assert_replays(localiser)
 
 
 def test_time_goes_on_steadily_whatever_the_clock_does() -> None:

@@ -1,9 +1,10 @@
-"""Where live messages come from: the inbox, cameras."""
+"""Where live messages come from: the inbox, also in a flood, and cameras."""
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
-from threading import Event
 
 import attack_bombs as bombs
 import cv2
@@ -11,10 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from live_feed import LOG, Feed, arrival, camera, drive, image, odometry
 from short_log import Localiser
 
 from localiser.errors import InputError
-from localiser.live.inbox import Arrival, CameraSource, Inbox
+from localiser.live.inbox import MOST_BYTES, MOST_IMAGES, MOST_OTHERS, TOPICS, Arrival, CameraSource, Inbox, message_of
+from localiser.live.prepare import open_camera
+from localiser.storage.bags import stamp_of
 
 PATIENCE_S = 30.0
 
@@ -23,8 +27,8 @@ PATIENCE_S = 30.0
 def test_a_full_inbox_keeps_the_newest_of_each_role_in_order(roles: list[str]) -> None:
     inbox = Inbox(most_images=3, most_others=5)
     arrivals = [Arrival(role, role, b"", at_ns=k, wall_ns=k) for k, role in enumerate(roles)]
-    for arrival in arrivals:
-        inbox.put(arrival)
+    for one in arrivals:
+        inbox.put(one)
     expected = set()
     for role, most in (("image", 3), ("odometry", 5), ("transforms", 5)):
         of_role = [arrival.at_ns for arrival in arrivals if arrival.role == role]
@@ -62,19 +66,16 @@ def test_a_video_file_is_a_camera(tmp_path: Path) -> None:
 
 
 def taken(path: Path, count: int) -> list[tuple[int, bytes]]:
-    """Return time and file of the first frames of a video."""
+    """Return time and file of the first frames of a video, which arrive as a robot sends them."""
+    inbox = Inbox()
+    source = open_camera(str(path), TOPICS["image"], inbox)
     frames: list[tuple[int, bytes]] = []
-    last = Event()
-
-    def take(t_ns: int, file: bytes) -> None:
-        frames.append((t_ns, file))
-        if len(frames) == count:
-            last.set()
-
-    source = CameraSource(str(path), take)
-    source.start()
-    assert last.wait(PATIENCE_S)
+    end = time.monotonic() + PATIENCE_S
+    while len(frames) < count and time.monotonic() < end:
+        messages = [message_of(one) for one in inbox.take(0.1)]
+        frames += [(stamp_of(message), message.data.tobytes()) for message in messages]
     source.close()
+    assert abs(time.time() - frames[-1][0] / 1e9) < 60
     return frames
 
 
@@ -117,3 +118,41 @@ def test_doctor_shows_what_a_camera_sees(tmp_path: Path, localiser: Localiser) -
 def test_a_camera_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="camera that can be opened"):
         CameraSource(str(tmp_path / "none.mp4"), lambda t_ns, file: None)
+
+
+FLOOD = 40_000
+BEFORE, AFTER = 4, 6
+
+
+def junk(t_ns: int) -> Arrival:
+    return arrival("odometry", t_ns, bytes(720))
+
+
+@pytest.mark.parametrize("kind", ["junk", "odometry", "images"])
+def test_no_image_after_a_flood_is_lost(kind: str) -> None:
+    """All of it comes at once; the loop takes what the inbox kept, and locates every image that comes from then on."""
+    feed = Feed()([*camera(), *drive(BEFORE)])
+    flooded_ns = LOG.frames[BEFORE].t_ns
+    message = {"junk": junk(flooded_ns), "odometry": odometry(flooded_ns), "images": image(flooded_ns, BEFORE)}[kind]
+    inbox = feed.run.inbox
+    for _ in range(FLOOD):
+        inbox.put(replace(message))
+    most = MOST_IMAGES if kind == "images" else MOST_OTHERS
+    assert inbox.dropped[message.role] == FLOOD - most
+    feed.now_ns = flooded_ns
+    kept = inbox.take(0.0)
+    assert len(kept) == most
+    feed.run.turn(kept)
+    feed(drive(AFTER, first=BEFORE + 1))
+    expected = [frame.t_ns for frame in LOG.frames[BEFORE + 1 : BEFORE + 1 + AFTER]]
+    assert feed.times[-AFTER:] == expected
+    assert feed.worst_error_m() < 0.15
+
+
+def test_a_flood_of_large_messages_is_bounded_in_bytes() -> None:
+    inbox, large = Inbox(), bytes(2**20)
+    for number in range(FLOOD):
+        inbox.put(Arrival("groundtruth", "groundtruth", large, at_ns=number, wall_ns=number))
+    kept = inbox.take(0.0)
+    assert sum(len(one.content) for one in kept) == MOST_BYTES
+    assert kept[-1].at_ns == FLOOD - 1

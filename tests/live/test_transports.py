@@ -84,17 +84,6 @@ def test_what_is_latched_reaches_those_who_came_before_and_after(endpoint: str) 
     assert late == [b"new"]
 
 
-def test_robots_in_other_domains_and_namespaces_do_not_hear_each_other(endpoint: str) -> None:
-    got: list[bytes] = []
-    with joined(endpoint, domain=1) as one, joined(endpoint, domain=2) as two, joined(endpoint, domain=1) as live:
-        live.subscribe(ODOMETRY, lambda content, source: got.append(content))
-        wait_until(lambda: one.is_heard(ODOMETRY))
-        assert not two.is_heard(ODOMETRY)
-        two.publish(ODOMETRY, b"other")
-        wait_until(lambda: one.publish(ODOMETRY, b"mine") or got)
-    assert set(got) == {b"mine"}
-
-
 def test_a_peer_of_a_router_is_told_by_tokens(endpoint: str) -> None:
     """As `ros2 topic list` and `ros2 node info` find it; all go when it leaves."""
     with closing_session(endpoint) as session:

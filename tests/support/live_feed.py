@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from live_transport import KeepingTransport
@@ -23,7 +24,7 @@ from localiser.live.run import LiveRun
 from localiser.live.state import Resumed
 from localiser.live.tracker import Tracker
 from localiser.localiser import Localiser
-from localiser.storage import ImageEvent, open_log
+from localiser.storage import ImageEvent, open_log, read_track
 from localiser.storage.bags import ODOM, CameraFinder, Messages
 
 MAKE = Messages()
@@ -104,6 +105,15 @@ class Feed:
     def close(self) -> None:
         if self.recording is not None:
             self.recording.close()
+
+    def assert_replays(self, localiser: Any) -> None:
+        """Close the recording, and assert that its replay gives the same poses. localiser: the fixture."""
+        self.close()
+        assert self.record is not None
+        run = localiser.replay(self.record, self.record.parent / "results", few=False)
+        track = read_track(run / "trajectory.csv")
+        assert (track.t_ns - BEGIN_NS).tolist() == self.times
+        np.testing.assert_allclose(track.poses, self.poses, rtol=0, atol=1e-9)
 
     @property
     def poses(self) -> np.ndarray:
