@@ -349,8 +349,8 @@ map plan {samples}/plan/plan.yaml --out new.yaml
 map check {samples}/map.yaml --camera {samples}/camera.yaml --out map.png
 map build {samples}/edges --out new.yaml --poses {samples}/poses.csv --trajectory t.tum
 camera calibrate --draw-board board.png --board charuco --squares 8x6 --square-m 0.03 --marker-m 0.02
-camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m 0.03 --out cam.yaml --name x
-camera tilt {samples}/log --out levelled --images 3 --set edges.min_contrast=0.1
+camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m 0.03 --out cam.yaml
+camera tilt {samples}/log --out levelled --set edges.min_contrast=0.1
 config show --config {samples}/config.yaml --set mcl.particles=100 --set motion.alpha1=0.1
 doctor {samples}/log --camera {samples}/camera.yaml --seconds 0.5 --picture x.png
 pose set 1,2,3 --sigma 0.1,3 --set live.connect=tcp/127.0.0.1:1

@@ -40,9 +40,6 @@ def fit(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write a new configuration with what was found.")
     ] = None,
-    by_filter: Annotated[
-        bool, typer.Option("--by-filter", help="Use the filter's own smoothed path even where a log has its truth.")
-    ] = False,
     map_file: Annotated[
         Path | None, typer.Option("--map", metavar="MAP", help="Landmark map, in place of the logs' own.")
     ] = None,
@@ -62,7 +59,7 @@ def fit(
         for path in logs:
             log = open_log(path, sensor=settings.sensor)
             own = read_config(config, overrides or [], log.settings)
-            drives.append(drive_of(log, own, by_filter=by_filter, map_file=map_file))
+            drives.append(drive_of(log, own, map_file))
             advance()
     found = fit_odometry([checked.drive for checked in drives], settings.motion)
     if found is None:
@@ -84,7 +81,7 @@ class Checked:
     clock: ClockOffset
 
 
-def drive_of(log: Log, config: Config, *, by_filter: bool = False, map_file: Path | None = None) -> Checked:
+def drive_of(log: Log, config: Config, map_file: Path | None = None) -> Checked:
     """Return the drive of a log, its path from the truth or the filter, on the clock of the wheels. Raises InputError.
 
     The filter's path is by the clocks of both.
@@ -100,7 +97,7 @@ def drive_of(log: Log, config: Config, *, by_filter: bool = False, map_file: Pat
     from localiser.storage import require_odometry
 
     require_odometry(log, "fitting it")
-    if log.groundtruth is not None and not by_filter:
+    if log.groundtruth is not None:
         drive, clock = on_one_clock(Drive(log.name, log.odometry, log.groundtruth))
         return Checked(drive, TRUTH, clock)
     ready = prepare(log, config, map_file=map_file)

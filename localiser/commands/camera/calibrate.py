@@ -79,9 +79,6 @@ def calibrate(
     ] = None,
     lens: Annotated[LensName, typer.Option(help="Model of the lens distortion, as ROS names it.")] = LensName.plumb_bob,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="New camera file.")] = None,
-    name: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of the camera in that file; by default the file's own.")
-    ] = None,
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
     from localiser.storage import require_new_file
@@ -103,7 +100,7 @@ def calibrate(
     if not is_quiet():
         _show(found)
     if out is not None:
-        write_calibration(found, out, name or out.stem)
+        write_calibration(found, out, out.stem)
         typer.echo(f"Written to {out}")
         if found.floor is None:
             typer.echo("It has no mount yet: use --floor, or add tilt_deg, height_m, … by hand.", err=True)

@@ -22,13 +22,13 @@ EPILOG = """Examples:
 
 `localiser camera tilt logs/corridor -o logs/levelled`"""
 
+_MOST_IMAGES = 500
+"""More of a log tell hardly more of the tilt."""
+
 
 def tilt(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder with images.")],
     out: NewLog = None,
-    images: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Use at most so many images, evenly spread over the log.")
-    ] = 500,
     config: ConfigFile = None,
     overrides: Overrides = None,
 ) -> None:
@@ -44,7 +44,7 @@ def tilt(
         require_new(out)
     settings = read_config(config, overrides or [])
     recorded = open_log(log, sensor=settings.sensor)
-    used = usable_images(recorded, images)
+    used = usable_images(recorded, _MOST_IMAGES)
     poses = recorded.odometry.sampled([image.t_ns for image in used]).poses
     with progress("Looking", len(used)) as advance:
         found = mount_of_images(
