@@ -208,8 +208,17 @@ class Camera:
 
     @cached_property
     def _roll_matrix(self) -> Array:
-        s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
-        return np.array([[c, s], [-s, c]])
+        return _roll_matrix(self.mount.roll_rad)
+
+    @property
+    def _quarter_turns(self) -> int:
+        return round(self.mount.roll_rad / (np.pi / 2))
+
+    @property
+    def span_rad(self) -> float:
+        """The angle that the image spans from side to side, by its middle; upright, by its width."""
+        across = self.height if self._quarter_turns % 2 else self.width
+        return 2.0 * float(np.arctan(across / 2 / self.focal_px))
 
     @cached_property
     def nadir_px(self) -> Array:
@@ -228,9 +237,23 @@ class Camera:
 
     @cached_property
     def upright_bounds(self) -> tuple[float, float, float, float]:
-        """The largest upright rectangle (a_left, a_right, e_bottom, e_top) sure to lie inside the image."""
-        top, bottom, left, right = self.upright_from_pixels(self.border_px())
-        return float(left[:, 0].max()), float(right[:, 0].min()), float(bottom[:, 1].max()), float(top[:, 1].min())
+        """An upright rectangle (a_left, a_right, e_bottom, e_top) sure to lie inside the image, at any roll.
+
+        The larger of two: what lies between the four borders, and the image turned by quarters alone, made smaller
+        until the rest of the roll leaves it inside.
+        """
+        sides = self.image_from_pixels(self.border_px())
+        for _ in range(self._quarter_turns % 4):
+            sides = sides[[2, 3, 1, 0], :, ::-1] * [1.0, -1.0]  # the left is the top, the top is the right
+        turned = sides @ _roll_matrix(self.mount.roll_rad - self._quarter_turns * np.pi / 2).T
+        unturned, between = _between(sides), _between(turned)
+        middle, half = unturned.mean(axis=1), (unturned[:, 1] - unturned[:, 0]) / 2
+        reach = np.abs((turned - middle) / half)
+        fits = np.minimum(reach[:, :-1], reach[:, 1:]).max(axis=-1).min()
+        inside = middle[:, None] + fits * half[:, None] * [-1.0, 1.0]
+        best = max(between, inside, key=lambda bounds: float(np.maximum(bounds[:, 1] - bounds[:, 0], 0.0).prod()))
+        a_left, a_right, e_bottom, e_top = best.ravel().tolist()
+        return a_left, a_right, e_bottom, e_top
 
     # -- the world ----------------------------------------------------------------------------------------------
 
@@ -320,3 +343,14 @@ class Camera:
 @lru_cache(maxsize=16)
 def _mounted(camera: Camera, mount: Mount) -> Camera:
     return replace(camera, mount=mount)
+
+
+def _roll_matrix(roll_rad: float) -> Array:
+    s, c = np.sin(roll_rad), np.cos(roll_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+def _between(sides: Array) -> Array:
+    """Return the bounds ((left, right), (bottom, top)) between the points (4, K, 2) of the top, bottom, left, right."""
+    top, bottom, left, right = sides
+    return np.array([[left[:, 0].max(), right[:, 0].min()], [bottom[:, 1].max(), top[:, 1].min()]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -374,6 +376,31 @@ def test_upright_bounds_of_an_ideal_camera_are_the_image():
     camera = make_camera()
     expected = np.array([-319.5, 319.5, -239.5, 239.5]) / 554
     np.testing.assert_allclose(camera.upright_bounds, expected)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("roll_deg", [-170, -90, 20, 37, 45, 50, 60, 90, 135, 180, 270])
+def test_upright_bounds_lie_inside_the_image_at_any_roll(lens, roll_deg):
+    camera = make_camera(lens, roll_rad=np.radians(roll_deg))
+    a_left, a_right, e_bottom, e_top = camera.upright_bounds
+    assert min(-a_left, a_right, -e_bottom, e_top) > 0.2  # 111 px of the 240 to each side of the centre
+    a, e = np.meshgrid(np.linspace(a_left, a_right, 33), np.linspace(e_bottom, e_top, 33))
+    pixels = camera.pixels_from_upright(np.stack([a, e], axis=-1))
+    assert (pixels > -0.1).all()
+    assert (pixels < np.array([camera.width - 0.9, camera.height - 0.9])).all()
+
+
+def test_upright_bounds_turn_with_the_camera():
+    left, right, bottom, top = replace(make_camera(), cx=300.0, cy=250.0).upright_bounds
+    expected = {
+        90: (bottom, top, -right, -left),
+        180: (-right, -left, -top, -bottom),
+        -90: (-top, -bottom, left, right),
+    }
+    for roll_deg, bounds in expected.items():
+        turned = replace(make_camera(roll_rad=np.radians(roll_deg)), cx=300.0, cy=250.0)
+        np.testing.assert_allclose(turned.upright_bounds, bounds)
+        assert turned.span_rad == 2 * np.arctan((320 if roll_deg == 180 else 240) / 554)
 
 
 def test_changing_the_mount_or_the_lens_leaves_the_rest():

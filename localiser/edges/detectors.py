@@ -142,7 +142,7 @@ def on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Arr
         found = lines_of(view.of(image)).reshape(-1, 2, 2)
         found = found[~_is_border(found, view.seen)]
         ends = found + np.array([camera.cx - view.camera.cx, camera.cy - view.camera.cy])
-    return Segments.of_ends(ends, sigma_px)
+    return Segments.of_ends(ends, sigma_px, camera.mount.roll_rad)
 
 
 def _is_border(ends_px: Array, seen: Image) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -104,7 +104,7 @@ def _segments_of_lines(lines: Array, camera: Camera) -> Segments:
     if lines.size and (lines.ndim != 2 or lines.shape[1] != 4):
         raise InputError(f"expected lines (S, 4) of a detector, found an array {lines.shape}", field="detector")
     ends = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(lines.reshape(-1, 2, 2)))
-    return Segments.of_ends(ends, END_SIGMA_PX)
+    return Segments.of_ends(ends, END_SIGMA_PX, camera.mount.roll_rad)
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:

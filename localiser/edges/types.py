@@ -237,9 +237,9 @@ class Segments:
         return Segments(*(getattr(self, column.name)[index] for column in fields(self)))
 
     @classmethod
-    def of_ends(cls, ends_px: Array, sigma_px: float) -> Segments:
-        """Return segments that are known by their ends (S, 2, 2), in any order."""
-        upside_down = ends_px[:, 0, 1] < ends_px[:, 1, 1]
+    def of_ends(cls, ends_px: Array, sigma_px: float, roll_rad: float = 0.0) -> Segments:
+        """Return segments that are known by their ends (S, 2, 2), in any order. roll_rad: of the camera."""
+        upside_down = np.diff(ends_px @ np.array([np.sin(roll_rad), np.cos(roll_rad)]))[:, 0] > 0
         ends = np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px)
         count = len(ends)
         none = np.zeros(count)

@@ -135,7 +135,7 @@ def existence_after(
     views = sight(camera, cameras, landmark_map, limits)
     gate = _gates(landmark_map, views, cameras)
     first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
-    span = 2.0 * np.arctan(camera.width / 2 / camera.focal_px)
+    span = camera.span_rad
     gain, clear = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=bool)
     for frame in range(sightings.frames):
         row = np.arange(first[frame], first[frame + 1])

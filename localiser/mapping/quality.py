@@ -92,7 +92,7 @@ def existence(
     """
     found = parameters.tracks.found
     landmark = built.of[built.used]
-    span = 2.0 * np.arctan(camera.width / 2 / camera.focal_px)
+    span = camera.span_rad
     area = span / 2 * parameters.range_max_m**2
     unexplained = max(int((built.of < 0).sum()), sightings.frames)
     clutter_per_rad = unexplained / (sightings.frames * span)

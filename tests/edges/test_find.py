@@ -39,6 +39,9 @@ CAMERAS = {
     "distorted": camera_of(roll_deg=1.0, k1=-0.25),
     "level": camera_of(tilt_deg=0.0),
     "looking up": camera_of(tilt_deg=-12.0, roll_deg=-2.0),
+    "upside down": camera_of(roll_deg=180.0),
+    "portrait": camera_of(480, 640, roll_deg=90.0, focal_px=554.0),
+    "portrait the other way": camera_of(480, 640, roll_deg=-90.0, focal_px=554.0),
 }
 TOLERANCE_DEG = {"columns": 0.01, "lsd": 0.03, "hough": 0.12}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -14,6 +16,8 @@ from localiser.landmarks import (
     SightParameters,
     bearing_jacobian,
     image_heights,
+    field_of_view_rad,
+    half_view_rad,
     in_camera,
     sight,
     visible_length_px,
@@ -216,3 +220,16 @@ def test_bearing_jacobian_is_the_complex_step_derivative(
 def test_bearing_jacobian_of_a_landmark_two_metres_ahead() -> None:
     """Driving 1 cm to the right moves it 0.5 % to the left; driving towards it changes nothing."""
     np.testing.assert_allclose(bearing_jacobian(np.zeros(3), np.zeros(3), np.array([[0.0, -2.0]])), [[-0.5, 0, 1]])
+
+
+@pytest.mark.parametrize("roll_deg", [90.0, 180.0, -90.0])
+def test_a_camera_that_is_turned_sees_the_same_landmarks(roll_deg):
+    landmark_map = LandmarkMap.from_points(np.random.default_rng(3).uniform(-6, 6, (60, 2)))
+    upright = make_camera()
+    turned = replace(make_camera(roll_rad=np.radians(roll_deg)), width=480, height=640, cx=239.5, cy=319.5)
+    turned = turned if roll_deg != 180 else make_camera(roll_rad=np.pi)
+    expected, found = (sight(camera, np.zeros((1, 3)), landmark_map, MARGIN_NONE) for camera in (upright, turned))
+    assert len(expected.landmark) > 5
+    np.testing.assert_array_equal(found.landmark, expected.landmark)
+    assert half_view_rad(turned) == pytest.approx(half_view_rad(upright))
+    assert field_of_view_rad(turned) == pytest.approx(field_of_view_rad(upright))
