@@ -287,7 +287,7 @@ READERS: dict[str, Target] = {
     "config": Target("config.yaml", _config),
     "world": Target("world.yaml", _reader("read_world")),
     "poses": Target("poses.csv", _reader("read_poses")),
-    "tum": Target("run/trajectory.tum", _reader("read_tum")),
+    "tum": Target("run/trajectory.tum", _reader("read_poses")),
     "track": Target("run/trajectory.csv", _reader("read_track")),
     "edges": Target("edges/edges.csv", _table_of_edges),
     "json": Target("run/metrics.json", _reader("read_json")),

@@ -84,11 +84,11 @@ def _judged(
 
 
 def _poses(path: Path) -> Trajectory:
-    return storage.read_poses(path) if path.suffix == ".csv" else storage.read_tum(path)
+    return storage.read_poses(path)
 
 
 def _track(path: Path) -> Track:
     if path.suffix == ".csv":
         return storage.read_track(path)
-    trajectory = storage.read_tum(path)
+    trajectory = storage.read_poses(path)
     return Track.from_poses(trajectory.t_ns, trajectory.poses)

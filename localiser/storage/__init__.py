@@ -25,6 +25,6 @@ from localiser.storage.run_tables import CHOICE, csv_text, read_figures, read_ru
 from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_json, safe_name
 from localiser.storage.tables import csv_of
 from localiser.storage.tracks import TrackWriter, read_track
-from localiser.storage.trajectories import read_poses, read_tum, write_poses, write_tum
+from localiser.storage.trajectories import read_poses, write_poses, write_tum
 from localiser.storage.video import is_video, open_stream, read_video
 from localiser.storage.worlds import read_world, simulate_log

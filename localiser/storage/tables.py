@@ -60,12 +60,17 @@ class Table:
 
     def require_time_order(self, name: str = "t_ns", *, strictly: bool) -> None:
         """Raise InputError at the first row whose time (ns) is before the one above it, or the same if `strictly`."""
-        times = self.columns[name]
-        unit = "" if name.endswith("_ns") else " ns"  # the file has another
         then = "after" if strictly else "not before"
-        for row, (before, time) in enumerate(pairwise(times), start=1):
+        for row, (before, time) in enumerate(pairwise(self.columns[name]), start=1):
             if time < before or (strictly and time == before):
-                raise self.error(row, name, f"expected a time {then} {before}{unit}, found {time}{unit}")
+                expected, found = self.written(row - 1, name), self.written(row, name)
+                raise self.error(row, name, f"expected a time {then} {expected}, found {found}")
+
+    def written(self, row: int, name: str) -> str:
+        """Return a cell as the file has it; its value where the cell is not to be found."""
+        line = read_text(self.path, MAX_TABLE_BYTES).split("\n")[self.lines[row] - 1]
+        cells, place = line.split("," if "," in line else None), list(self.columns).index(name)
+        return cells[place].strip() if len(cells) >= len(self.columns) else str(self.columns[name][row])
 
 
 # -- cells: each returns the value or raises ValueError with what was expected -----------------------------------------
@@ -92,6 +97,11 @@ def number(cell: str) -> float:
 def number_or_unknown(cell: str) -> float:
     """Return a finite number, nan for an empty cell."""
     return number(cell) if cell.strip() else math.nan
+
+
+def number_or_lost(cell: str) -> float:
+    """Return a number, nan for what programs write where they know none."""
+    return math.nan if cell.strip().lower() in ("", "nan", "-nan", "null", "none") else number(cell)
 
 
 def positive_or_unknown(cell: str) -> float:
@@ -171,14 +181,21 @@ def read_table(path: Path, columns: Sequence[Column], *, rows_at_least: int = 0,
     return _table(path, [known.get(name, Column(name, str)) for name in names], body, "cells")
 
 
-def read_columns(path: Path, columns: Sequence[Column]) -> Table:
-    """Return the table, at least one row, in a file of exactly these columns between white space, # before comments.
+def read_columns(path: Path, columns: Sequence[Column], separator: str | None = None) -> Table:
+    """Return the table, at least one row, in a file of these columns without a header, # before comments.
 
-    Raises InputError with file, line and field.
+    separator: None: white space, between exactly these columns; else more columns may follow. Raises InputError with
+    file, line and field.
     """
     lines = enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1)
+    most = None if separator is None else len(columns)
     rows = _bounded(
-        path, ((line, cells) for line, text in lines if (cells := text.split()) and not cells[0].startswith("#"))
+        path,
+        (
+            (line, text.split(separator)[:most])
+            for line, text in lines
+            if text.strip() and not text.lstrip().startswith("#")
+        ),
     )
     if not rows:
         raise InputError("expected at least one row, found none", path=path)

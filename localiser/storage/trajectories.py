@@ -1,4 +1,4 @@
-"""Read and write trajectories: CSV in our frame or the ROS frame, TUM (`t x y z qx qy qz qw`) in the ROS frame."""
+"""Read and write trajectories: CSV in our frame or the ROS frame; TUM, EuRoC and KITTI as other programs have them."""
 
 from __future__ import annotations
 
@@ -9,52 +9,134 @@ import numpy as np
 
 from localiser import geometry
 from localiser.documents import read_text, shown, write_text
-from localiser.errors import InputError
+from localiser.errors import InputError, warn
 from localiser.geometry import Array, Trajectory
-from localiser.storage.tables import MAX_TABLE_BYTES, Column, integer, number, plain, read_columns, read_table
+from localiser.storage.tables import (
+    MAX_TABLE_BYTES,
+    Column,
+    Table,
+    integer,
+    number,
+    number_or_lost,
+    plain,
+    read_columns,
+    read_table,
+)
 
 POSE_COLUMNS = (Column("t_ns", integer), Column("x", number), Column("z", number), Column("heading", number))
 
-_ROS = (Column("x", number), Column("y", number), Column("yaw", number))
-
 _NS = 1_000_000_000
 _LEAST_DIGITS_OF_NS = 13  # seconds since 1970 have ten before the point
+_MOST_LOST = 0.1  # of the poses
+_UPRIGHT, _FLAT, _LEAST_PATH_M = 0.7, 0.2, 1.0  # cosine of an axis that points up; height of a path by its length
 
 
 _FORMS = (
     "expected the header t_ns,x,z,heading (our frame), or t,x,y,yaw or t_ns,x,y,yaw (ROS: x forward, y left, yaw "
-    "anticlockwise), or lines of TUM (t x y z qx qy qz qw)"
+    "anticlockwise), or lines of TUM (t x y z qx qy qz qw), EuRoC (t_ns,x,y,z,qw,qx,qy,qz) or KITTI (12 numbers)"
 )
 _FORMULA = "from axes as ROS has them, our x = x, z = -y, heading = yaw - π/2; metres, radians"
 
 
 def read_poses(path: Path) -> Trajectory:
-    """Return the poses in our frame of a file, at least one; its header says which of three forms it has.
+    """Return the poses in our frame of a file, at least one; its first lines say which form it has.
 
-    CSV `t_ns,x,z,heading` in our frame; CSV `t,x,y,yaw` in the ROS frame, with seconds, or `t_ns,x,y,yaw`; TUM, which
-    has no header. Whole numbers of at least 10¹² in the column `t` are nanoseconds. Raises InputError.
+    CSV `t_ns,x,z,heading` in our frame; CSV `t,x,y,yaw` or `t_ns,x,y,yaw` in the ROS frame; TUM; EuRoC; KITTI, with
+    the times in a file `times.txt` beside it. Times are seconds, or whole nanoseconds from 10¹² on. Of poses with the
+    same time the first is kept; poses that are nan or empty are left out, up to a tenth; both are told, and so are
+    poses in a camera's axes, which are turned. Raises InputError.
     """
-    header = next((line.strip() for line in read_text(path, MAX_TABLE_BYTES).splitlines() if line.strip()), "")
-    names = {name.strip() for name in header.split(",")}
-    if header and (header.startswith("#") or ("," not in header and len(header.split()) == len(_TUM_COLUMNS))):
-        return read_tum(path)
-    if len(names) == len(_ROS) + 1 and names.issuperset(column.name for column in _ROS) and names & {"t", "t_ns"}:
-        return _read_ros(path, "t" if "t" in names else "t_ns")
-    if header and len(names & {"t_ns", "z", "heading"}) < 2:
-        raise InputError(f"{_FORMS}, found {shown(header)}. {_FORMULA}", path=path, line=1)
-    return _read_ours(path)
+    lines = [line.strip() for line in read_text(path, MAX_TABLE_BYTES).splitlines() if line.strip()]
+    row = next((line for line in lines if not line.startswith("#")), "")
+    cells = row.replace(",", " ").split()
+    names = {name.strip() for name in row.split(",")}
+    if "," in row and cells[0].isdigit():
+        return _read_quaternions(path, _EUROC, ",")
+    if "," not in row and len(cells) == len(_KITTI):
+        return _read_kitti(path)
+    if "," not in row and (len(cells) == len(_TUM) or (lines and lines[0].startswith("#"))):
+        return _read_quaternions(path, _TUM)
+    time = "t" if "t" in names else "t_ns"
+    if names == {time, "x", "y", "yaw"}:
+        table = read_table(path, (Column(time, _time), *(Column(name, number_or_lost) for name in ("x", "y", "yaw"))))
+        return _trajectory(table, geometry.pose_from_ros(table.numbers("x", "y", "yaw")), time)
+    if row and len(names & {"t_ns", "z", "heading"}) < 2:
+        raise InputError(f"{_FORMS}, found {shown(row)}. {_FORMULA}", path=path, line=1)
+    ours = (POSE_COLUMNS[0], *(Column(column.name, number_or_lost) for column in POSE_COLUMNS[1:]))
+    table = read_table(path, ours, rows_at_least=1)
+    return _trajectory(table, table.numbers("x", "z", "heading"), "t_ns")
 
 
-def _read_ros(path: Path, time: str) -> Trajectory:
-    table = read_table(path, (Column(time, integer if time == "t_ns" else _seconds_or_ns), *_ROS), rows_at_least=1)
-    table.require_time_order(time, strictly=True)
-    return Trajectory(table.integers(time), geometry.pose_from_ros(table.numbers("x", "y", "yaw")))
+def _trajectory(table: Table, poses: Array, time: str) -> Trajectory:
+    """Return the poses (R, 3) of rows, without what is lost and what comes twice; both are counted and told."""
+    table.require_time_order(time, strictly=False)
+    known, count = np.isfinite(poses).all(axis=1), len(table)
+    if (lost := count - int(known.sum())) > _MOST_LOST * count:
+        problem = f"expected at most a tenth of the poses to be empty, null or nan, found {lost} of {count}"
+        raise table.error(int(np.argmin(known)), list(table.columns)[-1], problem)
+    rows = np.flatnonzero(known)
+    again = np.diff(table.integers(time)[rows], prepend=np.iinfo(np.int64).min) == 0
+    if lost:
+        warn(f"left out {lost} of {count} poses that are empty, null or nan", path=table.path)
+    if again.any():
+        row = int(rows[again][0])
+        told = f"left out {again.sum()} of {count} poses of a time that was there already, such as"
+        warn(f"{told} {table.written(row, time)}", path=table.path, line=table.lines[row])
+    return Trajectory(table.integers(time)[rows][~again], poses[rows][~again])
 
 
-def _read_ours(path: Path) -> Trajectory:
-    table = read_table(path, POSE_COLUMNS, rows_at_least=1)
-    table.require_time_order(strictly=True)
-    return Trajectory(table.integers("t_ns"), table.numbers("x", "z", "heading"))
+def _read_quaternions(path: Path, columns: tuple[Column, ...], separator: str | None = None) -> Trajectory:
+    table = read_columns(path, columns, separator)
+    q = table.numbers("qx", "qy", "qz", "qw")
+    length = np.linalg.norm(q, axis=1)
+    if (wrong := np.flatnonzero((np.abs(length - 1) > 0.01) & (length != 0))).size:
+        row = int(wrong[0])
+        raise table.error(row, "qx qy qz qw", f"expected a quaternion of length 1, found length {length[row]:.4g}")
+    q[length == 0] = np.nan  # of a robot that was lost
+    if np.nanmedian(_axes(q)[:, 2, 2]) < _UPRIGHT and np.nanmin(_axes(q[:, [1, 2, 3, 0]])[:, 2, 2]) > _UPRIGHT:
+        problem = "expected a robot whose z axis points up, found one that lies down, and stands with qw put first"
+        raise table.error(0, "qx qy qz qw", f"{problem}: is the order of columns qw qx qy qz? Put qw last")
+    return _trajectory(table, _on_floor(path, table.numbers("x", "y", "z"), _axes(q)), "t")
+
+
+def _read_kitti(path: Path) -> Trajectory:
+    table, beside = read_columns(path, _KITTI), path.with_name("times.txt")
+    if not beside.exists():
+        raise InputError("expected the times of KITTI's poses in times.txt beside them, found no such file", path=path)
+    times = read_columns(beside, _TUM[:1])
+    if len(times) != len(table):
+        raise InputError(f"expected {len(table)} times, one for each pose, found {len(times)}", path=beside)
+    matrix = table.numbers(*table.columns).reshape(-1, 3, 4)
+    poses = _on_floor(path, matrix[:, :, 3], matrix[:, :, :3])
+    return _trajectory(Table(path, times.columns | table.columns, table.lines), poses, "t")
+
+
+def _axes(q: Array) -> Array:
+    """Return rotation matrices (R, 3, 3) of quaternions (R, 4) of about unit length, w last."""
+    x, y, z, w = q.T
+    ahead = [w**2 + x**2 - y**2 - z**2, 2 * (w * z + x * y), 2 * (x * z - w * y)]
+    left = [2 * (x * y - w * z), w**2 - x**2 + y**2 - z**2, 2 * (y * z + w * x)]
+    up = [2 * (x * z + w * y), 2 * (y * z - w * x), w**2 - x**2 - y**2 + z**2]
+    return np.moveaxis(np.array([ahead, left, up]), -1, 0).transpose(0, 2, 1)
+
+
+def _on_floor(path: Path, places: Array, axes: Array) -> Array:
+    """Return the poses (R, 3) in our frame of places (R, 3) and axes (R, 3, 3, columns) of a robot or of a camera.
+
+    ROS has z up; a camera has x right, y down, z ahead. Which it is shows in what points up and where the path lies.
+    """
+    x, y, z = places.T
+    wide, deep, high = (np.nanmax(part) - np.nanmin(part) if np.isfinite(part).any() else 0.0 for part in places.T)
+    if high > max(_LEAST_PATH_M, wide / 2, deep / _FLAT) and np.nanmedian(axes[:, 1, 1]) > _UPRIGHT:
+        warn("the path lies in x and z: taken as in a camera's axes (x right, y down, z ahead)", path=path)
+        return np.column_stack([x, -z, np.arctan2(-axes[:, 0, 2], axes[:, 2, 2])])
+    ahead = axes[:, :, 0]
+    if np.nanmedian(axes[:, 2, 2]) < _UPRIGHT and np.nanmedian(axes[:, 2, 1]) < -_UPRIGHT:
+        warn("the y axis of the poses points down: taken as those of a camera that looks along its z axis", path=path)
+        ahead = axes[:, :, 2]
+    elif np.nanmedian(axes[:, 2, 2]) < _UPRIGHT:
+        warn("expected poses whose z axis points up, found others: their headings say nothing", path=path)
+    return geometry.pose_from_ros(np.column_stack([x, y, np.arctan2(ahead[:, 1], ahead[:, 0])]))
 
 
 def write_poses(trajectory: Trajectory, path: Path) -> None:
@@ -62,9 +144,6 @@ def write_poses(trajectory: Trajectory, path: Path) -> None:
     rows = zip(trajectory.t_ns, trajectory.poses, strict=True)
     lines = (f"{t_ns},{x:.9f},{z:.9f},{heading:.9f}\n" for t_ns, (x, z, heading) in rows)
     write_text(path, "t_ns,x,z,heading\n" + "".join(lines))
-
-
-# -- TUM --------------------------------------------------------------------------------------------------------------
 
 
 def write_tum(trajectory: Trajectory, path: Path) -> None:
@@ -86,14 +165,11 @@ def seconds(t_ns: int) -> str:
     return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"
 
 
-def _seconds_or_ns(text: str) -> int:
+def _time(text: str) -> int:
     """Return a time in seconds, or in whole nanoseconds where it is too large for seconds, as ns. Raises ValueError."""
     if text.strip().isdigit() and len(text.strip()) >= _LEAST_DIGITS_OF_NS:
         return integer(text)
-    try:
-        return nanoseconds(text)
-    except ValueError:
-        raise ValueError("a time in seconds, or in whole nanoseconds from 10¹² on") from None
+    return nanoseconds(text)
 
 
 def nanoseconds(text: str) -> int:
@@ -107,20 +183,7 @@ def nanoseconds(text: str) -> int:
     return round(value * _NS)
 
 
-_TUM_COLUMNS = (Column("t", nanoseconds), *(Column(name, number) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")))
-
-
-def read_tum(path: Path) -> Trajectory:
-    """Return the poses in our frame of a TUM file of any program; the floor part of each pose.
-
-    Lines that start with # are comments. Raises InputError with file, line and field.
-    """
-    table = read_columns(path, _TUM_COLUMNS)
-    table.require_time_order("t", strictly=True)
-    x, y, qx, qy, qz, qw = table.numbers("x", "y", "qx", "qy", "qz", "qw").T
-    length = np.sqrt(qx**2 + qy**2 + qz**2 + qw**2)
-    if (wrong := np.flatnonzero(np.abs(length - 1) > 0.01)).size:
-        row = int(wrong[0])
-        raise table.error(row, "qx qy qz qw", f"expected a quaternion of length 1, found length {length[row]:.4g}")
-    yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    return Trajectory(table.integers("t"), geometry.pose_from_ros(np.column_stack([x, y, yaw])))
+_FLOATS = {name: Column(name, number_or_lost) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")}
+_TUM = (Column("t", _time), *_FLOATS.values())
+_EUROC = (Column("t", _time), *(_FLOATS[name] for name in ("x", "y", "z", "qw", "qx", "qy", "qz")))
+_KITTI = tuple(Column(f"{row}{column}", number_or_lost) for row in "xyz" for column in range(4))

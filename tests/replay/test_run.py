@@ -68,11 +68,11 @@ def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, 
     assert list(rows[0])[: len(COLUMNS)] == COLUMNS
     assert [row["t_ns"] for row in rows] == [line.split(",")[0] for line in image_rows(log)]
 
-    located = storage.read_tum(run / "trajectory.tum")
+    located = storage.read_poses(run / "trajectory.tum")
     np.testing.assert_allclose(located.poses[:, 0], [float(row["x"]) for row in rows], atol=1e-8)
     np.testing.assert_allclose(located.poses[:, 1], [float(row["z"]) for row in rows], atol=1e-8)
     np.testing.assert_allclose(located.poses[:, 2], [float(row["heading"]) for row in rows], atol=1e-8)
-    truth = storage.read_tum(run / "groundtruth.tum")
+    truth = storage.read_poses(run / "groundtruth.tum")
     np.testing.assert_array_equal(truth.t_ns, located.t_ns)
     recorded = storage.read_poses(log / "groundtruth.csv").sampled(located.t_ns)
     np.testing.assert_allclose(truth.poses, recorded.poses, atol=1e-8)
@@ -101,7 +101,7 @@ def image_rows(log: Path) -> list[str]:
 
 def test_metrics_are_those_of_the_files_beside_them(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     run = localiser.replay(log, tmp_path / "out")
-    located, truth = storage.read_tum(run / "trajectory.tum"), storage.read_tum(run / "groundtruth.tum")
+    located, truth = storage.read_poses(run / "trajectory.tum"), storage.read_poses(run / "groundtruth.tum")
     error_m = np.hypot(*(located.poses - truth.poses)[:, :2].T)
     figures = metrics_of(run)
     assert figures["position_rmse_m"] == pytest.approx(np.sqrt(np.mean(error_m**2)), abs=1e-6)
@@ -353,7 +353,7 @@ def assert_valid_until(run: Path, frames: int, log: Path) -> None:
     """Check that every output holds exactly the first frames, and says that it is not complete."""
     assert [row["t_ns"] for row in rows_of(run)] == [line.split(",")[0] for line in image_rows(log)[:frames]]
     for name in ("trajectory.tum", "groundtruth.tum"):
-        assert len(storage.read_tum(run / name).t_ns) == frames
+        assert len(storage.read_poses(run / name).t_ns) == frames
     assert len(storage.read_track(run / "trajectory.csv")) == frames
     figures = metrics_of(run)
     assert figures["complete"] is False

@@ -15,7 +15,7 @@ from small_log import CAMERA, write_edge_log, write_small_log
 
 from localiser.config import Config, read_config, to_yaml
 from localiser.errors import InputError
-from localiser.storage import ImageEvent, open_log, read_camera, read_json, read_map, read_poses, read_track, read_tum
+from localiser.storage import ImageEvent, open_log, read_camera, read_json, read_map, read_poses, read_track
 from localiser.storage.edge_tables import read_edges
 from localiser.storage.images import read_image
 
@@ -71,7 +71,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], str | bytes]] = {
     "poses": (read_poses, "images/odometry.csv"),
     "edges": (lambda path: read_edges(path, CAMERA), "edges/edges.csv"),
     "image": (lambda path: read_image(path, (CAMERA.width, CAMERA.height)), "images/images/000000.jpg"),
-    "tum": (read_tum, b"# t\n0.5 1 2 0 0 0 0 1\n1e9 1 2 0 0 0 0 1\n"),
+    "tum": (read_poses, b"# t\n0.5 1 2 0 0 0 0 1\n1e9 1 2 0 0 0 0 1\n"),
     "track": (read_track, TRACK),
     "json": (read_json, b'{"frames": 3, "rmse": [0.1, null]}'),
     "config": (read_config, to_yaml(Config())),

@@ -14,7 +14,7 @@ from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array, Increment
 from localiser.observation import Matches
 from localiser.particles import Estimate, Particles
-from localiser.storage import RunFolder, TrackWriter, find_run, json_text, read_json, read_track, read_tum
+from localiser.storage import RunFolder, TrackWriter, find_run, json_text, read_json, read_poses, read_track
 from localiser.storage import runs as runs_module
 
 COV = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.001], [0.0, -0.001, 0.0025]])
@@ -96,8 +96,8 @@ def test_track_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(track.covs[2], COV)
     np.testing.assert_allclose(track.odometry, np.tile([0.1, 0.2, 0.3], (3, 1)))
     np.testing.assert_array_equal(track.edges, [3, 3, 3])
-    np.testing.assert_allclose(read_tum(tmp_path / "trajectory.tum").poses, track.poses, atol=2e-9)
-    np.testing.assert_allclose(read_tum(tmp_path / "groundtruth.tum").poses[0], [1, 2, 3], atol=2e-9)
+    np.testing.assert_allclose(read_poses(tmp_path / "trajectory.tum").poses, track.poses, atol=2e-9)
+    np.testing.assert_allclose(read_poses(tmp_path / "groundtruth.tum").poses[0], [1, 2, 3], atol=2e-9)
 
 
 def test_first_columns_are_those_that_were_promised(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_files_are_whole_after_every_image_without_being_closed(tmp_path: Path) 
     for frames, t_ns in enumerate((0, 1, 2), start=1):
         writer.frame(frame(located(t_ns)))
         assert len(read_track(tmp_path / "trajectory.csv")) == frames
-        assert len(read_tum(tmp_path / "trajectory.tum")) == frames
+        assert len(read_poses(tmp_path / "trajectory.tum")) == frames
     assert not (tmp_path / "groundtruth.tum").exists()
     writer.close(False)
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from small_log import TRUTH
 
-from localiser.errors import InputError
+from localiser.errors import InputError, InputWarning
 from localiser.geometry import Trajectory
-from localiser.storage import read_poses, read_tum, write_poses, write_tum
+from localiser.storage import read_poses, write_poses, write_tum
 from localiser.storage.trajectories import nanoseconds, seconds, tum_line
 
 
@@ -57,7 +59,7 @@ def test_tum_is_in_the_ros_frame() -> None:
 def test_trajectories_are_read_back(tmp_path: Path) -> None:
     write_tum(TRUTH, tmp_path / "t.tum")
     write_poses(TRUTH, tmp_path / "t.csv")
-    assert_close(read_tum(tmp_path / "t.tum"), TRUTH)
+    assert_close(read_poses(tmp_path / "t.tum"), TRUTH)
     assert_close(read_poses(tmp_path / "t.csv"), TRUTH)
 
 
@@ -76,24 +78,24 @@ def test_tum_of_a_tilted_body_gives_its_yaw(tmp_path: Path) -> None:
     rotation = pytest.importorskip("scipy.spatial.transform").Rotation
     x, y, z, w = rotation.from_euler("ZYX", [0.7, 0.3, -0.2]).as_quat()
     (tmp_path / "t.tum").write_text(f"# t x y z q\n\n0 1 2 3 {x} {y} {z} {w}\n")
-    found = read_tum(tmp_path / "t.tum").poses[0]
+    found = read_poses(tmp_path / "t.tum").poses[0]
     np.testing.assert_allclose(found, [1, -2, 0.7 - np.pi / 2], atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ("", "t.tum: expected at least one row, found none"),
-        ("0 1 2 3\n", "t.tum:1: expected 8 columns (t, x, y, z, qx, qy, qz, qw), found 4"),
-        ("# c\n0 1 nan 0 0 0 0 1\n", "t.tum:2: y: expected a finite number, found 'nan'"),
-        ("1 1 2 0 0 0 0 1\n0 1 2 0 0 0 0 1\n", "t.tum:2: t: expected a time after 1000000000 ns, found 0 ns"),
-        ("0 1 2 0 0 0 0 0\n", "t.tum:1: qx qy qz qw: expected a quaternion of length 1, found length 0"),
+        ("# t\n", "t.tum: expected at least one row, found none"),
+        ("0 1 2 0 0 0 0 1\n1 2 3\n", "t.tum:2: expected 8 columns (t, x, y, z, qx, qy, qz, qw), found 3"),
+        ("# c\n0 1 east 0 0 0 0 1\n", "t.tum:2: y: expected a number, found 'east'"),
+        ("1.50 1 2 0 0 0 0 1\n0 1 2 0 0 0 0 1\n", "t.tum:2: t: expected a time not before 1.50, found 0"),
+        ("0 1 2 0 0 0 0 2\n", "t.tum:1: qx qy qz qw: expected a quaternion of length 1, found length 2"),
     ],
 )
 def test_errors_of_tum_files(tmp_path: Path, content: str, expected: str) -> None:
     (tmp_path / "t.tum").write_text(content)
     with pytest.raises(InputError) as caught:
-        read_tum(tmp_path / "t.tum")
+        read_poses(tmp_path / "t.tum")
     assert str(caught.value).removeprefix(f"{tmp_path}/") == expected
 
 
@@ -135,7 +137,7 @@ def test_tum_is_told_by_its_lines(tmp_path: Path, comment: str) -> None:
     assert_close(read_poses(tmp_path / "odometry.csv"), TRUTH)
 
 
-@pytest.mark.parametrize("header", ["time,px,py,theta", "t,x,y,theta", "t,x,y", "0.1,0,0,0", "stamp x y yaw"])
+@pytest.mark.parametrize("header", ["time,px,py,theta", "t,x,y,theta", "t,x,y", "stamp x y yaw"])
 def test_an_unknown_header_is_told_with_the_formula_between_the_frames(tmp_path: Path, header: str) -> None:
     (tmp_path / "odometry.csv").write_text(f"{header}\n0,0,0,0\n")
     with pytest.raises(InputError) as refused:
@@ -148,8 +150,8 @@ def test_an_unknown_header_is_told_with_the_formula_between_the_frames(tmp_path:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("1.5,0,0,0\n1.5,0,0,0\n", "odometry.csv:3: t: expected a time after 1500000000"),
-        ("soon,0,0,0\n", "odometry.csv:2: t: expected a time in seconds, or in whole nanoseconds"),
+        ("1.5,0,0,0\n1.25,0,0,0\n", "odometry.csv:3: t: expected a time not before 1.5, found 1.25"),
+        ("soon,0,0,0\n", "odometry.csv:2: t: expected a time in seconds"),
         ("1.5,0,left,0\n", "odometry.csv:2: y: expected a number, found 'left'"),
     ],
 )
@@ -157,3 +159,85 @@ def test_a_bad_cell_with_ros_axes_is_told_by_line(tmp_path: Path, rows: str, sai
     (tmp_path / "odometry.csv").write_text(f"t,x,y,yaw\n{rows}")
     with pytest.raises(InputError, match=said):
         read_poses(tmp_path / "odometry.csv")
+
+
+# -- what other programs write ----------------------------------------------------------------------------------------
+
+TURNS = Rotation.from_euler("Z", np.linspace(0.3, 2.0, 30)[:, None])
+PLACES = np.column_stack([np.linspace(0, 4, 30), np.linspace(1, 3, 30), np.zeros(30)])
+T_S = np.arange(30) / 10 + 1_600_000_000.0
+OURS = np.column_stack([PLACES[:, 0], -PLACES[:, 1], np.linspace(0.3, 2.0, 30) - np.pi / 2])
+
+
+def tum(path: Path, places: np.ndarray, q: np.ndarray, line: Callable[[int, str], str] = lambda _, text: text) -> Path:
+    rows = (f"{t:.4f} {' '.join(map(str, [*place, *turn]))}" for t, place, turn in zip(T_S, places, q, strict=True))
+    path.write_text("# time x y z q\n" + "\n".join(line(index, row) for index, row in enumerate(rows)) + "\n")
+    return path
+
+
+def test_of_two_poses_at_one_time_the_first_is_kept_and_that_is_told(tmp_path: Path) -> None:
+    file = tum(tmp_path / "t.tum", PLACES, TURNS.as_quat(), lambda index, row: f"{row}\n{row}" if index == 7 else row)
+    with pytest.warns(InputWarning, match=r"t.tum:10: left out 1 of 31 poses .* such as 1600000000\.7000$"):
+        np.testing.assert_allclose(read_poses(file).poses, OURS)
+    (tmp_path / "o.csv").write_text("t_ns,x,z,heading\n5,1,0,0\n5,2,0,0\n6,3,0,0\n")
+    with pytest.warns(InputWarning, match="left out 1 of 3"):
+        assert read_poses(tmp_path / "o.csv").poses[:, 0].tolist() == [1, 3]
+
+
+@pytest.mark.parametrize("lost", ["nan nan nan nan nan nan nan", "null null null 0 0 0 1", "0 0 0 0 0 0 0"])
+def test_lost_poses_are_left_out_up_to_a_tenth(tmp_path: Path, lost: str) -> None:
+    def lose(count: int) -> Callable[[int, str], str]:
+        return lambda index, row: f"{row.split()[0]} {lost}" if 4 < index <= 4 + count else row
+
+    file = tum(tmp_path / "t.tum", PLACES, TURNS.as_quat(), lose(3))
+    with pytest.warns(InputWarning, match="left out 3 of 30 poses that are empty, null or nan"):
+        np.testing.assert_allclose(read_poses(file).poses, np.delete(OURS, [5, 6, 7], axis=0))
+    tum(file, PLACES, TURNS.as_quat(), lose(4))
+    with pytest.raises(InputError, match=r"t.tum:7: .*expected at most a tenth .* found 4 of 30"):
+        read_poses(file)
+    (tmp_path / "o.csv").write_text("t_ns,x,z,heading\n" + "".join(f"{k},{k},0,0\n" for k in range(9)) + "9,,NaN,\n")
+    with pytest.warns(InputWarning, match="left out 1 of 10"):
+        assert len(read_poses(tmp_path / "o.csv")) == 9
+
+
+def test_a_quaternion_with_w_first_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"t.tum:2: qx qy qz qw: .* is the order of columns qw qx qy qz\?"):
+        read_poses(tum(tmp_path / "t.tum", PLACES, TURNS.as_quat()[:, [3, 0, 1, 2]]))
+
+
+CAMERA = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+"""What is along a camera's axes (right, down, ahead) along a robot's (ahead, left, up)."""
+
+
+def test_paths_and_poses_in_a_cameras_axes_are_turned_and_that_is_told(tmp_path: Path) -> None:
+    body = (TURNS * CAMERA * Rotation.from_euler("X", -20, degrees=True)).as_quat()
+    with pytest.warns(InputWarning, match="y axis of the poses points down"):
+        np.testing.assert_allclose(read_poses(tum(tmp_path / "b.tum", PLACES, body)).poses, OURS, atol=1e-9)
+    places, turns = CAMERA.inv().apply(PLACES - PLACES[0]), CAMERA.inv() * TURNS * CAMERA
+    expected = np.column_stack([places[:, 0], -places[:, 2], OURS[:, 2] + np.pi / 2])
+    with pytest.warns(InputWarning, match="path lies in x and z"):
+        np.testing.assert_allclose(read_poses(tum(tmp_path / "c.tum", places, turns.as_quat())).poses, expected)
+    matrices = np.concatenate([turns.as_matrix(), places[:, :, None]], axis=2).reshape(-1, 12)
+    np.savetxt(tmp_path / "00.txt", matrices)
+    with pytest.raises(InputError, match=r"expected the times of KITTI's poses in times\.txt"):
+        read_poses(tmp_path / "00.txt")
+    np.savetxt(tmp_path / "times.txt", np.arange(30) / 10)
+    with pytest.warns(InputWarning, match="path lies in x and z"):
+        found = read_poses(tmp_path / "00.txt")
+    np.testing.assert_allclose(found.poses, expected)
+    assert found.t_ns[:2].tolist() == [0, 100_000_000]
+
+
+def test_axes_that_point_nowhere_are_told(tmp_path: Path) -> None:
+    with pytest.warns(InputWarning, match="expected poses whose z axis points up"):
+        read_poses(tum(tmp_path / "t.tum", PLACES, (TURNS * Rotation.from_euler("Y", 80, degrees=True)).as_quat()))
+
+
+def test_euroc_and_tum_in_nanoseconds(tmp_path: Path) -> None:
+    header, t_ns = "#timestamp, p_RS_R_x [m], y, z, q_RS_w [], q_x, q_y, q_z, v_x\n", (T_S * 1e9).astype(np.int64)
+    q = TURNS.as_quat()[:, [3, 0, 1, 2]]
+    rows = [",".join(map(str, [t, *place, *turn, 0.5])) for t, place, turn in zip(t_ns, PLACES, q, strict=True)]
+    (tmp_path / "data.csv").write_text(header + "\n".join(rows) + "\n")
+    assert_close(read_poses(tmp_path / "data.csv"), Trajectory(t_ns, OURS))
+    tum(tmp_path / "t.tum", PLACES, TURNS.as_quat(), lambda index, row: f"{t_ns[index]} {row.split(maxsplit=1)[1]}")
+    assert_close(read_poses(tmp_path / "t.tum"), Trajectory(t_ns, OURS))

@@ -28,12 +28,12 @@ Within = Annotated[float, typer.Option(min=1e-3, max=10.0, metavar="M", help="Ho
 
 def parse_poses(poses: str) -> tuple[str | Trajectory, str]:
     """Return what `--poses` names, a word or the trajectory of a file, and what to call it. Raises InputError."""
-    from localiser.storage import read_poses, read_tum
+    from localiser.storage import read_poses
 
     path = Path(poses)
     if poses in ("truth", "odometry", "slam") or not path.exists():
         return poses, poses
-    return read_poses(path) if path.suffix == ".csv" else read_tum(path), path.name
+    return read_poses(path), path.name
 
 
 def edges_with_progress(log: Log, config: Config) -> list[Edges]:

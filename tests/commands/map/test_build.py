@@ -21,7 +21,7 @@ from localiser.mapping import edges_of_log
 from localiser.mapping import recorded as recorded_log
 from localiser.replay import prepare
 from localiser.replay.start import start_of
-from localiser.storage import open_log, read_map, read_tum, write_map, write_tum
+from localiser.storage import open_log, read_map, read_poses, write_map, write_tum
 
 LOG = ROOT / "logs" / "corridor"
 
@@ -85,9 +85,9 @@ def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     assert f"{log} has no truth: where the robot was is found from the log alone" in built.output
     assert "Wheels say" in built.output
     assert set(read_map(out).source) == {"drive, poses: slam"}
-    assert len(read_tum(track)) == 60
+    assert len(read_poses(track)) == 60
     # This log's odometry is the truth: what comes out must not be far from it.
-    error = read_tum(track).poses - drive.truth.poses[:60]
+    error = read_poses(track).poses - drive.truth.poses[:60]
     assert np.abs(error[:, :2]).max() < 0.1
     assert "expected a new file" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
 
@@ -152,7 +152,7 @@ def test_the_recording_shows_how_the_map_came_about(tmp_path: Path, truth: bool)
     assert drawn == pytest.approx(read_map(out).points, abs=1e-3)
     if not truth:
         (before,), (after,) = rows["world/trails/before_loops"], rows["world/trails/after_loops"]
-        assert np.array(after[0])[:, [0, 2]] == pytest.approx(read_tum(track).poses[:, :2], abs=1e-4)
+        assert np.array(after[0])[:, [0, 2]] == pytest.approx(read_poses(track).poses[:, :2], abs=1e-4)
         assert np.shape(before[0]) == np.shape(after[0])
     assert "expected a new file" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
 
