@@ -190,17 +190,13 @@ class Camera:
         grows = (np.diff((bent * axes).sum(axis=-1), axis=0) > 0).all(axis=1)
         return np.inf if grows.all() else float(radii[np.argmin(grows)])
 
-    def upright_from_image(self, image_points: ArrayLike) -> Array:
-        """Return (a, e) (..., 2) with the mount's roll undone."""
-        return np.asarray(np.asarray(image_points, dtype=np.float64) @ self._roll_matrix.T)
-
     def image_from_upright(self, upright_points: ArrayLike) -> Array:
-        """Return (a, e) (..., 2) of the image from upright ones; inverse of `upright_from_image`."""
+        """Return (a, e) (..., 2) of the image from upright ones; rolled as the camera is."""
         return np.asarray(np.asarray(upright_points, dtype=np.float64) @ self._roll_matrix)
 
     def upright_from_pixels(self, pixels: ArrayLike) -> Array:
         """Return upright image coordinates (a, e) (..., 2) of pixels (..., 2)."""
-        return self.upright_from_image(self.image_from_pixels(pixels))
+        return np.asarray(self.image_from_pixels(pixels) @ self._roll_matrix.T)
 
     def pixels_from_upright(self, upright_points: ArrayLike) -> Array:
         """Return pixels (..., 2) of upright image coordinates (..., 2)."""
@@ -208,17 +204,8 @@ class Camera:
 
     @cached_property
     def _roll_matrix(self) -> Array:
-        return _roll_matrix(self.mount.roll_rad)
-
-    @property
-    def _quarter_turns(self) -> int:
-        return round(self.mount.roll_rad / (np.pi / 2))
-
-    @property
-    def span_rad(self) -> float:
-        """The angle that the image spans from side to side, by its middle; upright, by its width."""
-        across = self.height if self._quarter_turns % 2 else self.width
-        return 2.0 * float(np.arctan(across / 2 / self.focal_px))
+        s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
+        return np.array([[c, s], [-s, c]])
 
     @cached_property
     def nadir_px(self) -> Array:
@@ -239,21 +226,22 @@ class Camera:
     def upright_bounds(self) -> tuple[float, float, float, float]:
         """An upright rectangle (a_left, a_right, e_bottom, e_top) sure to lie inside the image, at any roll.
 
-        The larger of two: what lies between the four borders, and the image turned by quarters alone, made smaller
-        until the rest of the roll leaves it inside.
+        What lies between the four borders, or the largest of the image's shape about its middle, if that is larger.
         """
-        sides = self.image_from_pixels(self.border_px())
-        for _ in range(self._quarter_turns % 4):
-            sides = sides[[2, 3, 1, 0], :, ::-1] * [1.0, -1.0]  # the left is the top, the top is the right
-        turned = sides @ _roll_matrix(self.mount.roll_rad - self._quarter_turns * np.pi / 2).T
-        unturned, between = _between(sides), _between(turned)
-        middle, half = unturned.mean(axis=1), (unturned[:, 1] - unturned[:, 0]) / 2
-        reach = np.abs((turned - middle) / half)
-        fits = np.minimum(reach[:, :-1], reach[:, 1:]).max(axis=-1).min()
-        inside = middle[:, None] + fits * half[:, None] * [-1.0, 1.0]
-        best = max(between, inside, key=lambda bounds: float(np.maximum(bounds[:, 1] - bounds[:, 0], 0.0).prod()))
-        a_left, a_right, e_bottom, e_top = best.ravel().tolist()
-        return a_left, a_right, e_bottom, e_top
+        sides = self.upright_from_pixels(self.border_px())
+        for _ in range(quarters := round(self.mount.roll_rad / (np.pi / 2)) % 4):
+            sides = sides[[2, 3, 1, 0]]  # the left is the top, the top is the right
+        (top, bottom, left, right), size = (
+            sides,
+            np.array([self.width, self.height])[:: 1 - quarters % 2 * 2],
+        )
+        low, high = np.array([[left[:, 0].max(), bottom[:, 1].max()], [right[:, 0].min(), top[:, 1].min()]])
+        middle = (sides.min(axis=(0, 1)) + sides.max(axis=(0, 1))) / 2
+        reach = np.abs(sides - middle) / size
+        half = np.minimum(reach[:, :-1], reach[:, 1:]).max(axis=-1).min() * size
+        if np.prod(2 * half) > 1.001 * np.prod(np.maximum(high - low, 0.0)):
+            low, high = middle - half, middle + half
+        return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
     # -- the world ----------------------------------------------------------------------------------------------
 
@@ -343,14 +331,3 @@ class Camera:
 @lru_cache(maxsize=16)
 def _mounted(camera: Camera, mount: Mount) -> Camera:
     return replace(camera, mount=mount)
-
-
-def _roll_matrix(roll_rad: float) -> Array:
-    s, c = np.sin(roll_rad), np.cos(roll_rad)
-    return np.array([[c, s], [-s, c]])
-
-
-def _between(sides: Array) -> Array:
-    """Return the bounds ((left, right), (bottom, top)) between the points (4, K, 2) of the top, bottom, left, right."""
-    top, bottom, left, right = sides
-    return np.array([[left[:, 0].max(), right[:, 0].min()], [bottom[:, 1].max(), top[:, 1].min()]])

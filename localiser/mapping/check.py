@@ -13,6 +13,7 @@ from localiser.landmarks import LandmarkMap, Quality, Sight, SightParameters, si
 from localiser.mapping.build import MapBuilt
 from localiser.mapping.landmarks import Built
 from localiser.mapping.merge import common_landmarks, fuse_maps
+from localiser.mapping.quality import span_rad
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 
 # -- check ------------------------------------------------------------------------------------------------------------
@@ -135,7 +136,7 @@ def existence_after(
     views = sight(camera, cameras, landmark_map, limits)
     gate = _gates(landmark_map, views, cameras)
     first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
-    span = camera.span_rad
+    span = span_rad(camera)
     gain, clear = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=bool)
     for frame in range(sightings.frames):
         row = np.arange(first[frame], first[frame + 1])

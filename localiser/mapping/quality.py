@@ -92,7 +92,7 @@ def existence(
     """
     found = parameters.tracks.found
     landmark = built.of[built.used]
-    span = camera.span_rad
+    span = span_rad(camera)
     area = span / 2 * parameters.range_max_m**2
     unexplained = max(int((built.of < 0).sum()), sightings.frames)
     clutter_per_rad = unexplained / (sightings.frames * span)
@@ -220,3 +220,9 @@ def landmark_map_of(
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
     has_place = is_placed(sightings, built, cameras, cov)
     return whole.take(np.flatnonzero(worth_keeping(built, probability, parameters) & has_place))
+
+
+def span_rad(camera: Camera) -> float:
+    """Return the angle that the image spans from side to side, by its middle: upright by its width, else its height."""
+    across = camera.height if round(camera.mount.roll_rad / (np.pi / 2)) % 2 else camera.width
+    return 2.0 * float(np.arctan(across / 2 / camera.focal_px))
