@@ -56,6 +56,8 @@ def registered(name: str) -> str:
     return name
 
 
+# -- settings ---------------------------------------------------------------------------------------------------------
+
 DetectorName = Annotated[
     str, AfterValidator(registered), Field(json_schema_extra=lambda schema: schema.update(enum=list(DETECTORS)))
 ]
@@ -91,6 +93,8 @@ class EdgeParameters:
         """How certain the stated tilt and roll (2,) are (rad, 1 sigma)."""
         return np.deg2rad([self.tilt_sigma_deg, self.roll_sigma_deg])
 
+
+# -- lines at any angle: LSD, and Canny with Hough's transform as the paper has it ------------------------------------
 
 LSD_SIGMA_PX = 0.35
 """Error of an end of an LSD segment across the line, measured against exact edges."""

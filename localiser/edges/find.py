@@ -135,6 +135,8 @@ def grey_image(image: Image, camera: Camera) -> Image:
     return np.require(grey, dtype=np.uint8, requirements=["C", "W"])
 
 
+# -- how an image is exposed ------------------------------------------------------------------------------------------
+
 DARK_GREY = 64.0
 """Where 95 % of the pixels are darker than this, noise covers faint edges."""
 SATURATED_GREY = 250

@@ -67,6 +67,8 @@ class Groups:
         return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))
 
 
+# -- lines through chains of peaks ------------------------------------------------------------------------------------
+
 LEAST_BLOCKS = 3
 _PRIOR_BLOCKS = 4.0
 """As how many blocks of residuals the predicted noise counts, when a line's own scatter is judged."""

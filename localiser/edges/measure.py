@@ -18,6 +18,8 @@ from localiser.edges.types import TURN_RATE, CommonError, Edges, Segments
 from localiser.edges.views import Image, ideal_camera
 from localiser.geometry import Array
 
+# -- the foot ---------------------------------------------------------------------------------------------------------
+
 FOOT_SIGMA_PX = 2.0
 """Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""
 BORDER_PX = 4.0 * FOOT_SIGMA_PX
@@ -39,6 +41,8 @@ def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = Non
     range_m = geometry.floor_range(camera.mount.height_m, np.where(seen, depression, np.nan))
     return range_m, geometry.floor_range_sigma(camera.mount.height_m, range_m, sigma_rad)
 
+
+# -- grey values ------------------------------------------------------------------------------------------------------
 
 PROFILE_OFFSETS_PX = np.array([-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0])
 _SAMPLES_ALONG = 16
@@ -73,6 +77,8 @@ def polarity_of_profiles(profile: Array) -> NDArray[np.int8]:
     step = profile[:, middle + 1] - profile[:, middle - 1]
     return np.sign(np.nan_to_num(step)).astype(np.int8)
 
+
+# -- edges ------------------------------------------------------------------------------------------------------------
 
 _TYPICAL_INVERSE_RANGE = 0.4
 """1/m: rooms are some metres wide."""

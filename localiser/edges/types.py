@@ -142,6 +142,8 @@ class Edges:
         return Edges(**columns, **whole)
 
 
+# -- edges that were measured elsewhere -------------------------------------------------------------------------------
+
 _STRIP_ROWS = 32
 
 
@@ -200,6 +202,9 @@ def complete(
         full_lean,
         np.where(np.isnan(lean), bearing_sigma / per_lean, lean_sigma),
     )
+
+
+# -- segments ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -147,6 +147,8 @@ def _cubic_weights(count: int) -> Array:
     return weights
 
 
+# -- with tilt and roll undone ----------------------------------------------------------------------------------------
+
 ROWS_AT_ONCE = 2
 """Rows of the image that become one of the rectified one, averaged beforehand: half as much to look up."""
 ROWS_PER_BLOCK = 4

@@ -80,6 +80,8 @@ def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:
     return np.concatenate([times[:1], times[:1] + np.cumsum(steps)])
 
 
+# -- how fast a robot moves -------------------------------------------------------------------------------------------
+
 WHEELS_SHARE = 0.05
 """By which share wheels may misjudge a turn, 1 sigma."""
 USUAL_TURN_RAD_S = 0.5

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, circular_mean, wrap_angle
 
+Indices = NDArray[np.int64]
+
 POSE = ("x", "z", "heading")
 CAMERA_YAW = "camera_yaw"
 MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time whatever it shows
@@ -157,7 +159,7 @@ def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     return replace(particles, columns=columns)
 
 
-def take(particles: Particles, index: NDArray[np.int64]) -> Particles:
+def take(particles: Particles, index: Indices) -> Particles:
     """Return the particles at `index`, equally weighted."""
     return replace(particles, columns=np.take(particles.columns, index, axis=1), log_weight=np.zeros(len(index)))
 
@@ -204,7 +206,7 @@ def _within(particles: Particles) -> Array:
     return np.asarray(by_constant_error @ particles.constant_error_cov @ by_constant_error.T)
 
 
-Indices = NDArray[np.int64]
+# -- resampling: on average as many offspring as the weight says ------------------------------------------------------
 
 
 def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> Indices:

@@ -68,6 +68,8 @@ class VisualOdometryParameters:
         return Gaussian(kept * pace.mean * seconds, cov * seconds**2)
 
 
+# -- from two frames to an increment ----------------------------------------------------------------------------------
+
 SCALE_SIGMA = 0.12
 """Of the scale of all ranges: lower ends that are taken for feet stand on plinths and lower shelves of about 0.1 m."""
 SCALE_M = 2.0

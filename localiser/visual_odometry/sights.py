@@ -111,6 +111,8 @@ def _root(cov: Array) -> Array:
     return np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
 
 
+# -- pairs ------------------------------------------------------------------------------------------------------------
+
 FOLLOWED_SHARE = 0.7  # of the edges of an image, seen in the one before
 FLOOR_SHARE = 0.5  # of the lower ends that are feet
 HUNG_SHARE = 0.5  # of the others, that hang at a height of their own; the rest is hidden by something in front
