@@ -296,7 +296,7 @@ class Camera:
     def bearing_sigma_of_segments(self, ends_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
         """Return the sigma (E,) of `bearing_of_segments` for ends that err by sigma (E,) across the line.
 
-        J σ / √(2 D² + L²/2) of `geometry.constrained_lean_sigma`, written so that it also holds for a tilt of 0.
+        J σ / √(2 D² + L²/2) of design equation 7, written so that it also holds for a tilt of 0.
         """
         bearing, from_nadir = self._bearing_and_depth(ends_px)
         lean = geometry.lean_from_bearing(bearing, self.mount.tilt_rad)

@@ -288,7 +288,7 @@ def test_bearing_sigma_is_that_of_the_held_line(bearing, tilt, roll, length_px):
     camera = make_camera(tilt_rad=tilt, roll_rad=roll)
     segment = edge_segment(camera, bearing, length_px, middle_e=0.1)
     distance = np.linalg.norm(segment[0].mean(axis=0) - camera.nadir_px)
-    expected = g.bearing_per_lean(bearing, tilt) * g.constrained_lean_sigma(length_px, distance, 0.5)
+    expected = g.bearing_per_lean(bearing, tilt) * 0.5 / np.sqrt(2 * distance**2 + length_px**2 / 2)
     assert camera.bearing_sigma_of_segments(segment, np.array([0.5]))[0] == pytest.approx(expected, rel=1e-9)
 
 

@@ -36,7 +36,6 @@ from localiser.geometry.slopes import (
     bearing_from_point,
     bearing_per_lean,
     bearing_per_tilt_from_lean,
-    constrained_lean_sigma,
     edge_a_at,
     floor_range,
     floor_range_sigma,

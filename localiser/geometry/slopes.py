@@ -69,15 +69,6 @@ def bearing_per_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     return np.asarray((np.cos(bearing_rad) ** 2 + s**2 * np.sin(bearing_rad) ** 2) / s)
 
 
-def constrained_lean_sigma(length_px: ArrayLike, nadir_distance_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
-    """Return the sigma (rad) of the lean of a line held through the nadir point: σ / √(2 D² + L²/2).
-
-    D is the distance of the segment's middle from the nadir point (design equation 7). Times J: sigma of the bearing.
-    """
-    length, distance = np.asarray(length_px, dtype=np.float64), np.asarray(nadir_distance_px, dtype=np.float64)
-    return np.asarray(np.asarray(endpoint_sigma_px) / np.sqrt(2 * distance**2 + length**2 / 2))
-
-
 def bearing_per_tilt_from_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     """Return d(bearing)/d(tilt) of a bearing computed from lean alone: -½ sin(2b) cot(tilt).
 

@@ -407,6 +407,11 @@ def test_edge_that_comes_to_stand_beside_the_camera_gives_its_depth():
 # -- sigmas (design equations 7, 8 and 9) -----------------------------------------------------------------------------
 
 
+def constrained_lean_sigma(length_px, nadir_distance_px, endpoint_sigma_px):
+    """Design equation 7; `Camera.bearing_sigma_of_segments` has it for any tilt."""
+    return endpoint_sigma_px / np.sqrt(2 * nadir_distance_px**2 + length_px**2 / 2)
+
+
 @pytest.mark.parametrize(("bearing_deg", "free_deg", "constrained_deg"), [(0, 0.592, 0.0388), (28, 0.477, 0.0308)])
 def test_sigmas_of_the_design_table(bearing_deg, free_deg, constrained_deg):
     f, length, sigma, bearing = 554, 200, 0.5, np.radians(bearing_deg)
@@ -414,7 +419,7 @@ def test_sigmas_of_the_design_table(bearing_deg, free_deg, constrained_deg):
     distance = f * np.linalg.norm(middle - g.nadir_point(TILT))
     per_lean = g.bearing_per_lean(bearing, TILT)
     free = np.degrees(per_lean * np.sqrt(2) * sigma / length)
-    constrained = np.degrees(per_lean * g.constrained_lean_sigma(length, distance, sigma))
+    constrained = np.degrees(per_lean * constrained_lean_sigma(length, distance, sigma))
     assert free == pytest.approx(free_deg, abs=5e-4)
     assert constrained == pytest.approx(constrained_deg, abs=5e-5)
     assert free / constrained == pytest.approx(np.sqrt(1 + 4 * distance**2 / length**2))
@@ -439,7 +444,7 @@ def test_lean_sigmas_match_noisy_segments():
     held = np.arctan((ends[0] * low + ends[1] * high) / (ends**2).sum())
     # A standard deviation of n samples errs by 1/√(2n) = 0.5 %; 4 sigma.
     assert free.std() == pytest.approx(np.sqrt(2) * sigma / length, rel=0.02)
-    assert held.std() == pytest.approx(g.constrained_lean_sigma(length, distance, sigma), rel=0.02)
+    assert held.std() == pytest.approx(constrained_lean_sigma(length, distance, sigma), rel=0.02)
 
 
 @given(height=st.floats(0.1, 2), depression=st.floats(0.02, 1.5))
