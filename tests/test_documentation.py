@@ -223,10 +223,9 @@ def code_of(page: str) -> str:
 
 PAGES_OF_CODE = {
     **SEAMS,
-    "README.md": code_of("README.md"),
     "docs/api.md": code_of("docs/api.md"),
 }
-SLOW = ("motion model", "sink", "README.md", "docs/api.md")  # along the whole of a log
+SLOW = ("motion model", "sink", "docs/api.md")  # along the whole of a log
 
 
 @pytest.mark.usefixtures("_registered_for_one_test")
