@@ -1,6 +1,6 @@
 """Landmarks from coarse bearings at known poses: a mixture model, found by expectation-maximisation.
 
-With `CoarseBearings` in `mapping.BUILDERS`, `build_map` uses it where bearings are worse than half a degree.
+With `coarse_bearings` in `mapping.BUILDERS`, `build_map` uses it where bearings are worse than half a degree.
 
 Where the error of a bearing is larger than the distance between landmarks, tracks mix neighbours. All bearings together
 still distinguish them, so nothing is tracked. A Hough transform finds the cells of the floor that most rays cross:
@@ -219,16 +219,15 @@ def _shared_out(mixture: _Mixture, rays: _Rays, frame: Index) -> Index:
     return of
 
 
-class CoarseBearings:
-    """A builder for bearings too coarse to be followed from image to image, at true poses; see `mapping.Builder`."""
+def coarse_bearings(
+    paths: Sequence[Array], sightings: Sightings, sigma: Array, parameters: MappingParameters
+) -> tuple[Built, Array | None] | None:
+    """Return the landmarks (L) of bearings too coarse to be followed, at true poses; see `mapping.Builder`.
 
-    def suits(self, paths: Sequence[Array], sigma: Array) -> bool:
-        """Whether bearings are worse than `COARSE_RAD` (median)."""
-        return bool(np.median(sigma) > COARSE_RAD)
-
-    def build(
-        self, sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
-    ) -> tuple[Built, Array | None]:
-        """Return the landmarks (L) of sightings (S) from cameras (T, 3); how likely each exists is told later."""
-        of = landmarks_of_coarse_bearings(sightings, cameras, sigma, parameters.range_max_m)
-        return fit_landmarks(sightings, renumber(long_enough(of)), cameras, sigma), None
+    For bearings worse than `COARSE_RAD` (median). How likely each landmark exists is told later.
+    """
+    if not np.median(sigma) > COARSE_RAD:
+        return None
+    cameras = np.concatenate(paths)
+    of = landmarks_of_coarse_bearings(sightings, cameras, sigma, parameters.range_max_m)
+    return fit_landmarks(sightings, renumber(long_enough(of)), cameras, sigma), None

@@ -20,7 +20,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from coarse_bearings import CoarseBearings
+from coarse_bearings import coarse_bearings
 from numpy.typing import NDArray
 
 from localiser import geometry
@@ -176,7 +176,7 @@ def register() -> None:
     """Let `open_log` read such logs, and `build_map` build maps of coarse bearings."""
     if not any(isinstance(reader, MrclamReader) for reader in FORMATS):
         FORMATS.append(MrclamReader())
-        BUILDERS.insert(0, CoarseBearings())
+        BUILDERS.insert(0, coarse_bearings)
 
 
 if __name__ == "__main__":

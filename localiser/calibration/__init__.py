@@ -13,7 +13,6 @@ from localiser.calibration.clock import MOST_PAIRS, ClockOffset, clock_offset
 from localiser.calibration.mount import (
     Lines,
     LogMount,
-    MountCheck,
     check_mount,
     down_in_camera,
     lines_of,

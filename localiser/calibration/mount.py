@@ -206,7 +206,8 @@ class LogMount:
     """Tilt and roll over F images: (2,) rad each, cov: (2, 2).
 
     lines, vertical: how many lines there were, and how many of them are vertical edges. plumb_sigma: rad, how far
-    edges are from plumb. places: number of clusters that count as independent.
+    edges are from plumb. places: number of clusters that count as independent. disagrees: that this and what is stated
+    differ is sure, and it is more than the sigma of the stated one; see `check_mount`.
     """
 
     stated: Array
@@ -216,6 +217,7 @@ class LogMount:
     vertical: float
     plumb_sigma: float
     places: int
+    disagrees: bool = False
 
     @property
     def sigma(self) -> Array:
@@ -234,6 +236,16 @@ class LogMount:
         if np.any(np.abs(self.mount - self.stated) > _BORDER_SHARE * REACH_SIGMA * PRIOR_SIGMA_RAD):
             return "This is at the limit of the search: state a tilt and roll nearer to this, and look once more."
         return ""
+
+    def warning(self, log: Path) -> str | None:
+        """Return what to tell people of the log at a path, None where found and stated agree."""
+        if not self.disagrees:
+            return None
+        stated, found, sigma = (np.rad2deg(values) for values in (self.stated, self.mount, self.sigma))
+        return (
+            f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
+            f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log}`."
+        )
 
 
 def mount_of_images(
@@ -347,35 +359,7 @@ def spread(count: int, most: int) -> list[int]:
 # -- the check of a run -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MountCheck:
-    """What the edges of a run say about tilt and roll: stated (2,), found (2,), cov (2, 2), rad.
-
-    disagrees: that stated and found differ is sure, and it is more than the sigma of the stated one.
-    """
-
-    stated: Array
-    found: Array
-    cov: Array
-    disagrees: bool
-
-    @property
-    def sigma(self) -> Array:
-        """The sigma (2,) of what was found."""
-        return np.sqrt(np.diag(self.cov))
-
-    def warning(self, log: Path) -> str | None:
-        """Return what to tell people of the log at a path, None where found and stated agree."""
-        if not self.disagrees:
-            return None
-        stated, found, sigma = (np.rad2deg(values) for values in (self.stated, self.found, self.sigma))
-        return (
-            f"The edges say that the camera's tilt is {found[0]:.2f}° ± {sigma[0]:.2f}° and its roll {found[1]:.2f}° ± "
-            f"{sigma[1]:.2f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. See `localiser camera tilt {log}`."
-        )
-
-
-def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> MountCheck:
+def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> LogMount:
     """Return what the edges of F images, taken at poses (F, 3) of the odometry, say about the mount of `camera`.
 
     stated_sigma_rad: (2,) how certain the stated tilt and roll are taken to be.
@@ -387,4 +371,4 @@ def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_si
     off = found.mount - stated
     sure = off @ np.linalg.solve(found.cov, off) > _SURE
     beyond = off @ np.linalg.solve(found.cov + np.diag(stated_sigma_rad**2), off) > _BELIEVED
-    return MountCheck(stated, found.mount, found.cov, bool(sure and beyond))
+    return replace(found, disagrees=bool(sure and beyond))

@@ -209,10 +209,10 @@ class EdgeSearch:
         """
         believed_rad = self.config.edges.mount_sigma_rad
         check = check_mount(self.kept, np.zeros((len(self.kept), 3)), self.camera, believed_rad)
-        off, cov = check.found - check.stated, check.cov + np.diag(believed_rad**2)
+        off, cov = check.mount - check.stated, check.cov + np.diag(believed_rad**2)
         if not check.disagrees or off @ np.linalg.solve(cov, off) <= _CLEAR:
             return None
-        stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.found, check.sigma))
+        stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.mount, check.sigma))
         return (
             f"The lines say that the camera's tilt is {found[0]:z.1f}° ± {sigma[0]:.1f}° and its roll "
             f"{found[1]:z.1f}° ± {sigma[1]:.1f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. Until the camera "

@@ -187,32 +187,27 @@ class MapBuilt:
 
 
 class Builder(Protocol):
-    """Makes landmarks of edges that are seen from poses which are known exactly."""
+    """Makes landmarks of edges that are seen from poses which are known exactly; None where it is for other logs."""
 
-    def suits(self, paths: Sequence[Array], sigma: Array) -> bool:
-        """Whether it is for these logs: camera poses (T, 3) of each, and the sigma (S,) rad of all bearings."""
+    def __call__(
+        self, paths: Sequence[Array], sightings: Sightings, sigma: Array, parameters: MappingParameters
+    ) -> tuple[Built, Array | None] | None:
+        """Return the landmarks (L), and how likely each exists (L,) where that is known.
 
-    def build(
-        self, sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
-    ) -> tuple[Built, Array | None]:
-        """Return the landmarks (L), and how likely each exists (L,) where that is known. cameras: (T, 3)."""
-
-
-class FarImages:
-    """For images too far apart to follow an edge from one to the next: crossings of rays."""
-
-    def suits(self, paths: Sequence[Array], sigma: Array) -> bool:
-        """Whether images of any log are that far apart."""
-        return any(are_far(path) for path in paths)
-
-    def build(
-        self, sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
-    ) -> tuple[Built, Array | None]:
-        """Return the landmarks (L) and how likely each exists (L,)."""
-        return build_from_far_images(sightings, cameras, sigma, parameters)
+        paths: camera poses (T, 3) of each log, one after the other those of the frames. sigma: (S,) rad.
+        """
 
 
-BUILDERS: list[Builder] = [FarImages()]
+def far_images(
+    paths: Sequence[Array], sightings: Sightings, sigma: Array, parameters: MappingParameters
+) -> tuple[Built, Array | None] | None:
+    """Make landmarks where rays cross, for images of any log too far apart to follow an edge from one to the next."""
+    if not any(are_far(path) for path in paths):
+        return None
+    return build_from_far_images(sightings, np.concatenate(paths), sigma, parameters)
+
+
+BUILDERS: list[Builder] = [far_images]
 """For poses that are known exactly: the first that suits is used, else edges are followed from image to image.
 
 Insert a `Builder` for others.
@@ -347,8 +342,8 @@ def _along(
     if len(seen) > 1:
         sightings = Sightings.together([one.sightings for one in seen], [one.log.camera for one in seen])
     for builder in BUILDERS if exact else []:
-        if builder.suits(paths, sigma):
-            return sightings, cameras, sigma, *builder.build(sightings, cameras, sigma, parameters)
+        if made := builder(paths, sightings, sigma, parameters):
+            return sightings, cameras, sigma, *made
     if exact and np.median(sigma) > COARSE_RAD:
         raise InputError(
             f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, found {np.rad2deg(np.median(sigma)):.1f}°: they "

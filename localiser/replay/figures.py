@@ -309,7 +309,7 @@ def _mount(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[s
     if not log.has_images:
         return {}, []
     check = check_mount(edges, run.track.odometry, log.camera, parameters.mount_sigma_rad)
-    warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.found, check.sigma])
+    warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.mount, check.sigma])
     figures: dict[str, Any] = {}
     for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):
         figures |= {f"{name}_found_deg": round(float(value), 6), f"{name}_found_sigma_deg": round(float(one), 6)}

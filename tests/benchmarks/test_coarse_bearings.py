@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from coarse_bearings import CoarseBearings, landmarks_of_coarse_bearings
+from coarse_bearings import coarse_bearings, landmarks_of_coarse_bearings
 from coarse_worlds import matched
 from mrclam import MrclamReader
 
@@ -30,7 +30,7 @@ PLACES = np.array([[3.0, 0.0], [3.0, 0.18], [0.0, 3.0], [-2.5, -1.0], [-2.4, -0.
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let logs of the data set be opened, and maps of them be built, in these tests alone."""
     monkeypatch.setattr("localiser.storage.open.FORMATS", [*storage.FORMATS, MrclamReader()])
-    monkeypatch.setattr("localiser.mapping.build.BUILDERS", [CoarseBearings(), *mapping.BUILDERS])
+    monkeypatch.setattr("localiser.mapping.build.BUILDERS", [coarse_bearings, *mapping.BUILDERS])
 
 
 def wandering(rng: np.random.Generator, frames: int) -> Array:
@@ -56,7 +56,7 @@ def seen_from(cameras: Array, places: Array, rng: np.random.Generator, clutter: 
 
 def map_of(sightings: Sightings, cameras: Array) -> LandmarkMap:
     sigma = sightings.sigma
-    built, _ = CoarseBearings().build(sightings, cameras, sigma, PARAMETERS)
+    built, _ = coarse_bearings([cameras], sightings, sigma, PARAMETERS)
     return mapping.landmark_map_of(sightings, built, cameras, sigma, CAMERA, PARAMETERS, "test", "test")
 
 

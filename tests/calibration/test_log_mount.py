@@ -233,7 +233,7 @@ def test_a_run_disagrees_beyond_what_the_stated_mount_may_be_off(off_deg, disagr
     poses = np.column_stack([np.zeros(20), -0.3 * np.arange(20), np.zeros(20)])
     check = check_mount(frames, poses, true.with_mount(tilt_rad=tilt, roll_rad=roll), BELIEVED_RAD)
     assert check.disagrees is disagrees
-    np.testing.assert_allclose(check.found, TRUE, atol=np.deg2rad(0.15))
+    np.testing.assert_allclose(check.mount, TRUE, atol=np.deg2rad(0.15))
 
 
 def test_a_run_that_sees_nothing_disagrees_with_nothing():
@@ -281,7 +281,7 @@ def test_edges_agree_with_mounts_that_move():
         frames.append(find_edges(image, camera, mount=mount))
     poses = np.arange(3.0)[:, None] * [0.0, -1.0, 0.5]
     check = check_mount(frames, poses, camera, np.radians([0.5, 0.3]))
-    np.testing.assert_allclose(check.found, check.stated, atol=1e-3)
+    np.testing.assert_allclose(check.mount, check.stated, atol=1e-3)
     assert not check.disagrees
     forgotten = [replace(edges, mount=None) for edges in frames]
-    assert np.abs(check_mount(forgotten, poses, camera, np.radians([0.5, 0.3])).found - check.stated).max() > 1e-3
+    assert np.abs(check_mount(forgotten, poses, camera, np.radians([0.5, 0.3])).mount - check.stated).max() > 1e-3

@@ -13,7 +13,7 @@ from edge_images import camera_of, wall_image
 from short_log import CORRIDOR, Localiser, cut_log
 from small_log import write_edge_log
 
-from localiser.calibration import MountCheck
+from localiser.calibration import LogMount
 from localiser.camera import Camera
 from localiser.commands.edge_search import EdgeSearch
 from localiser.config import Config
@@ -207,7 +207,7 @@ def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, f
 
 def test_a_roll_a_little_below_zero_is_told_without_a_sign(monkeypatch: pytest.MonkeyPatch) -> None:
     stated, found = np.deg2rad([15.0, 0.0]), np.deg2rad([18.0, -0.01])
-    check = MountCheck(stated, found, np.diag(np.deg2rad([0.1, 0.1]) ** 2), disagrees=True)
+    check = LogMount(stated, found, np.diag(np.deg2rad([0.1, 0.1]) ** 2), 9, 9.0, 0.0, 1, disagrees=True)
     monkeypatch.setattr("localiser.commands.edge_search.check_mount", lambda *_: check)
     warning = EdgeSearch(CAMERA, [], Config()).mount_warning()
     assert warning is not None and "roll 0.0° ± 0.1°" in warning
