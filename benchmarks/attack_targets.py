@@ -352,7 +352,7 @@ camera calibrate --draw-board board.png --board charuco --squares 8x6 --square-m
 camera calibrate {samples}/image.jpg --board chessboard --squares 8x6 --square-m 0.03 --out cam.yaml
 camera tilt {samples}/log --out levelled --set edges.min_contrast=0.1
 config show --config {samples}/config.yaml --set mcl.particles=100 --set motion.alpha1=0.1
-doctor {samples}/log --camera {samples}/camera.yaml --seconds 0.5 --picture x.png
+doctor {samples}/log --camera {samples}/camera.yaml --seconds 0.5
 pose set 1,2,3 --sigma 0.1,3 --set live.connect=tcp/127.0.0.1:1
 """
 """Commands whose options are changed, a line each."""

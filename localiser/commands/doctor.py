@@ -19,9 +19,7 @@ EPILOG = """Examples:
 
 `localiser doctor drive.bag`
 
-`localiser doctor --set live.connect=tcp/127.0.0.1:7447`
-
-`localiser doctor --image 0 --picture camera.png`"""
+`localiser doctor --set live.connect=tcp/127.0.0.1:7447`"""
 
 LONGEST_S = 86400.0
 _COLOURS = {"ok": "green", "optional": "dim", "warning": "yellow", "missing": "red"}
@@ -31,15 +29,8 @@ def doctor(
     log: Annotated[
         Path | None, typer.Argument(metavar="LOG", help="Log folder or ROS bag: what it has, and what a replay lacks.")
     ] = None,
-    image: Annotated[
-        str | None,
-        typer.Option(metavar="SOURCE", help="A camera's number, a video file or a stream's address, read by OpenCV."),
-    ] = None,
     camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Camera file.")] = None,
     topics: Topics = None,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Write what the camera sees, with the edges found in it.")
-    ] = None,
     seconds: Annotated[float, typer.Option(min=0.5, max=LONGEST_S, metavar="S", help="How long to listen.")] = 5.0,
     config: ConfigFile = None,
     overrides: Overrides = None,
@@ -52,13 +43,11 @@ def doctor(
     from localiser.commands import doctor_checks as examination
     from localiser.config import read_config
     from localiser.errors import InputError
-    from localiser.storage import read_camera, require_new_file
+    from localiser.storage import read_camera
 
-    if picture is not None:
-        require_new_file(picture)
     settings = read_config(config, overrides or [])
     findings = [] if log is not None else [*examination.versions()]
-    known, seen = read_camera(camera) if camera else None, None
+    known = read_camera(camera) if camera else None
     if log is not None:
         findings += examination.topics_of(log)
         try:
@@ -69,10 +58,6 @@ def doctor(
             findings.append(examination.Finding("replay", "missing", str(error)))
         else:
             findings += examination.log_checks(recorded, settings)
-            known, seen = recorded.camera, recorded.images[-1].load() if recorded.has_images else None
-    if image is not None:
-        finding, seen = examination.camera_check(image, seconds)
-        findings.append(finding)
     live = settings.live
     if live.connect or live.listen or live.zenoh_config or live.dds >= 0:
         heard = examination.listened(live, seconds)
@@ -82,10 +67,6 @@ def doctor(
             findings.append(examination.Finding("camera", "missing", problem))
         else:
             findings += [examination.camera_finding(known), *examination.heard_checks(heard, known, settings)]
-            seen = examination.newest_image(heard, known) if seen is None else seen
-    if picture is not None and seen is not None:
-        examination.save_picture(picture, seen, known, settings)
-        findings.append(examination.Finding("picture", "ok", str(picture)))
     _show(findings)
     if any(finding.state == "missing" for finding in findings):
         raise typer.Exit(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
@@ -14,22 +13,18 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser import __version__
 from localiser.calibration import check_mount, clock_offset, spread
 from localiser.camera import Camera
-from localiser.commands.edge_picture import save_picture as save_edge_picture
 from localiser.config import Config, LiveParameters
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
-from localiser.image_files import decode
 from localiser.live import (
     Arrival,
-    CameraSource,
     Transport,
     input_topics,
     message_of,
@@ -38,7 +33,7 @@ from localiser.live import (
     topic_for,
     type_of,
 )
-from localiser.storage import Image, Log, check_whole, decoded, encode_image, write_bytes
+from localiser.storage import Image, Log, check_whole, decoded
 from localiser.storage.bags import (
     CAMERA_INFO,
     COMPRESSED,
@@ -88,43 +83,6 @@ def versions() -> Iterator[Finding]:
                 yield Finding(library, "optional", text)
             else:
                 yield Finding(library, "missing", "not installed")
-
-
-def camera_check(address: str, seconds: float) -> tuple[Finding, Image | None]:
-    """Return whether a camera that OpenCV reads can be opened and how many frames a second come, and the last one."""
-    times: list[float] = []
-    newest: deque[bytes] = deque(maxlen=1)
-
-    def take(_t_ns: int, file: bytes) -> None:
-        times.append(time.monotonic())
-        newest.append(file)
-
-    try:
-        source = CameraSource(address, take)
-    except InputError as error:
-        return Finding("camera", "missing", str(error)), None
-    source.start()
-    time.sleep(seconds)
-    source.close()
-    try:
-        image = decode(newest[0], cv2.IMREAD_COLOR) if newest else None
-    except ValueError as error:
-        return Finding("camera", "warning", str(error)), None
-    if image is None or len(times) < 2:
-        return Finding("camera", "warning", f"opened, but {len(times)} frames in {seconds:g} s"), image
-    height, width = image.shape[:2]
-    rate = (len(times) - 1) / (times[-1] - times[0])
-    return Finding("camera", "ok", f"{width}×{height} pixels, {rate:.1f} frames a second"), image
-
-
-def save_picture(path: Path, image: Image, camera: Camera | None, config: Config) -> None:
-    """Write an image (H, W) or (H, W, 3) as PNG, with its edges where the camera is known. Raises OutputError."""
-    if camera is None or image.shape[:2] != (camera.height, camera.width):
-        write_bytes(path, encode_image(image, ".png", 100))
-        return
-    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
-    edges = find_edges(grey, camera, config.edges)
-    save_edge_picture(path, grey, camera, edges, title="what the camera sees")
 
 
 @dataclass(slots=True, eq=False)
@@ -284,12 +242,6 @@ def offset_finding(
     if found.problem:
         text = "the turns do not tell the offset of images against wheels: the robot must turn for a while"
     return Finding("offset of clocks", "warning" if found.disagrees() else "ok", text)
-
-
-def newest_image(heard: Heard, camera: Camera) -> Image | None:
-    """Return the last image (H, W) that could be read."""
-    images = _images(heard, camera)
-    return images[-1][1] if images else None
 
 
 def _images(heard: Heard, camera: Camera) -> list[tuple[int, Image]]:

@@ -129,6 +129,8 @@ _GONE = {
     "--odometry-hz": ("is gone: a stand-in sends 100 poses a second", ("simulate",)),
     "--config": ("is gone: --set NAME=VALUE", ("simulate", "live demo")),
     "--map": ("is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
+    "--image": ("is gone: `localiser live --map MAP --image SOURCE --view web` shows what a camera sees", ("doctor",)),
+    "--picture": ("is gone: `localiser edges LOG` draws the edges of images", ("doctor",)),
     "--at": ("is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
     "--report": ("is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
 }

@@ -13,7 +13,6 @@ from contextlib import closing
 from os import kill
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from folders import ROOT
@@ -171,12 +170,9 @@ def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser:
 
 
 @pytest.mark.slow  # quick: tests/live/test_sources.py and tests/commands/test_main.py run it in part
-def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path) -> None:
-    options = ("--seconds", 2, "--picture", tmp_path / "seen.png")
-    result = localiser("doctor", "--set", f"live.connect={endpoint}", *options)
+def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser) -> None:
+    result = localiser("doctor", "--set", f"live.connect={endpoint}", "--seconds", 2)
     assert result.exit_code == 0, result.out
-    picture = cv2.imread(str(tmp_path / "seen.png"))
-    assert picture is not None and picture.shape[1] > open_log(CORRIDOR).camera.width
     assert "stated" in result.out and "/odom" in result.out
 
 

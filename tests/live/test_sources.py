@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from live_feed import LOG, Feed, arrival, camera, drive, image, odometry
-from short_log import Localiser
 
 from localiser.errors import InputError
+from localiser.image_files import decode
 from localiser.live.inbox import MOST_BYTES, MOST_IMAGES, MOST_OTHERS, TOPICS, Arrival, CameraSource, Inbox, message_of
 from localiser.live.prepare import open_camera
 from localiser.storage.bags import stamp_of
@@ -79,14 +79,14 @@ def taken(path: Path, count: int) -> list[tuple[int, bytes]]:
     return frames
 
 
-def test_pictures_of_a_stream_are_not_decoded_before_they_are_checked(tmp_path: Path, localiser: Localiser) -> None:
+def test_pictures_of_a_stream_are_not_decoded_before_they_are_checked(tmp_path: Path) -> None:
     """Those that are JPEG files reach the check of every image that comes in, as they are."""
     bomb, fine = bombs.jpeg_of_scans((64, 48), 300), bombs.jpeg_of_scans((64, 48), 10)
     (tmp_path / "drive.avi").write_bytes(bombs.movie([fine, bomb], (64, 48), b"MJPG"))
     files = [file for _, file in taken(tmp_path / "drive.avi", 2)]
     assert [file.startswith(one) for file, one in zip(files, (fine, bomb), strict=True)] == [True, True]
-    result = localiser("doctor", "--image", tmp_path / "drive.avi", "--seconds", 1)
-    assert result.exit_code == 0 and "at most 100 scans" in result.out
+    with pytest.raises(ValueError, match="at most 100 scans"):
+        decode(files[1], cv2.IMREAD_COLOR)
 
 
 @pytest.mark.parametrize(
@@ -99,20 +99,6 @@ def test_streams_that_cannot_be_checked_are_refused(
     (tmp_path / "drive.avi").write_bytes(bombs.movie([frame], size, codec))
     with pytest.raises(InputError, match=told):
         CameraSource(str(tmp_path / "drive.avi"), lambda t_ns, file: None)
-
-
-def test_doctor_shows_what_a_camera_sees(tmp_path: Path, localiser: Localiser) -> None:
-    path = tmp_path / "drive.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (64, 48))
-    for level in (40, 120, 200):
-        writer.write(np.full((48, 64, 3), level, np.uint8))
-    writer.release()
-    result = localiser("doctor", "--image", path, "--seconds", 2, "--picture", tmp_path / "seen.png")
-    assert result.exit_code == 0 and "64×48 pixels" in result.out, result.out
-    seen = cv2.imread(str(tmp_path / "seen.png"))
-    assert seen.shape == (48, 64, 3) and abs(int(seen.mean()) - 200) < 5, "the last frame"
-    result = localiser("doctor", "--image", path, "--seconds", 2, "--picture", tmp_path / "seen.png")
-    assert result.exit_code == 2 and "already" in result.err
 
 
 def test_a_camera_that_is_not_there_is_told(tmp_path: Path) -> None:
