@@ -5,8 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -213,19 +213,22 @@ def _run(options: LiveOptions) -> None:
     Exit code 1 when neither images nor odometry have come.
     """
     from rich.console import Console
+    from rich.text import Text
 
     from localiser.live import end_table, open_run, status_line
     from localiser.replay import asked_to_stop
 
-    console = Console(stderr=True, markup=False)
+    console, drawn = Console(stderr=True, markup=False), 0.0
     shared = options.json is not None and sys.stdout.isatty()  # lines of JSON go to the same terminal
+    is_shown = console.is_terminal and not shared
     with asked_to_stop() as stop, open_run(options, partial(say, console)) as run:
-        with shown_status(
-            console, lambda: status_line(run.outputs.monitor), shown=console.is_terminal and not shared
-        ) as refresh:
+        with console.status("", spinner="dots") if is_shown else nullcontext() as line:
 
             def ended() -> bool:
-                refresh()
+                nonlocal drawn
+                if line is not None and time.monotonic() - drawn >= STATUS_EVERY_S:
+                    drawn = time.monotonic()
+                    line.update(Text(status_line(run.outputs.monitor), no_wrap=True, overflow="ellipsis"))
                 return stop.is_set()
 
             run.run(ended)
@@ -234,32 +237,8 @@ def _run(options: LiveOptions) -> None:
             raise typer.Exit(1)
 
 
-@contextmanager
-def shown_status(console: Console, text: Callable[[], str], *, shown: bool) -> Iterator[Callable[[], None]]:
-    """Keep one line at the end of the terminal; yields what to call often, which draws it a few times a second.
-
-    Messages that are written meanwhile go above it.
-    """
-    if not shown:
-        yield lambda: None
-        return
-    from rich.live import Live
-    from rich.text import Text
-
-    drawn = 0.0
-    with Live(console=console, auto_refresh=False, transient=True) as live:
-
-        def refresh() -> None:
-            nonlocal drawn
-            if time.monotonic() - drawn >= STATUS_EVERY_S:
-                drawn = time.monotonic()
-                live.update(Text(text(), no_wrap=True, overflow="ellipsis"), refresh=True)
-
-        yield refresh
-
-
 def say(console: Console, text: str, level: str) -> None:
-    """Write a message, above the line that `shown_status` keeps: so both must write by the same console."""
+    """Write a message, above the line that tells the status: so both must write by the same console."""
     from rich.text import Text
 
     from localiser.errors import one_paragraph

@@ -62,9 +62,8 @@ class LiveOptions:
 def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
-    begun_map = options.map_file
-    options, resumed = state_to_resume(options, say)
     landmark_map = read_map(options.map_file)
+    resumed = state_to_resume(options, landmark_map, say)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
     live = options.config.live
@@ -106,7 +105,8 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         tolerance_ns, record = round(live.transform_tolerance_s * 1e9), None if recording is None else recording.send
         publisher = Publisher(transport, outputs, frames, tolerance_ns, record)
         told = Outputs(monitor, publisher, recording, publish, viewers)
-        checkpoints = _checkpoints(options, begun_map, monitor)
+        failed = partial(monitor.warn, "no checkpoint")
+        checkpoints = None if options.checkpoint is None else Checkpoints(options.checkpoint, failed)
         tracker = Tracker(finder, localiser_of, clocks, told, options.start, resumed, checkpoints)
         serve(transport, inbox, prefix_of(live), live.services)
         not_heard = {"image": options.image is not None, "clock": not live.use_sim_time}
@@ -115,7 +115,7 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
-        yield LiveRun(inbox, tracker, clocks, told, begun_map.parent, live.map_frame)
+        yield LiveRun(inbox, tracker, clocks, told, options.map_file.parent, live.map_frame)
 
 
 def advice(options: LiveOptions, topics: Mapping[str, str], roles: list[str], *, joined: bool) -> str:
@@ -153,21 +153,15 @@ def serve(transport: Transport, inbox: Inbox, namespace: str, names: Mapping[str
             transport.serve(replace(service, name=name), take)
 
 
-def state_to_resume(options: LiveOptions, say: Callable[[str, str], None]) -> tuple[LiveOptions, Resumed | None]:
-    """Return the state to go on from, and the options with its map; None without a state of a map that is there.
-
-    Raises InputError where the state is damaged.
-    """
+def state_to_resume(options: LiveOptions, landmark_map: LandmarkMap, say: Callable[[str, str], None]) -> Resumed | None:
+    """Return the state to go on from, None without one of this map. Raises InputError where it is damaged."""
     if options.checkpoint is None or options.start is not None or not options.checkpoint.exists():
-        return options, None
-    resumed, map_file = Resumed(options.checkpoint), options.map_file
-    belongs = resumed.map_file(map_file)
-    if belongs is None:
-        say(f"{options.checkpoint}: not resumed: the state belongs to another map than {map_file}", "WARNING")
-        return options, None
-    if belongs != map_file:
-        say(f"going on with the map {belongs}, which was loaded in the place of {map_file}", "INFO")
-    return replace(options, map_file=belongs), resumed
+        return None
+    resumed = Resumed(options.checkpoint)
+    if resumed.is_on(landmark_map):
+        return resumed
+    say(f"{options.checkpoint}: not resumed: the state belongs to another map than {options.map_file}", "WARNING")
+    return None
 
 
 def _viewer(kind: str, camera: Camera, landmark_map: LandmarkMap, say: Callable[[str, str], None]) -> view.LiveView:
@@ -176,14 +170,6 @@ def _viewer(kind: str, camera: Camera, landmark_map: LandmarkMap, say: Callable[
     if viewer.address:
         say(f"Watch at {viewer.address}" if kind == "web" else f"Watch with `rerun {viewer.address}`", "INFO")
     return viewer
-
-
-def _checkpoints(options: LiveOptions, begun_map: Path, monitor: Monitor) -> Checkpoints | None:
-    """Return what saves the state. begun_map: that the command names, which the options may have another one than."""
-    if options.checkpoint is None:
-        return None
-    loaded_map = options.map_file if options.map_file != begun_map else None
-    return Checkpoints(options.checkpoint, partial(monitor.warn, "no checkpoint"), begun_map, loaded_map)
 
 
 def _names(live: LiveParameters) -> tuple[dict[str, str], dict[str, Output]]:

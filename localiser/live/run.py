@@ -103,7 +103,7 @@ class LiveRun:
             monitor.warn("no such map", f"expected a map in {self.maps}, asked for {asked!r}")
             return MAP_NOT_THERE
         try:
-            self.tracker.load_map(read_map(path), path)
+            self.tracker.load_map(read_map(path))
         except InputError as error:
             monitor.warn("bad map", f"the map stays as it was: {error}")
             return MAP_INVALID

@@ -7,7 +7,6 @@ from base64 import b64encode
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -155,14 +154,11 @@ class Tracker:
         self.outputs.decide(anywhere_decision(t_ns))
         self.outputs.monitor.inform("the robot is looked for on the whole map")
 
-    def load_map(self, landmark_map: LandmarkMap, path: Path) -> None:
+    def load_map(self, landmark_map: LandmarkMap) -> None:
         """Go on with another map: the robot took the lift. What was believed is forgotten. Raises InputError.
 
         A recording belongs to one map and ends here. A state that is saved from here on belongs to the new map.
-        path: of the map, so that a state that is resumed finds it again.
         """
-        if self.checkpoints is not None:
-            self.checkpoints.now_on(path)
         before, camera = self.localiser, self.finder.camera
         if before is None or camera is None:
             self._given_map, self.start, self.resumed = landmark_map, None, None

@@ -1,13 +1,16 @@
 """The level view: what an untilted camera at the same place would see, and the look-up that tilts it.
 
 Tilt, roll and lens turn rays about the camera's centre only, so one look-up makes the real image out of the level
-view, in which every vertical edge is a column (design equation 3).
+view, in which every vertical edge is a column (design equation 3). What each column shows comes from rays in plan
+against the solids, and the stack of surfaces that are visible.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +18,8 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array
+from localiser.landmarks import in_camera
+from localiser.simulate.solids import Solids
 
 OVERSAMPLE = 2  # samples along each axis, of the level view and of the final image, for one pixel of that image
 SMALLEST_DEPTH = 0.2  # rays steeper down (or up) than 78° would need a level view without end
@@ -123,3 +128,206 @@ def _needed_rows(column_at: Array, row_at: Array, columns: int, rows: int) -> tu
     last = np.max([np.roll(last, k) for k in reach], axis=0)
     first, stop = np.clip(first - 2, 0, rows), np.clip(last + 4, 0, rows)
     return first, np.maximum(stop, first)
+
+
+# -- what each column shows -------------------------------------------------------------------------------------------
+
+NEAR_M = 0.02
+FLOOR, CEILING = -1, -2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Rays of the level view, C of them, from left to right.
+
+    tangent: (C,) tan(bearing) of each ray. owner: (C,) column of the view that it is part of. share: (C,) of that
+    column's width. A column is split where a vertical edge crosses it, which makes the view's edges exact.
+    """
+
+    tangent: Array
+    owner: NDArray[np.intp]
+    share: Array
+
+
+class Hits(NamedTuple):
+    """Where C rays meet P solids; distances are along the camera's level axis, so a point is distance·(tan b, 1).
+
+    entry, leave: (P, C) distances, entry inf where a ray misses.
+    """
+
+    entry: Array
+    leave: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spans:
+    """Visible pieces of surface, S of them, column by column from top to bottom.
+
+    column: (S,) ray. first_row, count: (S,) rows of the view. solid: (S,) index, FLOOR or CEILING. is_upright: (S,)
+    faces rather than tops and undersides. distance_m: (S,) of faces. above_m: (S,) height of tops over the camera.
+    """
+
+    column: NDArray[np.intp]
+    first_row: NDArray[np.intp]
+    count: NDArray[np.intp]
+    solid: NDArray[np.intp]
+    is_upright: NDArray[np.bool_]
+    distance_m: Array
+    above_m: Array
+
+
+def columns_of(view: LevelView, camera_pose: Array, edge_points: Array) -> Columns:
+    """Return the rays of the view from the camera's floor pose (3,), split at the vertical edges (M, 2)."""
+    right, ahead = (axis[0] for axis in in_camera(camera_pose[None], edge_points))
+    is_ahead = ahead > NEAR_M
+    at = (right[is_ahead] / ahead[is_ahead] - view.left) * view.per_unit
+    borders = np.union1d(np.arange(view.columns + 1.0), at[(at > 0) & (at < view.columns)])
+    middle = (borders[:-1] + borders[1:]) / 2
+    return Columns(view.left + middle / view.per_unit, middle.astype(np.intp), np.diff(borders))
+
+
+def cast(solids: Solids, camera_pose: Array, tangent: Array) -> Hits:
+    """Return where rays at `tangent` (C,) from the camera's floor pose (3,) meet each solid (P): slabs of half-planes.
+
+    Solids that the camera is in, or that lie behind it, are missed.
+    """
+    normals, offsets = solids.half_planes()
+    cos, sin = np.cos(camera_pose[2]), np.sin(camera_pose[2])
+    right, ahead = np.array([cos, -sin]), np.array([-sin, -cos])
+    gap = offsets - normals @ camera_pose[:2]
+    entry = np.full((len(solids), len(tangent)), -np.inf)
+    leave = np.full((len(solids), len(tangent)), np.inf)
+    for k in range(normals.shape[1]):
+        speed = (normals[:, k] @ right)[:, None] * tangent + (normals[:, k] @ ahead)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = gap[:, k, None] / speed
+        entry = np.where((speed < 0) & (distance > entry), distance, entry)
+        leave = np.where(speed > 0, np.fmin(leave, distance), leave)
+        leave = np.where((speed == 0) & (gap[:, k, None] < 0), -np.inf, leave)
+    missed = (entry >= leave) | (entry < NEAR_M)
+    return Hits(np.where(missed, np.inf, entry), leave)
+
+
+class _Scenery(NamedTuple):
+    """Hits, and heights above the camera: bottom, top (P,) of solids, floor < 0, ceiling > 0."""
+
+    hits: Hits
+    bottom: Array
+    top: Array
+    floor: float
+    ceiling: float
+
+
+def spans_of(solids: Solids, hits: Hits, view: LevelView, columns: Columns, shell_m: tuple[float, float]) -> Spans:
+    """Return what each column (C) shows; shell_m: height of camera and ceiling above the floor.
+
+    At every elevation the nearest surface is seen. Elevations at which that may change are the ends of faces and of
+    tops; between two of them one surface is seen throughout.
+    """
+    eye, ceiling = shell_m
+    scenery = _Scenery(hits, solids.bottom_m - eye, solids.top_m - eye, -eye, ceiling - eye)
+    low = view.top - view.stop_row[columns.owner] / view.per_unit
+    high = view.top - view.first_row[columns.owner] / view.per_unit
+    solid = _candidates(scenery, low, high)
+    groups = _groups_by_count((solid >= 0).sum(axis=0))
+    parts = [_stack(scenery, view, columns, group, solid[:, group]) for group in groups]
+    return Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in Spans.__slots__))
+
+
+def _candidates(scenery: _Scenery, low: Array, high: Array) -> NDArray[np.intp]:
+    """Return for each ray the solids (K, C) that it may show, packed to the front, -1 behind them.
+
+    Left out: what stands behind a wall from floor to ceiling, and what lies above or below the view, which reaches
+    from the elevation low to high (C,).
+    """
+    entry, leave = scenery.hits.entry, scenery.hits.leave
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([height[:, None] / d for height in (scenery.bottom, scenery.top) for d in (entry, leave)])
+    is_full = (scenery.bottom <= scenery.floor + 1e-9) & (scenery.top >= scenery.ceiling - 1e-9)
+    wall = np.where(is_full[:, None], entry, np.inf).min(axis=0, initial=np.inf)
+    is_seen = np.isfinite(entry) & (entry <= wall) & (ends.min(axis=0) < high) & (ends.max(axis=0) > low)
+    order = np.argsort(~is_seen, axis=0, kind="stable")[: int(is_seen.sum(axis=0).max(initial=0))]
+    return np.where(np.take_along_axis(is_seen, order, axis=0), order, -1)
+
+
+def _groups_by_count(count: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Return indices of columns with up to 2, 5, 10, 20, … candidates, so that few columns pay for many solids."""
+    limits = [-1, 2, 5, 10, 20, 40, max(41, int(count.max(initial=0)))]
+    groups = [np.flatnonzero((count > low) & (count <= high)) for low, high in pairwise(limits)]
+    return [group for group in groups if len(group)]
+
+
+class _Surfaces(NamedTuple):
+    """Surfaces of some rays: of K solids the face at entry, and the top or underside (cap) behind it; all (K, C').
+
+    A missing solid has its entry at infinity. low, high, cap: heights above the camera, cap nan where there is none.
+    """
+
+    solid: NDArray[np.intp]
+    entry: Array
+    leave: Array
+    low: Array
+    high: Array
+    cap: Array
+
+
+def _surfaces(scenery: _Scenery, column: NDArray[np.intp], solid: NDArray[np.intp]) -> _Surfaces:
+    entry, leave = (np.where(solid >= 0, distance[solid, column], np.inf) for distance in scenery.hits)
+    low, high = scenery.bottom[solid], scenery.top[solid]
+    # A top is seen from above, an underside from below; never both.
+    return _Surfaces(solid, entry, leave, low, high, np.where(high < 0, high, np.where(low > 0, low, np.nan)))
+
+
+def _stack(
+    scenery: _Scenery, view: LevelView, columns: Columns, column: NDArray[np.intp], solid: NDArray[np.intp]
+) -> Spans:
+    """Return what the rays `column` (C',) show of the solids (K, C') that they may meet."""
+    # One missing solid at least, so that rays which meet nothing need no case of their own.
+    number = max(1, int((solid >= 0).sum(axis=0).max(initial=0)))
+    padding = np.full((1, len(column)), -1)
+    surfaces = _surfaces(scenery, column, np.concatenate([solid, padding])[:number])
+    limits = _limits(surfaces)
+    nearest, middle = _nearest(scenery, surfaces, limits)
+    is_upright, is_shell = nearest < number, nearest == 2 * number
+    which = np.where(is_shell, 0, nearest % number)
+    here = np.broadcast_to(np.arange(len(column)), nearest.shape)
+    owner = columns.owner[column]
+    top_row, stop_row = np.zeros((1, len(column)), dtype=np.intp), np.full((1, len(column)), view.rows)
+    rows = np.concatenate([top_row, view.rows_below(limits), stop_row])
+    rows = np.clip(rows, view.first_row[owner], view.stop_row[owner])
+    count = np.diff(rows, axis=0)
+    kept = np.nonzero((count > 0).T)[::-1]  # column by column
+    is_below = middle < 0
+    return Spans(
+        column=column[here][kept],
+        first_row=rows[:-1][kept],
+        count=count[kept],
+        solid=np.where(is_shell, np.where(is_below, FLOOR, CEILING), surfaces.solid[which, here])[kept],
+        is_upright=is_upright[kept],
+        distance_m=surfaces.entry[which, here][kept],
+        above_m=np.where(is_shell, np.where(is_below, scenery.floor, scenery.ceiling), surfaces.cap[which, here])[kept],
+    )
+
+
+def _limits(surfaces: _Surfaces) -> Array:
+    """Return the elevations (I, C'), falling, at which another surface may come into sight; the horizon is one."""
+    ends = [surfaces.low / surfaces.entry, surfaces.high / surfaces.entry, np.nan_to_num(surfaces.cap / surfaces.leave)]
+    horizon = np.zeros((1, surfaces.solid.shape[1]))
+    return np.sort(np.concatenate([*ends, horizon]), axis=0)[::-1]
+
+
+def _nearest(scenery: _Scenery, surfaces: _Surfaces, limits: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the nearest surface (I + 1, C') between limits: k face, K + k cap, 2K floor or ceiling; and where tested.
+
+    The middle (I + 1, C') of each interval is tested.
+    """
+    far = np.full((1, limits.shape[1]), 1e3)
+    ends = np.concatenate([far, limits, -far])
+    middle = ((ends[:-1] + ends[1:]) / 2)[:, None]
+    low, high = surfaces.low / surfaces.entry, surfaces.high / surfaces.entry
+    with np.errstate(divide="ignore", invalid="ignore"):
+        faces = np.where((middle >= low) & (middle <= high), surfaces.entry, np.inf)
+        at_cap = surfaces.cap / middle
+        caps = np.where((at_cap >= surfaces.entry) & (at_cap <= surfaces.leave), at_cap, np.inf)
+        shell = np.where(middle < 0, scenery.floor, scenery.ceiling) / middle
+    return np.concatenate([faces, caps, shell], axis=1).argmin(axis=1), middle[:, 0]

@@ -13,8 +13,19 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
 from localiser.simulate.drive import mount_at
-from localiser.simulate.level_view import LevelView, level_view_of, require_view_ahead, strip_view_of
-from localiser.simulate.raycast import CEILING, FLOOR, Columns, Spans, cast, columns_of, spans_of
+from localiser.simulate.level_view import (
+    CEILING,
+    FLOOR,
+    Columns,
+    LevelView,
+    Spans,
+    cast,
+    columns_of,
+    level_view_of,
+    require_view_ahead,
+    spans_of,
+    strip_view_of,
+)
 from localiser.simulate.robot import ImageSpec
 from localiser.simulate.structure import Structure, structure_of
 from localiser.simulate.surfaces import Atlas, Image, Lighting, atlas_of, lighting_of

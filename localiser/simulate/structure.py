@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, in_camera
-from localiser.simulate.raycast import NEAR_M, cast
+from localiser.simulate.level_view import NEAR_M, cast
 from localiser.simulate.solids import Solids, solids_of
 from localiser.simulate.world import World
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from io import StringIO
 from unittest.mock import patch
 
 import cv2
@@ -14,7 +13,6 @@ from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
 from short_log import CORRIDOR
 
-from localiser.commands.live import say, shown_status
 from localiser.config import read_config
 from localiser.geometry import Increment, compose
 from localiser.live import LiveOptions, end_table, status_line
@@ -78,16 +76,6 @@ def test_what_is_waited_for_is_wrong_only_when_it_lasts(monitor: Monitor, said: 
         with at(seconds):
             monitor.wait("no camera", "images wait for the camera")
     assert [level for _, level in said] == ["INFO", "WARNING"]
-
-
-def test_a_message_takes_the_place_of_the_line_which_goes_on_below() -> None:
-    console = Console(file=StringIO(), force_terminal=True, width=80, color_system=None)
-    with shown_status(console, lambda: "waiting for the first image", shown=True) as refresh:
-        refresh()
-        say(console, "image: waiting for the first message", "INFO")
-    lines = console.file.getvalue().split("\n")
-    assert lines[0].split("\x1b[2K")[-1].strip() == "image: waiting for the first message"
-    assert lines[1].startswith("waiting for the first image")
 
 
 def test_the_line_says_where_the_robot_is_and_the_table_what_the_run_came_to() -> None:
