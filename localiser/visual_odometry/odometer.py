@@ -119,7 +119,9 @@ class Odometer:
         starts, share = frames.likely_motions(prior), self.parameters.sidle_share
         beliefs = [Belief(prior, starts, float(np.log(share)))]
         if steers:
-            straight = prior.with_right(0.0, self.parameters.sideways_m_s * seconds)
+            # The motion to the right is known to be 0, give or take this.
+            gain = prior.cov[:, 0] / (prior.cov[0, 0] + (self.parameters.sideways_m_s * seconds) ** 2)
+            straight = Gaussian(prior.mean - gain * prior.mean[0], prior.cov - np.outer(gain, prior.cov[0]))
             beliefs.insert(0, Belief(straight, starts, float(np.log1p(-share))))
         found = follow(frames, beliefs)
         return found.motion, Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)

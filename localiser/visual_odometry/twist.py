@@ -32,11 +32,6 @@ class Gaussian:
         cov = (1.0 - share) * self.cov + share * other.cov + share * (1.0 - share) * np.outer(apart, apart)
         return Gaussian(self.mean + share * apart, cov)
 
-    def with_right(self, value: float, sigma: float) -> Gaussian:
-        """Return what is believed once the motion to the right is known to be `value`, give or take sigma (m)."""
-        gain = self.cov[:, 0] / (self.cov[0, 0] + sigma**2)
-        return Gaussian(self.mean + gain * (value - self.mean[0]), self.cov - np.outer(gain, self.cov[0]))
-
 
 def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
     """Return the Gaussian with mean and covariance of a mixture of K motions; log_weight: (K,), up to a constant."""
