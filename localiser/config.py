@@ -150,6 +150,15 @@ def _override(text: str) -> Document:
 
 def _option(source: str, name: str, document: Document) -> Document:
     """Return the document as the value at `name`; the place of all of it is the option as a whole."""
+    if name.strip() not in Config.model_fields and "." not in name:
+        sections = Config().model_dump()
+        known = [
+            f"{part}.{name.strip()}"
+            for part, values in sections.items()
+            if isinstance(values, dict) and name.strip() in values
+        ]
+        if known:
+            raise InputError(f"unknown setting; did you mean {' or '.join(known)}?", path=source)
     whole = Document(document.value, {key: Place(source) for key in document.places})
     return whole.under(*(part.strip() for part in name.split(".")))
 

@@ -7,6 +7,7 @@ import importlib
 import re
 import shlex
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 import typer
 from documented import PAGES, TUTORIALS, blocks, commands, mentions, stands_for_another
 from folders import ROOT
+from PIL import Image
 from short_log import CORRIDOR, Localiser, cut_log
 from typer.core import TyperGroup
 
@@ -239,3 +241,12 @@ def test_code_prints_what_the_page_says(
     code = PAGES_OF_CODE[name]
     exec(compile(code, name, "exec"), {"__name__": "page"})
     assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", ["recording.png", "report.png"])
+def test_pictures_of_a_run_are_of_this_version(name: str) -> None:
+    """`python docs/make_pictures.py` makes them anew."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    made = importlib.import_module("make_pictures")
+    with Image.open(made.IMAGES / name) as picture:
+        assert picture.text["localiser"] == made.version_of(name)

@@ -63,10 +63,10 @@ def convert(
 
     every_s = None if every is None else _seconds(every)
     if odometry is not None or is_video(source):
-        if camera is None or topics:
-            raise InputError(
-                "expected a video with --camera FILE and without --topic", field="--odometry" if odometry else "LOG"
-            )
+        if camera is None:
+            raise InputError("missing: a video needs --camera FILE, what took it", path=source, field="--camera")
+        if topics:
+            raise InputError("is for ROS bags, found a video", path=source, field="--topic")
         log = read_video(source, odometry, camera, start_ns)
     elif start_ns is not None:
         raise InputError("is for a video", field="--start-ns")

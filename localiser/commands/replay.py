@@ -104,13 +104,22 @@ def replay(
     if not is_quiet():
         _show_run(figures, run.folder.path, rrd)
         if bag is not None:
-            from localiser.ros import LAYOUTS
-
-            typer.echo(f"Bag in {bag}; layouts for RViz and Foxglove in {LAYOUTS}.")
+            typer.echo(f"Bag in {bag}; beside it {' and '.join(_layouts_beside(bag))}, layouts for RViz and Foxglove.")
         for warning in figures["warnings"]:
             typer.secho(warning, fg="yellow", err=True)
     if run.viewer is not None:
         _wait_for(run.viewer)
+
+
+def _layouts_beside(bag: Path) -> list[str]:
+    """Write the layouts of RViz and Foxglove beside a bag, where there are none; return their names."""
+    from localiser.ros import LAYOUTS
+    from localiser.storage import write_text
+
+    for layout in sorted(LAYOUTS.iterdir()):
+        if not (target := bag.with_name(layout.name)).exists():
+            write_text(target, layout.read_text(encoding="utf-8"))
+    return sorted(layout.name for layout in LAYOUTS.iterdir())
 
 
 def _wait_for(viewer: LiveView) -> None:

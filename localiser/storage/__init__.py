@@ -16,6 +16,7 @@ from localiser.storage.images import (
     encode_image,
     read_image,
 )
+from localiser.storage.kinds import is_video
 from localiser.storage.log import Event, Log, LogReader, ReadOptions, jump_text, require_odometry, thinned
 from localiser.storage.maps import map_text, read_map, write_map
 from localiser.storage.open import FORMATS, open_log
@@ -26,5 +27,5 @@ from localiser.storage.runs import LATEST, RunFolder, find_run, json_text, read_
 from localiser.storage.tables import csv_of
 from localiser.storage.tracks import TrackWriter, read_track
 from localiser.storage.trajectories import read_poses, write_poses, write_tum
-from localiser.storage.video import is_video, open_stream, read_video
+from localiser.storage.video import open_stream, read_video
 from localiser.storage.worlds import read_world, simulate_log

@@ -20,6 +20,7 @@ from localiser.documents import (
 )
 from localiser.errors import InputError
 from localiser.storage.files import inside
+from localiser.storage.kinds import CAMERA, refuse_other
 
 MOST_PIXELS = 12_500_000  # cameras of robots have fewer; some 100 bytes of memory each while edges are found
 Metres = Annotated[float, Field(ge=-100, le=100)]
@@ -80,6 +81,7 @@ class CameraFile(BaseModel):
 
 def read_camera(path: Path | str) -> Camera:
     """Return the camera that a file describes. Raises InputError."""
+    refuse_other(Path(path), CAMERA)
     return camera_from_document(load(Path(path)))
 
 

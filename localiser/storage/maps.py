@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_v
 from localiser.documents import Document, dump, is_name, parse, read_text, shown, validate, write_text
 from localiser.geometry import Array, private_folder, read_kept, write_kept
 from localiser.landmarks import FRAME, LandmarkMap, Quality
+from localiser.storage.kinds import MAP, refuse_other
 from localiser.storage.packing import decode, encode, form_of
 
 FORMAT = "localiser-map/1"
@@ -102,6 +103,7 @@ def read_map(path: Path | str) -> LandmarkMap:
     A large map is kept between runs as it was read, by the content of its file, because reading its text takes long.
     """
     path = Path(path)
+    refuse_other(path, MAP)
     text = read_text(path, MOST_BYTES)
     if len(text) < LARGE_BYTES:
         return map_from_document(parse(text, str(path)))

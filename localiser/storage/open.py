@@ -9,6 +9,7 @@ from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.storage.bags import BagReader
 from localiser.storage.folder import FolderReader
+from localiser.storage.kinds import kind_of
 from localiser.storage.log import Log, LogReader, ReadOptions
 
 FORMATS: list[LogReader] = [FolderReader(), BagReader()]
@@ -38,7 +39,8 @@ def open_log(
     if reader is None and not path.exists():
         raise InputError("no such log", path=path)
     if reader is None:
-        raise InputError(f"expected a log: {_listed([one.looks_like for one in FORMATS])}", path=path)
+        found = f", found {kind}" if (kind := kind_of(path)) else ""
+        raise InputError(f"expected a log: {_listed([one.looks_like for one in FORMATS])}{found}", path=path)
     for name, given in (("topics", topics), ("camera", camera)):
         if given and name not in reader.options:
             option = f"--{name.removesuffix('s')}"

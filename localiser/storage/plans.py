@@ -15,6 +15,7 @@ from localiser.documents import load, read_bytes, validate
 from localiser.errors import InputError
 from localiser.image_files import PNG_SIGNATURE, decode, measure
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
+from localiser.storage.kinds import CAMERA, MAP, PLAN, kind_of, refuse_other
 
 OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
 _MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text
@@ -47,12 +48,15 @@ class PlanFile(BaseModel):
 
 def is_plan(path: Path) -> bool:
     """Whether a YAML file describes a floor plan, and not a landmark map. Raises InputError."""
+    if kind_of(path) in (MAP, CAMERA):
+        return False
     content = load(path).value
     return isinstance(content, dict) and "image" in content and "format" not in content
 
 
 def read_plan(path: Path) -> FloorPlan:
     """Return the floor plan that a map_server YAML file describes; its image may lie anywhere. Raises InputError."""
+    refuse_other(path, PLAN, ", the YAML file beside its picture")
     document = load(path)
     file = validate(document, PlanFile)
     image = path.parent / file.image

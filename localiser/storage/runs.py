@@ -17,6 +17,7 @@ import numpy as np
 
 from localiser.documents import draft_beside, output_errors, read_text, write_text
 from localiser.errors import InputError, OutputError
+from localiser.storage.kinds import kind_of
 
 LATEST = "latest"
 
@@ -79,7 +80,8 @@ def find_run(path: Path) -> Path:
     for folder in (_linked(path), _linked(path / LATEST)):
         if (folder / "trajectory.csv").is_file():
             return folder
-    raise InputError("expected the folder of a run, with a trajectory.csv", path=path)
+    found = f", found {runs}" if (runs := kind_of(path)) else ""
+    raise InputError(f"expected the folder of a run, with a trajectory.csv{found}", path=path)
 
 
 def _linked(path: Path) -> Path:

@@ -47,11 +47,6 @@ def read_video(path: Path, odometry: Path | None, camera: Path, start_ns: int | 
     return require_overlap(Log(plain_name(path.stem), path, known, poses, frames, settings=settings))
 
 
-def is_video(path: Path) -> bool:
-    """Whether a file is called as videos are."""
-    return path.suffix.lower() in (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
-
-
 _JPEG_CODECS, _PNG_CODECS = ("MJPG", "mjpb", "mjpe"), ("MPNG", "apng")  # as OpenCV calls them
 _SCAN = b"\xff\xda"
 

@@ -63,7 +63,7 @@ def particles(cloud: Particles) -> rr.Points3D:
     """Return the particles as points coloured by weight; every k-th one where there are more than can be shown."""
     shown = slice(None, None, -(-len(cloud) // MOST_PARTICLES))
     points = at_height(cloud.poses[shown, :2], _PARTICLE_Y)
-    return rr.Points3D(points, colors=palette.of_weights(cloud.weight[shown]), radii=rr.Radius.ui_points(1.4))
+    return rr.Points3D(points, colors=palette.of_weights(cloud.weight[shown]), radii=rr.Radius.ui_points(2.2))
 
 
 def arrow(pose: Array, colour: palette.Colour, width: float) -> rr.Arrows3D:
@@ -103,7 +103,7 @@ def ellipse(estimate: Estimate) -> rr.LineStrips3D:
     return rr.LineStrips3D([line], colors=palette.ESTIMATE, radii=rr.Radius.ui_points(1.0))
 
 
-def trail(points: Array, colour: palette.Colour, width: float = 2.0) -> rr.LineStrips3D:
+def trail(points: Array, colour: palette.Colour, width: float = 3.5) -> rr.LineStrips3D:
     """Return a path through floor points (T, 2)."""
     return rr.LineStrips3D([at_height(points, _TRAIL_Y)], colors=colour, radii=rr.Radius.ui_points(width / 2))
 

@@ -13,6 +13,8 @@ from localiser.view import paths
 from localiser.view.context import Context
 
 BACKGROUND = (17, 20, 26, 255)
+SHOWN_FIRST = 3
+"""Charts that are seen at once: more cannot be read on a screen of 1440 × 713."""
 ELEVATION_RAD = np.deg2rad(62.0)
 """Of the eye over the floor: high enough for a plan, low enough that vertical edges have a length."""
 STAGES_SHOWN_MS = (0.0, 120.0)
@@ -20,13 +22,15 @@ STAGES_SHOWN_MS = (0.0, 120.0)
 
 
 def blueprint(context: Context, titles: Mapping[str, str] | None = None, *, margin_m: float = 0.0) -> rrb.Blueprint:
-    """Return the layout: the world large on the left, the image, plots and text beside it.
+    """Return the layout: the world large on the left, the image and some charts beside it, more and text in tabs.
 
     titles: of the plots by their paths; by default those of a run. margin_m: to show around map and truth.
     """
-    plots = rrb.Grid(*_plots(titles or _titles(context)), grid_columns=2)
-    parts = [_image(context)] if context.images else []
-    beside = rrb.Vertical(*parts, plots, _text(), row_shares=[9, 8, 3] if context.images else [8, 2])
+    plots = _plots(titles or _titles(context))
+    first = rrb.Vertical(*plots[:SHOWN_FIRST], name="Charts")
+    more = [rrb.Vertical(*plots[SHOWN_FIRST:], name="More charts")] if len(plots) > SHOWN_FIRST else []
+    charts = rrb.Tabs(first, *more, _text(), active_tab=0)
+    beside = rrb.Vertical(_image(context), charts, row_shares=[6, 11]) if context.images else charts
     return rrb.Blueprint(
         rrb.Horizontal(_world(context, margin_m), beside, column_shares=[3, 2]),
         rrb.TimePanel(state="collapsed", timeline=paths.FRAME),
@@ -79,10 +83,10 @@ def _titles(context: Context) -> dict[str, str]:
     what = "error and 3σ" if context.truth is not None else "3σ"
     return {
         paths.ERROR: f"Position {what}, m",
-        paths.HEADING: f"Heading {what}, °",
         paths.P_CORRECT: "Probability of being right",
-        paths.ESS: "Effective sample size",
         paths.COUNTS: "Edges",
+        paths.HEADING: f"Heading {what}, °",
+        paths.ESS: "Effective sample size",
         paths.STAGES: "Time, ms",
     }
 

@@ -9,25 +9,26 @@ from localiser.geometry import Array
 
 Colour = tuple[int, int, int, int]
 
-UNSEEN: Colour = (92, 100, 114, 255)
+UNSEEN: Colour = (150, 164, 184, 255)
 VISIBLE: Colour = (77, 163, 255, 255)
 MATCHED: Colour = (84, 219, 124, 255)
 UNMATCHED: Colour = (255, 112, 82, 255)
 REJECTED: Colour = (170, 170, 170, 110)
 JOIN: Colour = (255, 236, 110, 255)
-SIGHT: Colour = (84, 219, 124, 40)
+SIGHT: Colour = (84, 219, 124, 90)
 
 ESTIMATE: Colour = (255, 183, 43, 255)
 PLACE: Colour = (196, 132, 255, 255)
 TRUTH: Colour = (240, 244, 248, 255)
-TRUTH_AHEAD: Colour = (240, 244, 248, 38)
-ODOMETRY: Colour = (221, 90, 164, 255)
+TRUTH_AHEAD: Colour = (240, 244, 248, 110)
+ODOMETRY: Colour = (255, 105, 190, 255)
+NOT_FOUND: Colour = (255, 183, 43, 70)
 FRUSTUM: Colour = (200, 208, 218, 255)
 
 STAGES: tuple[Colour, ...] = (VISIBLE, ESTIMATE, MATCHED, ODOMETRY, UNMATCHED, TRUTH)
 
 # From the weightless to the heaviest particle.
-_WEIGHTS = np.array([(62, 40, 110), (150, 50, 130), (235, 100, 80), (255, 205, 90)], dtype=np.float64)
+_WEIGHTS = np.array([(126, 96, 214), (206, 84, 196), (255, 128, 96), (255, 220, 110)], dtype=np.float64)
 
 
 def of_weights(weight: Array) -> NDArray[np.uint8]:

@@ -73,7 +73,7 @@ class Recorder:
         self._number = number
         self._set_time(frame.located.t_ns)
         self._log_map(frame)
-        self._log_poses(frame.located, frame.truth)
+        self._log_poses(frame)
         if self._context.images:
             self._log_image(frame)
         self._log_confidence(frame.located)
@@ -101,8 +101,8 @@ class Recorder:
         matched = np.unique(landmark[landmark >= 0])
         expected = frame.matches.visible.copy()
         expected[matched] = False
-        self._stream.log(paths.VISIBLE, draw.landmarks(self._ends[expected], palette.VISIBLE, 2.0))
-        self._stream.log(paths.MATCHED, draw.landmarks(self._ends[matched], palette.MATCHED, 3.0))
+        self._stream.log(paths.VISIBLE, draw.landmarks(self._ends[expected], palette.VISIBLE, 3.5))
+        self._stream.log(paths.MATCHED, draw.landmarks(self._ends[matched], palette.MATCHED, 4.5))
         points = self._context.landmark_map.points[matched]
         self._stream.log(paths.SIGHTS, draw.sights(self._context.camera.at(frame.located.edges.mount), pose, points))
 
@@ -114,22 +114,28 @@ class Recorder:
             return
         self._near = position.copy()
         near = self._ends[np.hypot(*(points - position).T) <= NEAR_M]
-        self._stream.log(paths.LANDMARKS, draw.landmarks(near, palette.UNSEEN, 1.2))
+        self._stream.log(paths.LANDMARKS, draw.landmarks(near, palette.UNSEEN, 2.4))
 
-    def _log_poses(self, located: Located, truth: Array | None) -> None:
+    def _log_poses(self, frame: LocatedFrame) -> None:
+        located, truth = frame.located, frame.truth
         estimate = located.estimate
         if len(located.particles):  # not of a frame that was located before the run was resumed
             self._stream.log(paths.PARTICLES, draw.particles(located.particles))
         self._stream.log(paths.ELLIPSE, draw.ellipse(estimate))
-        self._stream.log(paths.ESTIMATE, draw.arrow(estimate.pose, palette.ESTIMATE, 4.0))
+        self._stream.log(
+            paths.ESTIMATE, draw.arrow(estimate.pose, palette.ESTIMATE if frame.is_found else palette.NOT_FOUND, 5.0)
+        )
         self._stream.log(
             paths.CAMERA, draw.camera_transform(self._context.camera.at(located.edges.mount), estimate.pose)
         )
-        self._log_trail(paths.ESTIMATE_TRAIL, estimate.pose, palette.ESTIMATE)
+        if frame.is_found:  # else the trail would cross the building
+            self._log_trail(paths.ESTIMATE_TRAIL, estimate.pose, palette.ESTIMATE)
+        else:
+            self._trails.pop(paths.ESTIMATE_TRAIL, None)
         if truth is not None:
             self._stream.log(paths.TRUTH, draw.arrow(truth, palette.TRUTH, 2.5))
             self._log_trail(paths.TRUTH_TRAIL, truth, palette.TRUTH)
-        odometry = self._odometry_in_map(located)
+        odometry = self._odometry_in_map(frame)
         if np.isfinite(odometry).all():
             self._log_trail(paths.ODOMETRY_TRAIL, odometry, palette.ODOMETRY)
 
@@ -157,8 +163,9 @@ class Recorder:
         self._trails[path] = pose
         self._stream.log(path, draw.trail(np.stack([start[:2], pose[:2]]), colour))
 
-    def _odometry_in_map(self, located: Located) -> Array:
-        if self._map_from_odometry is None and np.isfinite(located.odometry).all():
+    def _odometry_in_map(self, frame: LocatedFrame) -> Array:
+        located = frame.located
+        if self._map_from_odometry is None and frame.is_found and np.isfinite(located.odometry).all():
             origin = geometry.between(located.odometry, np.zeros(3))
             self._map_from_odometry = geometry.compose(located.estimate.pose, origin)
         if self._map_from_odometry is None:
@@ -179,7 +186,7 @@ class Recorder:
     def _log_plots(self, frame: LocatedFrame) -> None:
         located, truth, stage_ms = frame.located, frame.truth, frame.stage_ms
         estimate, matched = located.estimate, int((frame.matches.landmark >= 0).sum())
-        cov = estimate.pose_cov
+        cov = frame.pose_cov
         error = np.full(3, np.nan) if truth is None else estimate.pose - truth
         turn_deg = np.rad2deg([abs(float(geometry.wrap_angle(error[2]))), 3 * float(np.sqrt(cov[2, 2]))])
         if not self._stages and stage_ms:
@@ -202,7 +209,7 @@ class Recorder:
         log, context = self._stream.log, self._context
         log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         if len(self._ends) <= MOST_LANDMARKS:
-            log(paths.LANDMARKS, draw.landmarks(self._ends, palette.UNSEEN, 1.2), static=True)
+            log(paths.LANDMARKS, draw.landmarks(self._ends, palette.UNSEEN, 2.4), static=True)
         else:
             log(paths.FAR, draw.coarse(context.landmark_map.points, palette.UNSEEN), static=True)
         log(paths.CAMERA, draw.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)

@@ -376,6 +376,35 @@ def test_bad_world_is_told_with_its_place(
     assert not (tmp_path / "log").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("replay", CORRIDOR, "--map", CORRIDOR / "camera.yaml"), "expected a landmark map, found a camera file"),
+        (
+            ("replay", CORRIDOR, "--map", ROOT / "configs/worlds/corridor.yaml"),
+            "found a world, of which `localiser sim",
+        ),
+        (("map", "plan", ROOT / "configs/plans/corridor.png"), "the YAML file beside its picture, found a PNG image"),
+        (("replay", "drive.mp4"), "found a video, of which `localiser convert VIDEO LOG --camera FILE` makes a log"),
+        (("convert", "drive.mp4", "log"), "--camera: missing: a video needs --camera FILE"),
+        (("replay", "results"), "found results of replay, the newest first: results/b/2, results/a/1"),
+        (("view", "results"), "found results of replay, the newest first: results/b/2, results/a/1"),
+        (("replay", CORRIDOR, "--set", "particles=500"), "unknown setting; did you mean mcl.particles?"),
+    ],
+)
+def test_a_wrong_file_is_called_what_it_is(
+    localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[object, ...], told: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("drive.mp4").write_bytes(b"")
+    for age, run in enumerate((Path("results/b/2"), Path("results/a/1"))):
+        run.mkdir(parents=True)
+        (run / "trajectory.csv").write_text("")
+        os.utime(run, (1e9 - age, 1e9 - age))
+    result = localiser(*words, *(["-o", "out"] if words[0] == "map" else []))
+    assert result.exit_code == 2 and told in result.err
+
+
 def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Path) -> None:
     nowhere = tmp_path / "nowhere"
     for arguments in (

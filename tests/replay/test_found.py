@@ -13,7 +13,7 @@ from localiser import Localiser, LocatedFrame
 from localiser.config import read_config
 from localiser.evaluate import found_images, metrics
 from localiser.filter import Finding
-from localiser.storage import TrackWriter, read_tum
+from localiser.storage import TrackWriter, read_poses
 from localiser.storage.tracks import read_track
 
 PROBABILITY = [0.3, 0.7, 0.95, 0.6, 0.4, 0.8, 0.92]
@@ -55,7 +55,7 @@ def test_a_pose_that_is_no_ordinary_one_is_wide_and_not_in_the_tum_file(robot: L
     for frame in frames:
         writer.frame(frame)
     writer.close(complete=True)
-    assert read_tum(tmp_path / "trajectory.tum").t_ns.tolist() == [
+    assert read_poses(tmp_path / "trajectory.tum").t_ns.tolist() == [
         frame.located.t_ns for frame, found in zip(frames, FOUND, strict=True) if found
     ]
     track = read_track(tmp_path / "trajectory.csv")

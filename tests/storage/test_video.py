@@ -91,7 +91,7 @@ def test_what_is_for_videos_alone_is_refused(drive: Path, localiser: Localiser) 
     options = ("--odometry", drive / "odometry.csv", "--camera", drive / "camera.yaml", "--quiet")
     assert localiser("convert", drive / "drive.avi", drive / "log", *options).exit_code == 0
     result = localiser("convert", drive / "drive.avi", drive / "other", "--odometry", drive / "odometry.csv")
-    assert result.exit_code == 2 and "expected a video with --camera FILE" in result.err
+    assert result.exit_code == 2 and "--camera: missing: a video needs --camera FILE" in result.err
     result = localiser("convert", drive / "log", drive / "other", "--start-ns", 5)
     assert result.exit_code == 2 and "--start-ns: is for a video" in result.err
 
