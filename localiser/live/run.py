@@ -69,7 +69,12 @@ class LiveRun:
                 self.outputs.monitor.warn(f"bad {arrival.role}", f"{arrival.topic}: left out a message: {error}")
 
     def _take(self, arrival: Arrival, message: Any) -> None:
-        getattr(self, f"_take_{arrival.role}")(arrival, message)
+        finder = self.tracker.finder
+        if take := {"camera_info": finder.take_info, "transforms": finder.take_transforms}.get(arrival.role):
+            take(message)
+            self.outputs.record(arrival)
+        else:
+            getattr(self, f"_take_{arrival.role}")(arrival, message)
 
     def _note_sender(self, arrival: Arrival) -> None:
         """Tell of a topic on which two publish in turn; one that takes another's place has been started again."""
@@ -162,14 +167,6 @@ class LiveRun:
         )
 
     # -- messages by their roles --------------------------------------------------------------------------------------
-
-    def _take_camera_info(self, arrival: Arrival, message: Any) -> None:
-        self.tracker.finder.take_info(message)
-        self.outputs.record(arrival)
-
-    def _take_transforms(self, arrival: Arrival, message: Any) -> None:
-        self.tracker.finder.take_transforms(message)
-        self.outputs.record(arrival)
 
     def _take_moving_transforms(self, arrival: Arrival, message: Any) -> None:
         """Take transforms of the robot that change; our own, from the map, are on the same topic."""

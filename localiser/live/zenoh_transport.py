@@ -182,16 +182,13 @@ class RmwNames:
         """Return the token by which others know the node. zid: of the zenoh session."""
         return self._node(zid, 0, "NN")
 
-    def publisher_token(self, zid: str, number: int, topic: Topic) -> str:
-        """Return the token of a publisher. number: unique in the session, above 0, which is the node's."""
-        return f"{self._node(zid, number, 'MP')}/{self._topic(topic)}"
-
-    def subscriber_token(self, zid: str, number: int, topic: Topic) -> str:
-        """Return the token of a subscriber; number: see `publisher_token`."""
-        return f"{self._node(zid, number, 'MS')}/{self._topic(topic)}"
+    def topic_token(self, zid: str, number: int, topic: Topic, kind: str) -> str:
+        """Return the token of a publisher ("MP") or subscriber ("MS"). number: unique in the session, above 0."""
+        stem, type_hash = f"{mangled(topic.name)}/{dds_type(topic.msgtype)}", self._hash(topic)
+        return f"{self._node(zid, number, kind)}/{stem}/{type_hash}/{quality(topic)}"
 
     def service_token(self, zid: str, number: int, service: Service) -> str:
-        """Return the token of a service; number: see `publisher_token`."""
+        """Return the token of a service; number: see `topic_token`."""
         _, *_, kind, type_hash = self.service_key(service).split("/")
         return f"{self._node(zid, number, 'SS')}/{mangled(service.name)}/{kind}/{type_hash}/{quality(Topic('', ''))}"
 
@@ -209,9 +206,6 @@ class RmwNames:
 
     def _node(self, zid: str, number: int, kind: str) -> str:
         return f"@ros2_lv/{self.domain}/{zid}/0/{number}/{kind}/%/{mangled(self.namespace)}/{self.node}"
-
-    def _topic(self, topic: Topic) -> str:
-        return f"{mangled(topic.name)}/{dds_type(topic.msgtype)}/{self._hash(topic)}/{quality(topic)}"
 
     def _hash(self, topic: Topic) -> str:
         return type_hash(topic.msgtype) if self.hashes else NO_HASH
@@ -289,7 +283,7 @@ class ZenohTransport:
                 self._held.append(subscriber)
             else:
                 self._held.append(session.declare_subscriber(pattern, handle))
-            self._declare_token(session, self._names.subscriber_token(_zid(session), number, topic))
+            self._declare_token(session, self._names.topic_token(_zid(session), number, topic, "MS"))
 
         self._link.when_open(declare)
 
@@ -356,7 +350,7 @@ class ZenohTransport:
                 number = next(self._numbers)
 
                 def declare(session: Any) -> None:
-                    token = self._names.publisher_token(_zid(session), number, topic)
+                    token = self._names.topic_token(_zid(session), number, topic, "MP")
                     publisher.declare(session, token)
                     self._declare_token(session, token)
 

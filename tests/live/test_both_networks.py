@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_networks import KINDS, Network, domains
-from live_processes import PATIENCE_S, SETTINGS, START, free_domain, program
+from live_processes import SETTINGS, START, free_domain, program, wait_until
 from short_log import CORRIDOR, Localiser
 
 from localiser.live import open_transport
@@ -31,13 +30,6 @@ def domain(request: pytest.FixtureRequest) -> Iterator[Callable[[], Network]]:
     """Return what makes domains of ROS 2, each over the same router, or each of DDS."""
     with domains(request.param) as made:
         yield made
-
-
-def wait_until(met: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 @pytest.mark.slow

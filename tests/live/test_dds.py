@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from threading import Event
@@ -13,7 +12,7 @@ from threading import Event
 import numpy as np
 import pytest
 from live_feed import LOG, Feed, camera, drive
-from live_processes import free_domain, program
+from live_processes import free_domain, program, wait_until
 from short_log import CORRIDOR, Localiser
 
 from localiser.config import LiveParameters
@@ -60,13 +59,6 @@ def counterpart(domain: int, what: str) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-def wait_for(happened: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not happened():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def test_an_interface_that_is_not_there_is_told() -> None:
     pytest.importorskip("cyclonedds")
     with pytest.raises(InputError, match="network interface"):
@@ -77,7 +69,7 @@ def test_a_pose_is_heard_by_types_that_are_not_ours() -> None:
     make, topic = Messages(), Topic("/localiser/pose", POSE)
     content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.5]), np.diag([0.04, 0.05, 0.06])))
     with joined(HEARS) as transport, counterpart(HEARS, "hear") as other:
-        wait_for(lambda: transport.is_heard(topic))
+        wait_until(lambda: transport.is_heard(topic))
         transport.publish(topic, content)
         assert other.stdout is not None
         header, position, variance = other.stdout.read().splitlines()
@@ -106,7 +98,7 @@ def test_what_is_latched_reaches_those_who_come_late() -> None:
     with joined(LATE) as transport, counterpart(LATE, "latched") as other:
         assert other.stdout is not None and other.stdout.readline() == "ready\n"
         transport.subscribe(topic, lambda content, source: heard.append((content, source)))
-        wait_for(lambda: heard)
+        wait_until(lambda: heard)
     message = typestore(ros1=False).deserialize_cdr(heard[0][0], POSE)
     assert stamp_of(message) == 12_000_000_034 and floor_pose(message)[:2] == (1.5, 2.0)
     assert heard[0][1], "who sent it"
@@ -117,7 +109,7 @@ def test_a_quality_of_service_that_does_not_fit_is_told() -> None:
     with joined(MISMATCHED) as transport, counterpart(MISMATCHED, "mismatched"):
         transport.report_to(told.append)
         transport.subscribe(Topic("/initialpose", POSE, latched=True), lambda content, source: None)
-        wait_for(lambda: told)
+        wait_until(lambda: told)
     assert "/initialpose: a publisher has another quality of service" in told[0]
     assert "durability" in told[0] or "reliability" in told[0]
 
@@ -136,7 +128,7 @@ def test_who_is_slow_gets_the_newest_messages_of_a_flood() -> None:
         transport.subscribe(topic, take)
         assert other.stdout is not None and other.stdout.readline() == "received\n"
         received.set()
-        wait_for(lambda: heard and heard[-1] == FLOOD - 1)
+        wait_until(lambda: heard and heard[-1] == FLOOD - 1)
     assert heard == sorted(heard) and len(heard) < FLOOD // 10
 
 

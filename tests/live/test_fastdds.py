@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import time
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import fast_dds
 import numpy as np
 import pytest
-from live_processes import free_domain
+from live_processes import free_domain, wait_until
 
 from localiser.config import LiveParameters
 from localiser.live import open_transport
@@ -34,13 +32,6 @@ def peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return fast_dds.built_in(tmp_path_factory.mktemp("fastdds"))
 
 
-def wait_for(happened: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not happened():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
     make, topic, domain = Messages(), Topic("/localiser/pose", POSE), free_domain()
     content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.05, 0.06])))
@@ -48,7 +39,7 @@ def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
         closing(open_transport(LiveParameters(dds=domain))) as transport,
         subprocess.Popen([peer, str(domain), "hear"], stdout=subprocess.PIPE, text=True) as process,
     ):
-        wait_for(lambda: transport.is_heard(topic))
+        wait_until(lambda: transport.is_heard(topic))
         transport.publish(topic, content)
         out, _ = process.communicate(timeout=PATIENCE_S)
     half = np.sqrt(0.5)  # of a heading of 0: a yaw of 90°
@@ -69,11 +60,11 @@ def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -
         transport.subscribe(image, lambda content, source: images.append(content))
         transport.subscribe(Topic("/odom", ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content))
         with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
-            wait_for(lambda: images and wheels)
+            wait_until(lambda: images and wheels)
             assert process.stdin is not None
             process.stdin.write("heard\n")
             process.stdin.flush()
-            wait_for(lambda: len(sent(images)) + (0 if reliable else dropped()) >= IMAGES)
+            wait_until(lambda: len(sent(images)) + (0 if reliable else dropped()) >= IMAGES)
             process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0
     store = typestore(ros1=False)

@@ -75,10 +75,10 @@ def test_keys_have_domain_topic_type_and_hash() -> None:
 def test_tokens_tell_node_publisher_subscriber_and_service() -> None:
     names = RmwNames(2)
     assert names.node_token(ZID) == f"@ros2_lv/2/{ZID}/0/0/NN/%/%/localiser"
-    assert names.publisher_token(ZID, 3, CHATTER) == (
+    assert names.topic_token(ZID, 3, CHATTER, "MP") == (
         f"@ros2_lv/2/{ZID}/0/3/MP/%/%/localiser/%chatter/std_msgs::msg::dds_::String_/{CHATTER_HASH}/::,10:,:,:,,"
     )
-    token = RmwNames(0, "/robot1").subscriber_token(ZID, 4, IMAGE)
+    token = RmwNames(0, "/robot1").topic_token(ZID, 4, IMAGE, "MS")
     assert token.startswith(f"@ros2_lv/0/{ZID}/0/4/MS/%/%robot1/localiser/%camera%image_raw/sensor_msgs::msg::dds_::")
     assert token.endswith("/2::,5:,:,:,,")
     assert names.service_token(ZID, 5, EMPTY) == (

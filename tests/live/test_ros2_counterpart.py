@@ -7,17 +7,17 @@ attachment.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from threading import Event, Thread
 from typing import Any
 
 import numpy as np
 import pytest
 from live_feed import LOG
-from live_processes import SETTINGS, START, free_endpoint, program
+from live_networks import router
+from live_processes import SETTINGS, START, free_endpoint, program, wait_until
 from short_log import CORRIDOR
 
 from localiser.geometry import pose_from_ros
@@ -34,7 +34,7 @@ from localiser.storage.bags import (
     typestore,
 )
 
-zenoh = pytest.importorskip("zenoh")
+pytest.importorskip("zenoh")
 sdk = pytest.importorskip("zenoh_ros2_sdk", reason="needs zenoh-ros2-sdk, of the extra `dev`")
 
 MAKE = Messages()
@@ -45,11 +45,7 @@ PATIENCE_S = 90.0
 def endpoint() -> Iterator[str]:
     """Run a router, to which the counterpart's one session belongs; return its endpoint."""
     at = free_endpoint()
-    config = zenoh.Config()
-    settings = {"mode": "router", "listen/endpoints": [at], "scouting/multicast/enabled": False}
-    for name, value in settings.items():
-        config.insert_json5(name, json.dumps(value))
-    with zenoh.open(config):
+    with router(at):
         yield at
         sdk.ZenohSession.get_instance().close()
 
@@ -63,13 +59,6 @@ def typed(msgtype: str) -> dict[str, Any]:
     store = typestore(ros1=False)
     definition, _ = store.generate_msgdef(msgtype, ros_version=2)
     return {"msg_type": msgtype, "msg_definition": definition, "type_hash": store.hash_rihs01(msgtype)}
-
-
-def wait_until(met: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 class Robot:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from live_processes import free_endpoint
+from live_networks import router
+from live_processes import free_endpoint, wait_until
 
 from localiser.config import LiveParameters
 from localiser.errors import InputError
@@ -31,28 +32,12 @@ FIXED = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True, depth=1)
 def endpoint() -> Iterator[str]:
     """Run a router; return its endpoint."""
     at = free_endpoint()
-    session = zenoh.open(router_config(at))
-    yield at
-    session.close()
-
-
-def router_config(at: str) -> Any:
-    config = zenoh.Config()
-    settings = {"mode": "router", "listen/endpoints": [at], "scouting/multicast/enabled": False}
-    for name, value in settings.items():
-        config.insert_json5(name, json.dumps(value))
-    return config
+    with router(at):
+        yield at
 
 
 def joined(endpoint: str, **options: Any) -> closing[ZenohTransport]:
     return closing(open_transport(LiveParameters([endpoint], **options)))
-
-
-def wait_until(met: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_messages_go_from_client_to_client(endpoint: str) -> None:
@@ -113,7 +98,7 @@ def test_a_router_that_comes_late_or_goes_away_is_waited_for() -> None:
         robot.publish(FIXED, b"kept")
         assert not robot.is_heard(ODOMETRY)
         for content in (b"first", b"second"):
-            router = zenoh.open(router_config(at))
+            running = router(at)
             wait_until(lambda: robot.is_heard(ODOMETRY))
             if content == b"first":
                 live.subscribe(FIXED, lambda content, source: got.append(content))
@@ -124,7 +109,7 @@ def test_a_router_that_comes_late_or_goes_away_is_waited_for() -> None:
                 return content in got
 
             wait_until(heard)
-            router.close()
+            running.close()
 
 
 def test_a_service_answers_with_the_attachment_of_the_request(endpoint: str) -> None:

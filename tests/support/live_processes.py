@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -141,6 +141,14 @@ def program(*arguments: object, script: Path | None = None, largest_file: int | 
             running.process.send_signal(signal.SIGCONT)
             running.process.kill()
             running.process.wait()
+
+
+def wait_until(met: Callable[[], object]) -> None:
+    """Wait until something is true."""
+    end = time.monotonic() + PATIENCE_S
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def free_endpoint() -> str:
