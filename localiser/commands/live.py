@@ -166,6 +166,7 @@ def demo(
             record=record,
             json=sys.stdout.fileno() if json else None,
             view=view,
+            stand_in=True,
         )
         with _stand_in(log, reached):
             _run(options)

@@ -44,7 +44,7 @@ class LiveOptions:
     config: its section `live` says how to take part in the robot's network, and under which names. image: a camera or
     stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
     known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved, and
-    gone on from where it is there and no start is given.
+    gone on from where it is there and no start is given. stand_in: whether this program itself sends what is heard.
     """
 
     map_file: Path
@@ -56,6 +56,7 @@ class LiveOptions:
     json: int | None = None
     view: str = "none"
     checkpoint: Path | None = None
+    stand_in: bool = False
 
 
 @contextmanager
@@ -120,6 +121,8 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
 
 def advice(options: LiveOptions, topics: Mapping[str, str], roles: list[str], *, joined: bool) -> str:
     """Return what to start or to set where nothing is heard of some roles. joined: whether the network is there."""
+    if options.stand_in:
+        return "the robot's stand-in is still getting ready"
     live = options.config.live
     sources = {**topics, "image": options.image or topics["image"]}
     awaited = " and ".join(f"{role} ({sources[role]})" for role in roles)
