@@ -9,7 +9,7 @@ import re
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from struct import unpack_from
+from struct import error, unpack_from
 from typing import Any
 
 import cv2
@@ -25,6 +25,7 @@ _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _JPEG_END, _JPEG_SCAN = 0xD9, 0xDA
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]")  # one with a length: no stuffed byte, filler or restart
+_ORIENTATION = 0x112  # of EXIF
 MOST_SCANS = 100  # of a JPEG, each of which goes through the whole image; encoders make ten
 MOST_PARTS = 100_000  # segments of a JPEG, chunks of a PNG
 MOST_PIXELS = 2**25  # as many as a floor plan may have; a camera has fewer
@@ -40,6 +41,19 @@ def measure(data: bytes) -> tuple[tuple[int, int], bool]:
     if data.startswith(PNG_SIGNATURE):
         return _measure_png(data)
     raise ValueError("expected a JPEG or PNG image, found " + ("an empty file" if not data else "something else"))
+
+
+def turn_deg(data: bytes) -> int:
+    """Return by how many degrees, clockwise, a JPEG asks to be turned when it is shown (EXIF); mirrored or not."""
+    tiff = data[: 2**16].partition(b"Exif\0\0")[2] if data.startswith(_JPEG_SIGNATURE) else b""
+    order = ">" if tiff.startswith(b"MM") else "<"
+    with suppress(error):
+        first = unpack_from(f"{order}I", tiff, 4)[0]
+        for entry in range(unpack_from(f"{order}H", tiff, first)[0]):
+            tag, _, _, value = unpack_from(f"{order}HHIH", tiff, first + 2 + 12 * entry)
+            if tag == _ORIENTATION:
+                return {3: 180, 4: 180, 5: 90, 6: 90, 7: 270, 8: 270}.get(value, 0)
+    return 0
 
 
 def decode(data: bytes, flags: int) -> NDArray[Any] | None:

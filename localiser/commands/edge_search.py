@@ -14,7 +14,7 @@ import numpy as np
 
 from localiser import geometry, storage
 from localiser.calibration import check_mount
-from localiser.camera import Camera
+from localiser.camera import Camera, Mount
 from localiser.commands.edge_picture import save_picture
 from localiser.config import Config, in_force, to_yaml
 from localiser.edges import EdgeParameters, Edges, find_edges, mount_error_of_edges
@@ -47,7 +47,7 @@ Row = dict[str, Any]
 class Taken:
     """An image to find edges in. image: its file, as it was named. stem: the name of its outputs.
 
-    t_ns, twist: its time and the robot's motion, in a log.
+    t_ns, twist, mount: its time, the robot's motion and the camera's mount, in a log.
     """
 
     image: str
@@ -55,6 +55,7 @@ class Taken:
     load: Callable[[], Image]
     t_ns: int | None = None
     twist: Twist | None = None
+    mount: Mount | None = None
 
 
 def inputs_of(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, list[Taken]]:
@@ -85,7 +86,7 @@ def _of_log(path: Path, camera: Camera | None) -> tuple[Camera, list[Taken]]:
     stems = stems_of([Path(image.name) for image in log.images])
     camera = camera or log.camera
     return camera, [
-        Taken(image.name, stem, image.load, image.t_ns, camera.twist_at(log.odometry, image.t_ns))
+        Taken(image.name, stem, image.load, image.t_ns, camera.twist_at(log.odometry, image.t_ns), image.mount)
         for image, stem in zip(log.images, stems, strict=True)
     ]
 
@@ -144,7 +145,9 @@ class EdgeSearch:
         was done until then is on disk.
         """
         first = self.images[0].load()  # a wrong camera is told before a folder is made
-        self._find(first, None)  # the detector makes what it keeps for a camera, so that no image's time has it
+        self._find(
+            first, self.images[0]
+        )  # the detector makes what it keeps for a camera, so that no image's time has it
         self.folder = self._new_folder()
         write_camera(self.camera, self.folder / "camera.yaml")
         write_text(self.folder / "config.yaml", to_yaml(in_force(self.config)))
@@ -172,23 +175,24 @@ class EdgeSearch:
             self.out.mkdir(parents=True, exist_ok=True)
         return self.out
 
-    def _find(self, image: Image, twist: Twist | None) -> Edges:
+    def _find(self, image: Image, taken: Taken) -> Edges:
         """Return the edges of an image, from left to right."""
-        edges = find_edges(image, self.camera, self.config.edges, twist=twist)
+        edges = find_edges(image, self.camera, self.config.edges, mount=taken.mount, twist=taken.twist)
         return edges.take(np.argsort(edges.bearing, kind="stable"))
 
     def _one(self, taken: Taken, image: Image) -> None:
         begin = perf_counter()
-        self.last = self._find(image, taken.twist)
+        self.last = self._find(image, taken)
         self.ms.append(1e3 * (perf_counter() - begin))
-        self.mount = mount_by_edges(self.last, self.camera, self.config.edges)
+        camera = self.camera.at(taken.mount)
+        self.mount = mount_by_edges(self.last, camera, self.config.edges)
         self.counts.append(len(self.last))
         if len(self.kept) < KEPT_IMAGES:
             self.kept.append(self.last)
         self._write(taken)
         if self.pictures:
             title = Path(taken.image).name
-            save_picture(self.folder / f"{taken.stem}.png", image, self.camera, self.last, title=title)
+            save_picture(self.folder / f"{taken.stem}.png", image, camera, self.last, title=title)
 
     def _write(self, taken: Taken) -> None:
         """Append what was found in an image to edges.csv, which so survives a stop."""

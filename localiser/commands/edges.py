@@ -103,7 +103,7 @@ def _show(search: EdgeSearch) -> None:
         table.add_row(*(_text(row[key], factor, spec) for _, key, factor, spec in _COLUMNS))
     if len(rows) > _MOST_ROWS:
         table.add_row(f"{len(rows) - _MOST_ROWS} more in edges.csv")
-    mount, found = search.camera.mount, search.mount
+    mount, found = search.camera.at(search.images[0].mount).mount, search.mount
     stated = zip(("tilt", "roll"), np.rad2deg([mount.tilt_rad, mount.roll_rad]), strict=True)
     parts = (
         f"{name} {found[f'{name}_deg']:.2f} ± {found[f'{name}_sigma_deg']:.2f}° (stated {value:.2f}°)"

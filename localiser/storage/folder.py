@@ -22,7 +22,16 @@ from localiser.landmarks import LandmarkMap
 from localiser.storage.cameras import FileModel, degrees, named, read_camera, write_camera
 from localiser.storage.edge_tables import read_edges, write_edges
 from localiser.storage.files import inside, require_new
-from localiser.storage.images import Image, ImageEvent, check_head, encode_image, image_event, suffix_of, whole_image
+from localiser.storage.images import (
+    Image,
+    ImageEvent,
+    check_head,
+    encode_image,
+    image_event,
+    suffix_of,
+    warn_turned,
+    whole_image,
+)
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import read_map, write_map
 from localiser.storage.mounts import MOUNT_COLUMNS, mount_cells, mounts_of_table
@@ -121,7 +130,9 @@ def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
         except ValueError as error:
             raise table.error(row, "file", f"{error}, found {name!r}") from None
         here = _named_by(path, table.lines[row])
-        here(check_head)(image, size)
+        turned = here(check_head)(image, size)
+        if turned and not events:  # as are those that follow
+            warn_turned(turned, image)
         event = image_event(t_ns, name, partial(whole_image, image, size), size, path=image, mount=mounts[row])
         events.append(replace(event, load=here(event.load), encoded=here(event.encoded)))
     return events

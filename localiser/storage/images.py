@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from localiser.camera import Mount
 from localiser.documents import open_regular, plain_name, read_bytes
-from localiser.errors import InputError
-from localiser.image_files import PNG_SIGNATURE, decode, measure
+from localiser.errors import InputError, warn
+from localiser.image_files import PNG_SIGNATURE, decode, measure, turn_deg
 
 Image = NDArray[np.uint8]
 
@@ -88,7 +88,16 @@ def check_whole(data: bytes, size: tuple[int, int], *, path: Path, field: str | 
 
 def read_image(path: Path, size: tuple[int, int]) -> Image:
     """Return an image file as (H, W) uint8 grey values. Raises InputError."""
-    return decoded(whole_image(path, size), size, path=path)
+    data = whole_image(path, size)
+    warn_turned(turn_deg(data), path)
+    return decoded(data, size, path=path)
+
+
+def warn_turned(degrees: int, path: Path) -> None:
+    """Tell of pictures that ask to be turned when they are shown: they are taken as they are stored."""
+    if degrees:
+        told = f"it says that it is to be shown turned by {degrees}°, and is taken as it is stored; its camera file must be"
+        warn(f"{told} of the stored picture, with the roll that this is", path=path)
 
 
 def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> Image:
@@ -107,10 +116,10 @@ def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if colour else image, dtype=np.uint8)
 
 
-def check_head(path: Path, size: tuple[int, int]) -> None:
+def check_head(path: Path, size: tuple[int, int]) -> int:
     """Check that an image file is there and, by its first bytes alone, that it is an image of `size`.
 
-    Raises InputError.
+    Return by how many degrees it asks to be turned. Raises InputError.
     """
     with open_regular(path, "image") as file:
         head = file.read(_HEAD_BYTES)
@@ -122,6 +131,7 @@ def check_head(path: Path, size: tuple[int, int]) -> None:
         except ValueError as error:
             raise InputError(str(error), path=path) from None
     check_size(path, found, size)
+    return turn_deg(head)
 
 
 def check_size(path: Path, found: tuple[int, int], size: tuple[int, int], field: str | None = None) -> None:

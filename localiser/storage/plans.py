@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from localiser.documents import load, read_bytes, validate
-from localiser.errors import InputError
+from localiser.errors import InputError, warn
 from localiser.image_files import PNG_SIGNATURE, decode, measure
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
 from localiser.storage.kinds import CAMERA, MAP, PLAN, kind_of, refuse_other
@@ -60,7 +60,11 @@ def read_plan(path: Path) -> FloorPlan:
     document = load(path)
     file = validate(document, PlanFile)
     image = path.parent / file.image
-    occupied, free = classify(_load_picture(image), file)
+    occupied, free = classify(picture := _load_picture(image), file)
+    unknown = np.count_nonzero(picture.mean(axis=2) == (255 - UNKNOWN_GREY if file.negate else UNKNOWN_GREY))
+    if file.mode == "trinary" and unknown and file.free_thresh > (255 - UNKNOWN_GREY) / 255:
+        told = f"{unknown} pixels of grey {UNKNOWN_GREY} are unknown, as map_saver writes them, though free_thresh has them"
+        warn(f"{told} as free", path=path)
     # Row 0 of the picture is the farthest along y.
     return FloorPlan(occupied[::-1], free[::-1], file.resolution, np.array(file.origin))
 
@@ -70,7 +74,8 @@ def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
 
     picture: (H, W, C) values 0 to 255 of grey, grey and alpha, colour, or colour and alpha. p = (255 - mean) / 255 is
     how surely a pixel is a wall. In `scale` what lies between the thresholds is a wall when nearer to it; where it is
-    transparent, it is unknown. In `raw` the values are percentages, and those over 100 are unknown.
+    transparent, it is unknown. In `raw` the values are percentages, and those over 100 are unknown. In `trinary` grey
+    205 is unknown whatever the thresholds: map_saver writes it, and many maps have a free_thresh above it.
     """
     channels = picture.shape[2]
     has_alpha = channels in (2, 4)
@@ -84,6 +89,8 @@ def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
         return known & (wall >= file.occupied_thresh), known & (wall <= file.free_thresh)
     wall = (255.0 - mean) / 255.0
     occupied, free = wall > file.occupied_thresh, wall < file.free_thresh
+    if file.mode == "trinary":
+        free &= mean != UNKNOWN_GREY
     if file.mode == "scale":
         between = ~occupied & ~free & ((picture[..., -1] == 255) | (not has_alpha))
         likely = wall >= (file.occupied_thresh + file.free_thresh) / 2

@@ -16,7 +16,7 @@ from localiser.documents import plain_name, require_regular, text_of
 from localiser.errors import InputError
 from localiser.image_files import MOST_PIXELS, MOST_SCANS
 from localiser.storage.cameras import read_camera
-from localiser.storage.images import check_size, encode_image, image_event
+from localiser.storage.images import check_size, encode_image, image_event, warn_turned
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Log, require_overlap
 from localiser.storage.trajectories import read_poses
 
@@ -60,6 +60,7 @@ def _open(path: Path) -> Any:
     capture = _by_ffmpeg(text_of(path.resolve()))
     if capture is None:
         raise InputError("expected a video that can be decoded", path=path)
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # frames as they are stored, as images are
     return capture
 
 
@@ -111,6 +112,7 @@ def _times_ns(path: Path, camera: Camera) -> list[int]:
     capture = _open(path)
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
     check_size(path, size, (camera.width, camera.height))
+    warn_turned(int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360, path)
     times = []
     while capture.grab():
         times.append(round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))

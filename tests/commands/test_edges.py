@@ -171,6 +171,21 @@ def test_a_log_brings_its_camera_and_its_times(localiser: Localiser, tmp_path: P
     assert [[row[name] for name in same] for row in rows] == [[row[name] for name in same] for row in by_file]
 
 
+def test_each_image_of_a_log_has_its_own_mount(localiser: Localiser, tmp_path: Path) -> None:
+    log = cut_log(CORRIDOR, tmp_path / "log", 2)
+    header, first, second = (log / "images.csv").read_text().splitlines()
+    (log / "images.csv").write_text(f"{header},tilt_deg,roll_deg\n{first},,\n{second},17,3\n")
+    assert localiser("edges", log, "-o", tmp_path / "log_edges", "--no-pictures").exit_code == 0
+    camera = read_camera(log / "camera.yaml").with_mount(tilt_rad=np.deg2rad(17), roll_rad=np.deg2rad(3))
+    write_camera(camera, tmp_path / "turned.yaml")
+    image = log / second.split(",")[1]
+    result = localiser("edges", image, "--camera", tmp_path / "turned.yaml", "-o", tmp_path / "one", "--no-pictures")
+    assert result.exit_code == 0, result.err
+    rows = [row for row in table(tmp_path / "log_edges" / "edges.csv") if row["image"] == second.split(",")[1]]
+    assert len(rows) > 0
+    assert [row["bearing_rad"] for row in rows] == [row["bearing_rad"] for row in table(tmp_path / "one" / "edges.csv")]
+
+
 def test_a_log_of_edges_has_no_images(localiser: Localiser, tmp_path: Path) -> None:
     result = localiser("edges", write_edge_log(tmp_path / "log"), "--out", tmp_path / "out")
     assert result.exit_code == 2

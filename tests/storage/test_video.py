@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from short_log import Localiser
 
-from localiser.errors import InputError
+from localiser.errors import InputError, InputWarning
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.video import read_video
 
@@ -132,3 +132,22 @@ def test_damaged_videos_are_read_or_refused(drive: Path) -> None:
                 grey(frame)
         except InputError as error:
             assert len(str(error)) < 1000
+
+
+def test_a_video_that_asks_to_be_turned_is_taken_as_it_is_stored(drive: Path) -> None:
+    # What OpenCV writes, with half a turn put into the matrix of the track's header (tkhd).
+    writer = cv2.VideoWriter(str(drive / "drive.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (WIDTH, HEIGHT))
+    half = np.repeat([[[20], [220]]], HEIGHT, axis=0).repeat(WIDTH // 2, axis=1)
+    for _ in range(FRAMES):
+        writer.write(np.repeat(half.reshape(HEIGHT, WIDTH, 1), 3, axis=2).astype(np.uint8))
+    writer.release()
+    file = drive / "drive.mp4"
+    content, one = file.read_bytes(), (1 << 16).to_bytes(4, "big")
+    place = content.index(b"tkhd") + 44
+    assert content[place : place + 4] == content[place + 16 : place + 20] == one
+    minus = (-(1 << 16) % 2**32).to_bytes(4, "big")
+    file.write_bytes(content[:place] + minus + content[place + 4 : place + 16] + minus + content[place + 20 :])
+    with pytest.warns(InputWarning, match="shown turned by 180°"):
+        log = read_video(file, drive / "odometry.csv", drive / "camera.yaml")
+    image = log.images[0].load()
+    assert image[:, : WIDTH // 2].mean() < 60 < image[:, WIDTH // 2 :].mean()

@@ -14,6 +14,7 @@ from mapping_worlds import world
 from world_plan import draw_plan, write_plan
 
 from localiser.commands.map.plan import map_of_plan
+from localiser.errors import InputWarning
 from localiser.storage import find_run, read_json, read_map, read_plan, read_world
 from localiser.storage.plans import PlanFile, classify
 
@@ -62,6 +63,18 @@ def test_a_plan_becomes_a_map(tmp_path: Path) -> None:
     made = run("map", "plan", tmp_path / "hall.yaml", "-o", tmp_path / "other.yaml")
     assert "4 landmarks" in made.output
     assert "5.0 m × 6.0 m" in made.output
+
+
+def test_unknown_cells_of_map_saver_are_not_free_whatever_the_threshold(tmp_path: Path) -> None:
+    picture = pillar()
+    picture[18:37, 8:10] = 205  # nothing is known to the left of the pillar, so its left corners have no floor beside
+    expected = corners(plan_file(tmp_path, picture))
+    for fields in ({"free_thresh": 0.25}, {"free_thresh": 0.25, "image": "hall.png"}):
+        with pytest.warns(InputWarning, match="38 pixels of grey 205 are unknown"):
+            assert corners(plan_file(tmp_path, picture, **fields)) == expected
+    with pytest.warns(InputWarning, match="38 pixels of grey 205"):
+        plan = read_plan(plan_file(tmp_path, 255 - picture, negate=1, free_thresh=0.25))
+    assert plan.free.sum() == plan.free.size - 150 - 38
 
 
 def test_every_kind_of_picture(tmp_path: Path) -> None:
