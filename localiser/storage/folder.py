@@ -123,7 +123,7 @@ def _images(path: Path, folder: Path, camera: Camera) -> list[ImageEvent]:
     table = read_table(path, (Column("t_ns", integer), Column("file", text), *MOUNT_COLUMNS), rows_at_least=1)
     table.require_time_order(strictly=True)
     size, mounts = (camera.width, camera.height), mounts_of_table(table, camera.mount)
-    events = []
+    events: list[ImageEvent] = []
     for row, (t_ns, name) in enumerate(zip(table.columns["t_ns"], table.columns["file"], strict=True)):
         try:
             image = inside(folder, name)

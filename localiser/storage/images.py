@@ -96,8 +96,8 @@ def read_image(path: Path, size: tuple[int, int]) -> Image:
 def warn_turned(degrees: int, path: Path) -> None:
     """Tell of pictures that ask to be turned when they are shown: they are taken as they are stored."""
     if degrees:
-        told = f"it says that it is to be shown turned by {degrees}°, and is taken as it is stored; its camera file must be"
-        warn(f"{told} of the stored picture, with the roll that this is", path=path)
+        told = f"it says that it is to be shown turned by {degrees}°, and is taken as it is stored;"
+        warn(f"{told} the camera file must be of that, with its roll", path=path)
 
 
 def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> Image:

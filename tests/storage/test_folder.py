@@ -115,7 +115,10 @@ def keep_header(name: str) -> Callable[[Path], None]:
         (keep_header("images.csv"), "images.csv: expected at least 1 rows after the header, found 0"),
         (keep_header("odometry.csv"), "odometry.csv: expected at least 1 rows"),
         (edit("images.csv", "100000000", "-1"), "images.csv:3: t_ns: expected a time after 0, found -1"),
-        (edit("odometry.csv", "100000000", "20"), "odometry.csv:4: t_ns: expected a time after 50000000, found 20"),
+        (
+            edit("odometry.csv", "100000000", "20"),
+            "odometry.csv:4: t_ns: expected a time not before 50000000, found 20",
+        ),
         (edit("odometry.csv", "-0.1", "nan"), "odometry.csv:3: z: expected a"),
         (remove("images/000001.png"), "images/000001.png: no such image"),
         (edit("camera.yaml", "image_width: 64", "image_width: 65"), "expected an image of 65×48 pixels"),
