@@ -209,6 +209,30 @@ def shared_pages(path: Path) -> Path:
     return file
 
 
+def _mcap(path: Path, kind: int, records: bytes) -> Path:
+    """Make a file with one chunk of these records, packed by zstd. kind: of records that follow it, without an end."""
+    chunk = struct.pack("<QQQII4s", 0, 0, len(records), 0, 4, b"zstd") + struct.pack("<Q", len(zstd.compress(records)))
+    chunk += zstd.compress(records)
+    content = b"\x89MCAP0\r\n" + struct.pack("<BQ", 6, len(chunk)) + chunk + struct.pack("<BQ", kind, 2**63 - 1)
+    path.with_suffix(".mcap").write_bytes(content)
+    return path.with_suffix(".mcap")
+
+
+def records_of_no_kind(path: Path) -> Path:
+    """Make a chunk of 7 million records that mean nothing and have no content."""
+    return _mcap(path, 6, struct.pack("<BQ", 0x7F, 0) * 7_000_000)
+
+
+def schemas_without_end(path: Path) -> Path:
+    schemas = (struct.pack("<BQHIIII", 3, 18, number, 0, 0, 0, 0) for number in range(60_000))
+    return _mcap(path, 3, b"".join(schemas))
+
+
+def chunks_in_chunks(path: Path) -> Path:
+    inner = struct.pack("<QQQIIQ", 0, 0, 0, 0, 0, 0)
+    return _mcap(path, 6, (struct.pack("<BQ", 6, len(inner)) + inner) * 1_000_000)
+
+
 SWELLING: dict[str, Callable[[Path], Path]] = {
     made.__name__: made
     for made in (
@@ -225,5 +249,8 @@ SWELLING: dict[str, Callable[[Path], Path]] = {
         merged_mappings,
         merged_mappings_of_a_topic,
         shared_pages,
+        records_of_no_kind,
+        schemas_without_end,
+        chunks_in_chunks,
     )
 }

@@ -92,9 +92,9 @@ def channel_of(topic: Any, msgtype: Any, encoding: Any) -> Channel:
 class _Bytes:
     """What records are in: a file, or what a chunk unpacks to."""
 
-    def __init__(self, source: BinaryIO | bytes) -> None:
-        self._source = memoryview(source) if isinstance(source, bytes) else source
-        self.size = len(source) if isinstance(source, bytes) else source.seek(0, 2)
+    def __init__(self, source: BinaryIO | memoryview) -> None:
+        self._source = source
+        self.size = len(source) if isinstance(source, memoryview) else source.seek(0, 2)
 
     def read(self, at: int, count: int) -> bytes | memoryview:
         """Return some bytes, fewer where they end. Raises ValueError for too many."""
@@ -120,7 +120,7 @@ class Records:
         self._channels: dict[int, Channel] = {}
         self._types: dict[int, str] = {}
         self._counts: Counter[int] = Counter()
-        self._last = -1, _Bytes(b""), True  # the last chunk, as images that were late are asked for again
+        self._last = -1, _Bytes(memoryview(b"")), True  # the last chunk, as images that were late are asked for again
 
     def topics(self) -> Counter[Channel]:
         """Return the topics with their numbers of messages: by the file's own list, else by reading all of it."""
@@ -149,7 +149,6 @@ class Records:
                     self._last = at, *self._unpacked(part, is_whole)
                 inner = self._walk(self._last[1], 0) if kind == self.CHUNK else [(0, kind, part, True)]
                 for number, (_, what, content, _) in enumerate(inner):
-                    self.allowance.spend(RECORD_BYTES)
                     if what != self.MESSAGE:
                         self._define(what, content)
                     elif (at, number) >= first:
@@ -178,15 +177,16 @@ class Records:
     def _message(self, place: Place, content: Any) -> Packed:
         raise NotImplementedError
 
-    def _content(self, squeeze: str, data: memoryview, is_whole: bool) -> tuple[bytes, bool]:
+    def _content(self, squeeze: str, data: memoryview, is_whole: bool) -> tuple[memoryview, bool]:
         from lz4.frame import LZ4FrameDecompressor
 
         if squeeze in ("", "none"):
-            return bytes(data), is_whole
+            return data, is_whole
         unpackers = {"bz2": BZ2Decompressor, "lz4": LZ4FrameDecompressor, "zstd": zstd().ZstdDecompressor}
         if squeeze not in unpackers:
             raise ValueError(f"expected chunks packed by bz2, lz4 or zstd, found {squeeze!r:.40}")
-        return self.allowance.unpacked(unpackers[squeeze](), data)
+        content, is_whole = self.allowance.unpacked(unpackers[squeeze](), data)
+        return memoryview(content), is_whole
 
     def _name(self, number: int, channel: Channel) -> None:
         if self._channels.setdefault(number, channel) != channel:
@@ -208,6 +208,7 @@ class Mcap(Records):
     def _walk(self, source: _Bytes, at: int) -> Iterator[tuple[int, int, Any, bool]]:
         read = (self.CHUNK, self.MESSAGE, self._SCHEMA, self._CHANNEL, self._STATISTICS)
         while at < source.size:
+            self.allowance.spend(RECORD_BYTES)
             kind, length = unpack_from("<BQ", source.read(at, 9))
             if kind in self._END:
                 return
@@ -262,6 +263,7 @@ class Ros1(Records):
 
     def _walk(self, source: _Bytes, at: int) -> Iterator[tuple[int, int, Any, bool]]:
         while at < source.size:
+            self.allowance.spend(RECORD_BYTES)
             (size,) = unpack_from("<I", source.read(at, 4))
             head = source.read(at + 4, size + 4)
             fields, begin, (length,) = _fields(head[:size]), at + 8 + size, unpack_from("<I", head, size)
