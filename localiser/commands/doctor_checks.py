@@ -331,8 +331,6 @@ def log_checks(log: Log, config: Config) -> Iterator[Finding]:
     elif log.has_images and len(log.odometry) > 1:
         images = log.images
         yield from edge_checks(times, lambda k: images[k].load(), log.odometry, log.camera, config)
-    if log.fault is not None:
-        yield Finding("damage", "warning", str(log.fault))
     truth = "none: errors cannot be told; it is given as a topic of a bag or a file of the folder"
     yield Finding(
         "truth", "optional" if log.groundtruth is None else "ok", truth if log.groundtruth is None else "known"

@@ -88,7 +88,7 @@ def replay(
 
     settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
     how: dict[str, Any] = {"topics": topics_by_role(topics), "camera": camera}
-    recorded, effective = open_with_settings(log, config, settings, up_to_fault=True, **how)
+    recorded, effective = open_with_settings(log, config, settings, **how)
     with working("Getting ready; the first run compiles …"):
         ready = prepare(recorded, effective, start, map_file=map_file)
         ready.localiser.warm_up(images=recorded.has_images)

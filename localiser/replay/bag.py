@@ -14,7 +14,7 @@ from localiser.filter import LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.ros import OUTPUTS, Message, Outgoing
-from localiser.storage import Log
+from localiser.storage import Log, require_new_file
 from localiser.storage.bags import (
     FILE_KINDS,
     TRANSFORMS,
@@ -25,7 +25,6 @@ from localiser.storage.bags import (
     floor_pose,
     log_messages,
     new_bag,
-    require_new,
     write_message,
 )
 
@@ -47,7 +46,7 @@ class ReplayBag:
         """
         if path.suffix not in SUFFIXES:
             raise InputError(f"expected a path that ends in {' or '.join(SUFFIXES)}, found {path}", field="--bag")
-        require_new(path)
+        require_new_file(path)
         check_times(log)
         self._path, self._log, self._by_wheels = path, log, by_wheels
         self._make = Messages()

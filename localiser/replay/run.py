@@ -101,8 +101,6 @@ class Replay(Results):
                 case ImageEvent() if measured is not None:
                     yield self._image(event, measured())
         yield localiser.finish()
-        if self.log.fault is not None:
-            raise self.log.fault
 
     def _measured(self, event: ImageEvent) -> MeasuredImage:
         data = event.encoded()

@@ -38,8 +38,7 @@ class Log:
     named: the landmarks that edges are said to belong to, by id, and where that is first said; without a map of its own
     `landmark_id` of an edge is the number of a landmark here, else in its map.
     restarts: where the robot was said to be later on, or that it was looked for. resumed: the state that a live run
-    went on from, in place of its start, as the content of a checkpoint; empty for any other log. fault: why the log
-    ends where it does, though more was recorded; a replay raises it in the end.
+    went on from, in place of its start, as the content of a checkpoint; empty for any other log.
     """
 
     name: str
@@ -54,7 +53,6 @@ class Log:
     named: Mapping[str, Place] = field(default_factory=dict)
     restarts: Sequence[Start | Anywhere] = ()
     resumed: bytes = b""
-    fault: InputError | None = None
 
     @property
     def start_ns(self) -> int:
@@ -132,14 +130,12 @@ class ReadOptions:
     """What a user may say of a log that is opened.
 
     sensor: stands in for the camera where a log has bearings only. topics: names of a bag's topics by what they are
-    for. camera: a camera file in place of what a bag says of its camera. up_to_fault: whether the recording of a live
-    run that is damaged somewhere is read until there; see `Log.fault`.
+    for. camera: a camera file in place of what a bag says of its camera.
     """
 
     sensor: BearingSensor = field(default_factory=BearingSensor)
     topics: Mapping[str, str] = field(default_factory=dict)
     camera: Path | None = None
-    up_to_fault: bool = False
 
 
 class LogReader(Protocol):

@@ -23,13 +23,11 @@ def open_log(
     sensor: BearingSensor | None = None,
     topics: Mapping[str, str] | None = None,
     camera: Path | None = None,
-    up_to_fault: bool = False,
 ) -> Log:
     """Return the log at `path`, in the format given or else in the first of `FORMATS` that recognises it.
 
     sensor: stands in for the camera where a log has bearings only. topics: names of a bag's topics by what they are
-    for. camera: a camera file in place of what a bag says of its camera. up_to_fault: whether the recording of a live
-    run that is damaged somewhere is read until there; `Log.fault` then says what was found. Raises InputError.
+    for. camera: a camera file in place of what a bag says of its camera. Raises InputError.
     """
     path = Path(path)
     if format is not None and format not in (names := [reader.format for reader in FORMATS]):
@@ -45,7 +43,7 @@ def open_log(
         if given and name not in reader.options:
             option = f"--{name.removesuffix('s')}"
             raise InputError(f"{option} is for ROS bags, found a log of the format {reader.format!r}", path=path)
-    return reader.read(path, ReadOptions(sensor or BearingSensor(), topics or {}, camera, up_to_fault))
+    return reader.read(path, ReadOptions(sensor or BearingSensor(), topics or {}, camera))
 
 
 def _listed(names: list[str]) -> str:

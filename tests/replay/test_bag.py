@@ -100,7 +100,7 @@ def test_the_bag_is_a_log_again(written: tuple[Path, Path]) -> None:
 
 def test_a_bag_that_cannot_be_written_is_told_before_the_run(localiser: Localiser, tmp_path: Path) -> None:
     (tmp_path / "there.mcap").write_text("mine")
-    for name, told in (("there.mcap", "found something there"), ("out.bag", "ends in .mcap or .db3")):
+    for name, told in (("there.mcap", "expected a new file"), ("out.bag", "ends in .mcap or .db3")):
         result = localiser("replay", CORRIDOR, "--out", tmp_path / "results", "--bag", tmp_path / name, "--quiet")
         assert result.exit_code != 0 and told in result.err
     assert not (tmp_path / "results").exists() and (tmp_path / "there.mcap").read_text() == "mine"

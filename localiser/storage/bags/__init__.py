@@ -2,15 +2,20 @@
 
 from localiser.storage.bags.bag import (
     CAMERA_INFO,
+    CAMERA_TOPIC,
     CLOCK,
     COMPRESSED,
+    DECISIONS_TOPIC,
     DIAGNOSTICS,
     IMAGE,
+    LOG_TOPIC,
+    MAP_TOPIC,
     MARKERS,
     ODOMETRY,
     PATH,
     POSE,
     POSES,
+    STATE_TOPIC,
     TEXT,
     TRANSFORMS,
     Bag,
@@ -25,8 +30,7 @@ from localiser.storage.bags.frames import (
     stamp_of,
     start_of_message,
 )
-from localiser.storage.bags.images import grey_image, image_file, stated_size
-from localiser.storage.bags.messages import MAP, ODOM, OPTICAL, Messages, header
+from localiser.storage.bags.messages import MAP, ODOM, OPTICAL, Messages, grey_image, header, image_file, stated_size
 from localiser.storage.bags.read import BagReader
 from localiser.storage.bags.recorded import (
     anywhere_decision,
@@ -36,7 +40,6 @@ from localiser.storage.bags.recorded import (
     odometry_decision,
     start_decision,
 )
-from localiser.storage.bags.topics import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC
 from localiser.storage.bags.write import (
     FILE_KINDS,
     KINDS,
@@ -46,7 +49,6 @@ from localiser.storage.bags.write import (
     check_times,
     log_messages,
     new_bag,
-    require_new,
     write_bag,
     write_message,
 )

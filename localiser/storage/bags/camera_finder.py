@@ -34,7 +34,7 @@ from localiser.storage.bags.frames import (
     rounded_angle,
     stamp_of,
 )
-from localiser.storage.bags.images import stated_size
+from localiser.storage.bags.messages import stated_size
 from localiser.storage.cameras import camera_from_document
 
 _RECTIFIED = {"rect", "rectified", "undistorted"}  # words of names of images with their lens distortion undone
@@ -262,20 +262,6 @@ def _array(info: Any, name: str) -> list[float]:
     values = getattr(info, name, None)
     values = getattr(info, name.upper()) if values is None else values
     return [float(value) for value in values[:100]]
-
-
-def info_fields(camera: Camera) -> dict[str, Any]:
-    """Return what a CameraInfo says of a camera: size, model and matrices, by their names in ROS 2."""
-    matrix = camera.matrix
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "distortion_model": "" if camera.distortion_model == "none" else camera.distortion_model,
-        "d": np.array(camera.distortion, dtype=np.float64),
-        "k": matrix.ravel(),
-        "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        "p": [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0],
-    }
 
 
 # -- an inertial sensor ------------------------------------------------------------------------------------------------

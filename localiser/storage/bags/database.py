@@ -62,13 +62,13 @@ class Database:
         """Close the database."""
         self._database.close()
 
-    def topics(self) -> Counter[Channel]:
-        """Return the topics with their numbers of messages. Raises ValueError."""
-        found: Counter[Channel] = Counter(dict.fromkeys(self._channels.values(), 0))
+    def topics(self) -> Counter[tuple[str, str]]:
+        """Return names and types of the topics with their numbers of messages. Raises ValueError."""
+        found = Counter({channel[:2]: 0 for channel in self._channels.values()})
         with suppress(BrokenOffError):  # is told where the messages are read
             for (number,) in self._rows("SELECT topic_id FROM messages ORDER BY rowid"):
                 self.allowance.spend(RECORD_BYTES)
-                found.update([self._channels[number]] if number in self._channels else [])
+                found.update([self._channels[number][:2]] if number in self._channels else [])
         return found
 
     def messages(self, first: Place = (0, 0)) -> Iterator[Packed]:

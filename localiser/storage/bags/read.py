@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import weakref
 from base64 import b64decode
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,23 +18,29 @@ from localiser.errors import InputError, warn
 from localiser.filter import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage.bags.bag import METADATA_FILE, SUFFIXES, TEXT, Bag, Message, Topic, numbered
-from localiser.storage.bags.camera_finder import CameraFinder
-from localiser.storage.bags.frames import LostPoseError, floor_pose, plain_frame, stamp_of
-from localiser.storage.bags.images import image_file, shows_light
-from localiser.storage.bags.recorded import FORMAT, Decisions, Label, document_of, labelled, with_sigma
-from localiser.storage.bags.topics import (
+from localiser.storage.bags.bag import (
     CAMERA_TOPIC,
     DECISIONS_TOPIC,
     IMAGE_KINDS,
     LOG_TOPIC,
     MAP_TOPIC,
+    METADATA_FILE,
     STATE_TOPIC,
+    SUFFIXES,
+    TEXT,
     TIMES,
+    Bag,
+    Message,
+    Topic,
     choice_text,
     choose,
+    numbered,
     speaks_of_depth,
 )
+from localiser.storage.bags.camera_finder import CameraFinder
+from localiser.storage.bags.frames import LostPoseError, floor_pose, plain_frame, stamp_of
+from localiser.storage.bags.messages import image_file, shows_light
+from localiser.storage.bags.recorded import FORMAT, Decisions, Label, document_of, labelled, with_sigma
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.images import ImageEvent, check_size, check_whole, image_event
@@ -78,32 +84,21 @@ class BagReader:
                 is_recorded=times == "recorded",
                 truth_frame="" if "groundtruth" in roles.values() else plain_frame(asked.get("groundtruth", "")),
             )
-            fault = _taken(content, bag, roles, up_to_fault=is_live and options.up_to_fault)
+            for message in bag.messages(roles):
+                content.take(message)
             if bag.broken:
                 warn(f"cannot be read to its end: {bag.broken}; the log ends there", path=path)
             log = _log(content, image, given)
             if content.label is None:
                 floor = content.finder.floor if given is None else "the floor, by the camera file"
                 warn(f"{choice_text(roles, bag.topics)}; heights above {floor}", path=path)
-        return replace(log, fault=fault)
+        return log
 
 
 def _is_picture(bag: Bag, topic: Topic) -> bool:
     """Whether the first image of a topic shows light; whole numbers of 16 bits do where its name speaks of no depth."""
     first = next(bag.messages([topic]), None)
     return first is None or shows_light(first.content, is_deep=speaks_of_depth(topic.name))
-
-
-def _taken(content: _Content, bag: Bag, topics: Collection[Topic], *, up_to_fault: bool) -> InputError | None:
-    """Take all messages; up_to_fault: or those before the first one that is wrong, which is returned."""
-    try:
-        for message in bag.messages(topics):
-            content.take(message)
-    except InputError as error:
-        if not (up_to_fault and content.decisions.images):
-            raise
-        return error
-    return None
 
 
 def _stated_topics(bag: Bag) -> Mapping[str, str]:

@@ -122,20 +122,20 @@ class Records:
         self._counts: Counter[int] = Counter()
         self._last = -1, _Bytes(memoryview(b"")), True  # the last chunk, as images that were late are asked for again
 
-    def topics(self) -> Counter[Channel]:
-        """Return the topics with their numbers of messages: by the file's own list, else by reading all of it."""
+    def topics(self) -> Counter[tuple[str, str]]:
+        """Return name, type and number of messages of topics: by the file's own list, else by reading all of it."""
         with suppress(BrokenOffError, struct.error, LookupError):
             begin = self._list_at()
             for _, kind, content, _ in self._walk(self._whole, begin) if 0 < begin < self._whole.size else ():
                 self._define(kind, content)
-        found: Counter[Channel] = Counter()
+        found: Counter[tuple[str, str]] = Counter()
         if self._counts:
             for number, channel in self._channels.items():
-                found[channel] += self._counts[number]
+                found[channel[:2]] += self._counts[number]
         else:
             with suppress(BrokenOffError):  # is told where the messages are read
                 for message in self.messages():
-                    found[message.channel] += 1
+                    found[message.channel[:2]] += 1
         return found
 
     def messages(self, first: Place = (0, 0)) -> Iterator[Packed]:

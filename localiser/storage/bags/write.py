@@ -13,11 +13,16 @@ from typing import TYPE_CHECKING, Any
 from localiser.documents import drafted, output_errors, remove
 from localiser.errors import InputError, OutputError
 from localiser.filter import Odometry
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, TEXT, TRANSFORMS, typestore
+from localiser.storage.bags.bag import (
+    IMU_TOPIC,
+    LOG_TOPIC,
+    MAP_TOPIC,
+    typestore,
+)
 from localiser.storage.bags.database import BESIDE, beside
 from localiser.storage.bags.messages import MAP, ODOM, Messages
 from localiser.storage.bags.recorded import label_text
-from localiser.storage.bags.topics import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
+from localiser.storage.files import require_new_file
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log, require_odometry
 from localiser.storage.maps import map_text
@@ -31,15 +36,6 @@ FILE_KINDS = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 
 _MOVING, _MOUNT, _INFO, _IMAGE = "/tf", "/tf_static", "/camera/camera_info", "/camera/image_raw/compressed"
 WHEELS_TOPIC, _TRUTH = "/odom", "/ground_truth/odom"
-_TYPES = {
-    _MOVING: TRANSFORMS,
-    IMU_TOPIC: IMU,
-    _MOUNT: TRANSFORMS,
-    _INFO: CAMERA_INFO,
-    _IMAGE: COMPRESSED,
-    WHEELS_TOPIC: ODOMETRY,
-    _TRUTH: ODOMETRY,
-}
 _LATCHED = (_MOUNT, LOG_TOPIC, MAP_TOPIC)
 _LAST_NS = (2**31 - 1) * 10**9  # a stamp's seconds have 32 bits
 
@@ -71,7 +67,7 @@ def new_bag(path: Path, kind: str) -> Iterator[NewBag]:
     """
     from rosbags import rosbag1, rosbag2
 
-    require_new(path)
+    require_new_file(path)
     with drafted(path, is_new=True) as draft:
         folder = draft.with_suffix(".bag.part")
         try:
@@ -88,12 +84,6 @@ def new_bag(path: Path, kind: str) -> Iterator[NewBag]:
             raise OutputError(f"{path}: cannot be written: {error}") from None
         finally:
             remove(folder)
-
-
-def require_new(path: Path) -> None:
-    """Raise OutputError when there is something at a path."""
-    if path.exists():
-        raise OutputError(f"{path}: expected a path where nothing is, found something there")
 
 
 def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = lambda: None) -> None:
@@ -117,7 +107,7 @@ def write_bag(path: Path, log: Log, kind: str, progress: Callable[[], None] = la
 
 def write_message(bag: NewBag, topic: str, t_ns: int, message: Any) -> None:
     """Write one of `log_messages`."""
-    bag.write(topic, _TYPES.get(topic, TEXT), t_ns, bag.make.encode(message), latched=topic in _LATCHED)
+    bag.write(topic, message.__msgtype__, t_ns, bag.make.encode(message), latched=topic in _LATCHED)
 
 
 def check_times(log: Log) -> None:

@@ -479,7 +479,7 @@ def peak_bytes(path: Path, kind: str, count: int) -> int:
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     log = open_log(write_small_log(tmp_path / "log"))
     (tmp_path / "x.bag").write_bytes(b"mine")
-    with pytest.raises(OutputError, match="found something there"):
+    with pytest.raises(OutputError, match="expected a new file, found one"):
         write_bag(tmp_path / "x.bag", log, "ros1")
     assert (tmp_path / "x.bag").read_bytes() == b"mine"
 
