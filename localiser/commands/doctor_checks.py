@@ -35,11 +35,9 @@ from localiser.live import (
 )
 from localiser.storage import Image, Log, check_whole, decoded
 from localiser.storage.bags import (
-    CAMERA_INFO,
     COMPRESSED,
     IMAGE,
     ODOMETRY,
-    POSE,
     Bag,
     BagReader,
     CameraFinder,
@@ -58,7 +56,7 @@ MOST_KEPT = 400
 MOST_IMAGES, MOST_PAIRS = 60, 30  # of a log, whose edges are found
 CLOCK_S = 0.2
 GAP_S, GAP_INTERVALS = 1.0, 5.0  # what is longer than both is a gap, in seconds and in usual intervals
-_STAMPED = (IMAGE, COMPRESSED, CAMERA_INFO, ODOMETRY, POSE)
+_STAMPED = (IMAGE, COMPRESSED, ODOMETRY)  # of which rates, gaps and clocks are told
 _SOURCE = Path("image")
 
 
@@ -190,7 +188,7 @@ def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
 def camera_finding(camera: Camera) -> Finding:
     """Return what is known of a camera."""
     mount = camera.mount
-    tilt, roll = np.rad2deg([mount.tilt_rad, mount.roll_rad])
+    tilt, roll = np.rad2deg([mount.tilt_rad, mount.roll_rad]).round(1) + 0.0
     text = f"{camera.width}×{camera.height} pixels, {mount.height_m:.2f} m high, tilt {tilt:.1f}°, roll {roll:.1f}°"
     return Finding("camera", "ok", text)
 
@@ -226,7 +224,7 @@ def edge_checks(
     yield Finding("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
     poses = track.sampled([times[k] for k in chosen]).poses
     check = check_mount(frames, poses, camera, config.edges.mount_sigma_rad)
-    stated, found, sigma = (np.rad2deg(values) for values in (check.stated, check.mount, check.sigma))
+    stated, found, sigma = (np.rad2deg(values).round(2) + 0.0 for values in (check.stated, check.mount, check.sigma))
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"
         yield Finding(name, "warning" if check.disagrees else "ok", text)
