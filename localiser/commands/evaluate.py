@@ -31,17 +31,16 @@ def evaluate(
 ) -> None:
     """Show what runs know of themselves and, where the truth is known, their errors.
 
-    Of runs that differ by their seed alone, median and worst too; identical runs count once.
+    Of runs that differ by their seed alone, median and worst too; the same run counts once.
     """
-    from localiser.evaluate import flat_figures, run_tables, without_twins
+    from localiser.evaluate import flat_figures, run_tables
     from localiser.replay import evaluate_run
     from localiser.storage import csv_text, json_text
 
     if as_json and as_csv:
         raise InputError("expected --json or --csv, found both", field="--csv")
-    figures, twins = without_twins(
-        {name: evaluate_run(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
-    )
+    runs = list({run.resolve(): run for run in reversed(runs)}.values())[::-1]  # `latest` is one of the others
+    figures = {name: evaluate_run(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
     if as_json:
         typer.echo(json_text(figures), nl=False)
     elif as_csv:
@@ -49,8 +48,6 @@ def evaluate(
     else:
         for part in run_tables(figures):
             show(part)
-    for name, twin in twins.items():
-        typer.secho(f"{name} is identical to {twin} and is counted once.", fg="yellow", err=True)
     for name, found in figures.items():
         if found.get("complete") is False:
             typer.secho(

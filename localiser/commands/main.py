@@ -18,11 +18,10 @@ from typer.core import TyperArgument, TyperOption
 from localiser import __version__
 from localiser.commands import batch, convert, demo, doctor, edges, evaluate, replay, simulate, view
 from localiser.commands.camera import camera_app
-from localiser.commands.config import config_app
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
-from localiser.commands.options import be_quiet
+from localiser.commands.options import ConfigFile, Overrides, be_quiet
 from localiser.commands.pose import pose_app
 from localiser.errors import InputError, InputWarning, LocaliserError, is_lack_of_memory, one_paragraph, reason_of
 
@@ -49,6 +48,7 @@ TyperArgument.display_type_rich = lambda self, ctx: None  # type: ignore[method-
 TyperOption.display_type_rich = lambda self, ctx: None if self.is_flag else _option_type(self, ctx)  # type: ignore[method-assign]
 """In --help a flag takes no value to name the type of, and an argument's name says what it is."""
 
+config_app = typer.Typer(no_args_is_help=True, help="Show what can be set.")
 app.add_typer(config_app, name="config")
 app.add_typer(camera_app, name="camera")
 app.add_typer(map_app, name="map")
@@ -84,6 +84,14 @@ app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=convert.EPILOG)(convert.convert)
 app.command(epilog=doctor.EPILOG)(doctor.doctor)
 app.command(epilog=edges.EPILOG)(edges.edges)
+
+
+@config_app.command("show", epilog="Example: `localiser config show --config mine.yaml --set mcl.particles=500`")
+def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
+    """Print the configuration in force as YAML, with the meaning, unit and range of every value."""
+    from localiser.config import read_config, to_yaml
+
+    typer.echo(to_yaml(read_config(config, overrides or [])), nl=False)
 
 
 _NETWORK = ("live", "live demo", "doctor", "simulate", "pose")

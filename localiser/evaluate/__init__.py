@@ -3,14 +3,16 @@
 from localiser.evaluate.accuracy import (
     Errors,
     Track,
+    bearing_information,
     errors_against,
     found_images,
     fraction_inside,
     nees,
     nees_band,
+    posterior_bound,
     residual_sums,
+    rms_position,
 )
-from localiser.evaluate.bound import bearing_information, posterior_bound, rms_position
 from localiser.evaluate.metrics import ABOUT, DECIMALS, bias_figures, fit_wheels, metrics, timing_metrics
 from localiser.evaluate.page import WorstMoments, report_page
 from localiser.evaluate.report import picture_style, save_figure, write_report
@@ -24,5 +26,4 @@ from localiser.evaluate.tables import (
     learnt_constants,
     new_table,
     run_tables,
-    without_twins,
 )

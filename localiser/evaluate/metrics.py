@@ -1,8 +1,6 @@
 """The figures of one run as a plain dictionary: the content of `metrics.json`.
 
-In addition to the errors of all images there are three groups: `seen_2s`, images with an edge at most 2 s ago;
-`after_pause_10s`, images within 10 s after a pause of more than 3 s without edges; `steady`, those of the first group
-that are not in the second. `pauses` lists each pause. `own_figures` has those that need no truth. Unknown figures are
+`pauses` lists each time of more than 3 s without edges. `own_figures` has those that need no truth. Unknown figures are
 null. Figures are of the images since the robot was found, with an ordinary pose (`LocatedFrame.is_found`);
 `confidence.not_found` is the share of the others, which are left out. A stated start counts as found.
 """
@@ -17,20 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_inside, residual_figures
-from localiser.evaluate.bound import rms_position
+from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_inside, residual_figures, rms_position
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
 from localiser.geometry import Array, Trajectory, between
 from localiser.particles import POSE, Estimate
 
 # -- pauses without a sighting ----------------------------------------------------------------------------------------
 
-# What makes a pause, and how long after it frames are judged apart (the data sets' own convention).
 PAUSE_LONGER_THAN_S = 3.0
-AFTER_PAUSE_S = 10.0
-SEEN_WITHIN_S = 2.0
-# Half the width of a doorway: closer than this a robot knows which side of a door frame it is on.
-RECOVERED_WITHIN_M = 0.45
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,31 +46,6 @@ def find_pauses(t_ns: NDArray[np.int64], sighted: NDArray[np.bool_]) -> tuple[Pa
     times = np.concatenate([t_ns[:1], t_ns[sighted]])
     long = np.flatnonzero(np.diff(times) > PAUSE_LONGER_THAN_S * 1e9)
     return tuple(Pause(int(times[i]), int(times[i + 1])) for i in long)
-
-
-def seen_recently(t_ns: NDArray[np.int64], sighted: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether (T,) edges were seen at most `SEEN_WITHIN_S` ago at each image."""
-    last = np.maximum.accumulate(np.where(sighted, np.arange(len(t_ns)), -1))
-    return np.asarray((last >= 0) & (t_ns - t_ns[last] <= SEEN_WITHIN_S * 1e9))
-
-
-def after_pauses(t_ns: NDArray[np.int64], pauses: tuple[Pause, ...]) -> NDArray[np.bool_]:
-    """Return whether (T,) a pause ended at most `AFTER_PAUSE_S` ago at each image."""
-    result = np.zeros(len(t_ns), dtype=bool)
-    for pause in pauses:
-        result |= (t_ns >= pause.end_ns) & (t_ns - pause.end_ns <= AFTER_PAUSE_S * 1e9)
-    return result
-
-
-def recovery_s(t_ns: NDArray[np.int64], position_m: Array, pause: Pause, until_ns: int | None = None) -> float:
-    """Return the time from the end of a pause until the position is right within `RECOVERED_WITHIN_M`.
-
-    nan when it is not before `until_ns` (the next pause), or the end.
-    """
-    back = (t_ns >= pause.end_ns) & (position_m <= RECOVERED_WITHIN_M)
-    if until_ns is not None:
-        back &= t_ns <= until_ns
-    return float((t_ns[back][0] - pause.end_ns) / 1e9) if back.any() else float("nan")
 
 
 # -- what a run knows of itself ---------------------------------------------------------------------------------------
@@ -223,7 +190,10 @@ def metrics(
         "edges_per_frame": _figure(mean(track.edges)),
         **own_figures(track, distance_scale),
         "confidence": _confidence(track, errors, reasons),
-        **_by_sightings(track, errors, track.sighted if sighted is None else sighted),
+        "pauses": [
+            {"start_s": _figure((pause.start_ns - track.t_ns[0]) / 1e9), "duration_s": _figure(pause.duration_s)}
+            for pause in find_pauses(track.t_ns, track.sighted if sighted is None else sighted)
+        ],
     }
 
 
@@ -301,38 +271,6 @@ def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> 
         "found_s": _figure(track.seconds[found]) if told and found is not None else None,
         "not_found": _figure(1.0 - track.found.mean()) if told else None,
         "reasons": {reason: int(count) for reason, count in sorted(Counter(reasons).items()) if reason},
-    }
-
-
-def _by_sightings(track: Track, errors: Errors | None, sighted: NDArray[np.bool_]) -> dict[str, Any]:
-    pauses = find_pauses(track.t_ns, sighted)
-    seen, after = seen_recently(track.t_ns, sighted), after_pauses(track.t_ns, pauses)
-    groups = {"seen_2s": seen, "after_pause_10s": after, "steady": seen & ~after}
-    ends_ns = [*(pause.start_ns for pause in pauses[1:]), None]
-    return {
-        **{name: _group(errors, chosen) for name, chosen in groups.items()},
-        "pauses": [_pause(track, errors, *pause) for pause in zip(pauses, ends_ns, strict=False)],
-    }
-
-
-def _group(errors: Errors | None, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-    position = errors.position_m[chosen] if errors else np.zeros(0)
-    return {
-        "frames": int(chosen.sum()),
-        "position_rmse_m": _figure(rms(position)),
-        "position_median_m": _figure(quantile(position, 0.5)),
-        "nees_mean": _figure(mean(errors.nees[chosen])) if errors else None,
-    }
-
-
-def _pause(track: Track, errors: Errors | None, pause: Pause, until_ns: int | None) -> dict[str, Any]:
-    position = errors.position_m[after_pauses(track.t_ns, (pause,))] if errors else np.zeros(0)
-    return {
-        "start_s": _figure((pause.start_ns - track.t_ns[0]) / 1e9),
-        "duration_s": _figure(pause.duration_s),
-        "position_end_m": _figure(position[0]) if len(position) else None,
-        "position_rmse_after_m": _figure(rms(position)),
-        "recovery_s": _figure(recovery_s(track.t_ns, errors.position_m, pause, until_ns)) if errors else None,
     }
 
 

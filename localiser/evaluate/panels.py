@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.evaluate.accuracy import Errors, Track, consistency, consistency_band, dead_reckoning
-from localiser.evaluate.bound import position_bound
+from localiser.evaluate.accuracy import Errors, Track, consistency, consistency_band, dead_reckoning, position_bound
 from localiser.evaluate.metrics import find_pauses
 from localiser.filter import SURE
 from localiser.geometry import Array, Trajectory, forward

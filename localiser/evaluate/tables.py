@@ -5,7 +5,6 @@ No word is broken. The tables of runs tell what runs know of themselves, and the
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -84,23 +83,6 @@ def learnt_constants(figures: Mapping[str, Any]) -> list[str]:
             found, sigma = figures[f"{name}_found_deg"], figures[f"{name}_found_sigma_deg"]
             texts.append(f"{name} {found:.3f} ± {sigma:.3f}°")
     return texts
-
-
-# -- identical runs ---------------------------------------------------------------------------------------------------
-
-
-def without_twins(runs: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Mapping[str, Any]], dict[str, str]]:
-    """Return the runs that differ, each by the first of its names, and for each other name the run it is identical to.
-
-    Two runs are identical where all their figures are, but for what a frame took. Seeds are among the figures.
-    """
-    first: dict[str, str] = {}
-    twins: dict[str, str] = {}
-    for name, figures in runs.items():
-        content = json.dumps({key: figures[key] for key in figures if not is_time(key)}, sort_keys=True)
-        if first.setdefault(content, name) != name:
-            twins[name] = first[content]
-    return {name: runs[name] for name in first.values()}, twins
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

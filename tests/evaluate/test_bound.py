@@ -12,7 +12,7 @@ from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import CommonError, Edges
 from localiser.evaluate import bearing_information, posterior_bound, rms_position
-from localiser.evaluate.bound import information, position_bound
+from localiser.evaluate.accuracy import information, position_bound
 from localiser.geometry import Array, Increment
 from localiser.landmarks import bearing_jacobian
 from localiser.motion import MotionParameters, linearised
