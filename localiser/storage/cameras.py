@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount, RollingShutter
 from localiser.documents import (
@@ -14,6 +14,8 @@ from localiser.documents import (
     dump,
     is_name,
     load,
+    parse,
+    read_text,
     shown,
     validate,
     write_text,
@@ -72,7 +74,10 @@ class CameraFile(BaseModel):
     camera_matrix: MatrixFile
     mount: MountFile
     camera_name: Annotated[str, is_name] = ""
-    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant", "none"] = "none"
+    distortion_model: Annotated[
+        Literal["plumb_bob", "rational_polynomial", "equidistant", "none"],
+        BeforeValidator(lambda name: "equidistant" if name == "fisheye" else name),
+    ] = "none"
     distortion_coefficients: MatrixFile | None = None
     rectification_matrix: MatrixFile | None = None
     projection_matrix: MatrixFile | None = None
@@ -80,9 +85,73 @@ class CameraFile(BaseModel):
 
 
 def read_camera(path: Path | str) -> Camera:
-    """Return the camera that a file describes. Raises InputError."""
+    """Return the camera that a file describes, by the keys of ROS or as other programs write it. Raises InputError.
+
+    OpenCV, Kalibr (cam0 of a camchain) and ORB-SLAM know no mount; a key `mount` is added to their files.
+    """
     refuse_other(Path(path), CAMERA)
-    return camera_from_document(load(Path(path)))
+    text = read_text(Path(path))
+    if text.startswith("%YAML"):  # OpenCV's is no YAML by its first line and its tag
+        text = "#" + text.replace("!!opencv-matrix", "")
+    document = parse(text, str(path))
+    value = document.value
+    if not isinstance(value, dict) or (found := _of_other_program(document, value)) is None:
+        return camera_from_document(document)
+    name, data = found
+    if "mount" not in value:
+        problem = f"expected a mount, found none in a camera file of {name}: add the line"
+        raise document.error(("mount",), f"{problem} `mount: {{tilt_deg: 20, height_m: 0.9}}`, with what you measure")
+    return camera_from_document(Document(data | {"mount": value["mount"]}, document.places))
+
+
+def _of_other_program(document: Document, value: dict[str, Any]) -> tuple[str, dict[str, Any]] | None:
+    """Return the program that wrote a camera file, and its camera by the keys of ROS; None for a file of ours."""
+    if isinstance(matrix := value.get("camera_matrix", value.get("Camera_Matrix")), dict) and "dt" in matrix:
+        found = value.get("distortion_coefficients", value.get("Distortion_Coefficients"))
+        bent = found.get("data") if isinstance(found, dict) else []
+        size = [value.get(f"image_{side}", value.get(f"image_{side.title()}")) for side in ("width", "height")]
+        model = "equidistant" if value.get("fisheye_model") else _model_of(bent)
+        return "OpenCV", _ros_keys(size, matrix.get("data"), model, bent)
+    if isinstance(camera := value.get("cam0"), dict):
+        if camera.get("camera_model") != "pinhole":
+            problem = f"expected pinhole, found {shown(camera.get('camera_model'))}"
+            raise document.error(("cam0", "camera_model"), problem)
+        lens = camera.get("distortion_model")
+        known = {"radtan": "plumb_bob", "equi": "equidistant"}.get(str(lens), lens)
+        data = _matrix_data(camera.get("intrinsics"))
+        return "Kalibr", _ros_keys(camera.get("resolution"), data, known, camera.get("distortion_coeffs"))
+    prefix = next((prefix for prefix in ("Camera1.", "Camera.") if f"{prefix}fx" in value), None)
+    if prefix is None:
+        return None
+    fisheye = str(value.get("Camera.type")).startswith("Kannala")
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    data = _matrix_data([value.get(f"{prefix}{name}") for name in ("fx", "fy", "cx", "cy")])
+    bent = [value.get(f"{prefix}{name}", 0.0) for name in names]
+    size = [value.get(f"Camera.{side}") for side in ("width", "height")]
+    return "ORB-SLAM", _ros_keys(size, data, "equidistant" if fisheye else "plumb_bob", bent)
+
+
+def _matrix_data(intrinsics: Any) -> list[Any]:
+    """Return the nine numbers of a camera matrix; None where one is missing."""
+    given = intrinsics if isinstance(intrinsics, list) else []
+    fx, fy, cx, cy = [*given, None, None, None, None][:4]
+    return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+
+
+def _model_of(coefficients: Any) -> str:
+    return "rational_polynomial" if isinstance(coefficients, list) and len(coefficients) > 5 else "plumb_bob"
+
+
+def _ros_keys(size: Any, matrix: Any, model: Any, coefficients: Any) -> dict[str, Any]:
+    width, height = [*(size if isinstance(size, list) else []), None, None][:2]
+    count = len(coefficients) if isinstance(coefficients, list) else 0
+    return {
+        "image_width": width,
+        "image_height": height,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
+        "distortion_model": model,
+        "distortion_coefficients": {"rows": 1, "cols": count, "data": coefficients},
+    }
 
 
 def camera_from_document(document: Document) -> Camera:
@@ -149,6 +218,10 @@ def _distortion(document: Document, file: CameraFile) -> tuple[float, ...]:
     key = ("distortion_coefficients", "data")
     found = file.distortion_coefficients.data if file.distortion_coefficients else []
     counts = DISTORTION_COUNTS[file.distortion_model]
+    if file.distortion_model == "rational_polynomial" and len(found) in (4, 5):
+        found = [*found, *[0.0] * (8 - len(found))]
+    if file.distortion_model != "equidistant" and not any(found[counts[-1] :]):
+        found = found[: counts[-1]]
     if len(found) not in counts:
         wanted = " or ".join(str(count) for count in counts)
         raise document.error(key, f"expected {wanted} numbers for {file.distortion_model}, found {len(found)}")

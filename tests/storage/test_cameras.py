@@ -126,3 +126,95 @@ def test_a_shutter_that_cannot_be_is_refused(stated: dict[str, float], field: st
     with pytest.raises(InputError, match=found) as refused:
         camera_from_document(parse(dump(camera_data(CAMERA) | {"rolling_shutter": stated}), "f"))
     assert refused.value.field == field
+
+
+# -- what other programs write ----------------------------------------------------------------------------------------
+
+OPENCV = """%YAML:1.0
+---
+nframes: 20
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 500., 0., 319., 0., 501., 239., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -0.25, 0.1, 0.001, 0., 0. ]
+"""
+KALIBR = """cam0:
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.25, 0.1, 0.001, 0.0]
+  distortion_model: radtan
+  intrinsics: [500.0, 501.0, 319.0, 239.0]
+  resolution: [640, 480]
+cam1: {camera_model: omni}
+"""
+ORB = """%YAML:1.0
+
+Camera.type: "PinHole"
+{0}.fx: 500.0
+{0}.fy: 501.0
+{0}.cx: 319.0
+{0}.cy: 239.0
+{0}.k1: -0.25
+{0}.k2: 0.1
+{0}.p1: 0.001
+Camera.width: 640
+Camera.height: 480
+ORBextractor.nFeatures: 1000
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "text"),
+    [
+        ("OpenCV", OPENCV),
+        ("Kalibr", KALIBR),
+        ("ORB-SLAM", ORB.format("Camera")),
+        ("ORB-SLAM", ORB.format("Camera1")),
+    ],
+)
+def test_camera_files_of_other_programs(tmp_path: Path, program: str, text: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=rf"mount: expected a mount, found none in a camera file of {program}"):
+        read_camera(path)
+    path.write_text(text + "mount: {tilt_deg: 20, height_m: 0.9}\n")
+    camera = read_camera(path)
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (640, 480, 500, 501, 319, 239)
+    assert (camera.distortion_model, camera.distortion[:4]) == ("plumb_bob", (-0.25, 0.1, 0.001, 0))
+    assert not any(camera.distortion[4:]) and camera.mount.height_m == 0.9
+
+
+def test_fisheye_lenses_of_other_programs(tmp_path: Path) -> None:
+    mount = "mount: {tilt_deg: 20, height_m: 0.9}\n"
+    orb = ORB.format("Camera").replace("PinHole", "KannalaBrandt8").replace("p1", "k3")
+    opencv = OPENCV.replace("nframes: 20", "fisheye_model: 1").replace("0.001, 0., 0.", "0.001, 0.")
+    for text in (orb, opencv, KALIBR.replace("radtan", "equidistant")):
+        (tmp_path / "c.yaml").write_text(text + mount)
+        camera = read_camera(tmp_path / "c.yaml")
+        assert (camera.distortion_model, camera.distortion) == ("equidistant", (-0.25, 0.1, 0.001, 0))
+    (tmp_path / "c.yaml").write_text(KALIBR.replace("pinhole", "omni") + mount)
+    with pytest.raises(InputError, match=r"cam0\.camera_model: expected pinhole, found 'omni'"):
+        read_camera(tmp_path / "c.yaml")
+
+
+@pytest.mark.parametrize(
+    ("model", "data", "expected"),
+    [
+        ("plumb_bob", [0.1, 0.2, 0, 0, 0.3, 0, 0, 0], ("plumb_bob", (0.1, 0.2, 0, 0, 0.3))),
+        ("rational_polynomial", [0.1, 0.2, 0, 0, 0.3], ("rational_polynomial", (0.1, 0.2, 0, 0, 0.3, 0, 0, 0))),
+        ("fisheye", [0.1, 0.2, 0, 0], ("equidistant", (0.1, 0.2, 0, 0))),
+        ("none", [0, 0, 0, 0, 0], ("none", ())),
+    ],
+)
+def test_coefficients_as_drivers_write_them(model: str, data: list[float], expected: tuple[str, object]) -> None:
+    written = {"distortion_model": model, "distortion_coefficients": {"rows": 1, "cols": len(data), "data": data}}
+    camera = camera_from_document(parse(dump(camera_data(CAMERA) | written), "f"))
+    assert (camera.distortion_model, camera.distortion) == expected
