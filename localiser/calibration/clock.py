@@ -133,7 +133,7 @@ def clock_offset(
     stamps = np.asarray(t_ns, dtype=np.int64)
     pairs = telling_pairs(stamps, odometry, most)
     if len(pairs) < _FEWEST_PAIRS:
-        return _nothing_told(0.0, len(pairs))
+        return _unknown_offset(0.0, len(pairs))
     times = stamps[pairs]
     turns = _turns_of(pairs, times, edges_of, odometry, camera, progress)
     return offset_of_turns(times, turns, odometry)
@@ -172,7 +172,7 @@ def offset_of_turns(times: NDArray[np.int64], turns: Array, odometry: Trajectory
     turn, sigma = np.abs(pairs.turns).T
     turned_rad = float(turn[turn > np.maximum(_CLEAR * sigma, _CLEAR_RAD)].sum())
     if count < _FEWEST_PAIRS or turned_rad < _LEAST_TURNED_RAD:
-        return _nothing_told(turned_rad, count)
+        return _unknown_offset(turned_rad, count)
     offset_s, sigma_s = pairs.offset()
     part = np.arange(count) * _PARTS // count
     without = np.array([pairs.take(part != one).offset()[0] for one in range(_PARTS)])
@@ -180,7 +180,7 @@ def offset_of_turns(times: NDArray[np.int64], turns: Array, odometry: Trajectory
     return ClockOffset(offset_s, max(sigma_s, _LEAST_SIGMA_S), turned_rad, count)
 
 
-def _nothing_told(turned_rad: float, pairs: int) -> ClockOffset:
+def _unknown_offset(turned_rad: float, pairs: int) -> ClockOffset:
     """Return an offset that is anywhere within the reach."""
     return ClockOffset(0.0, float(REACH_S / np.sqrt(3.0)), turned_rad, pairs)
 

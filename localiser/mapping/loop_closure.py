@@ -59,16 +59,16 @@ def _grow(seed: int, difference: Array, cov: Array, noise_m: float) -> Mask:
     """
     count = len(difference)
     chosen, fits = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
-    mean, told, noise = difference.ravel().copy(), np.zeros((2 * count, 2 * count)), noise_m**2 * np.eye(2)
+    mean, factors, noise = difference.ravel().copy(), np.zeros((2 * count, 2 * count)), noise_m**2 * np.eye(2)
     own_cov = cov.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)] + noise
     pair = seed
     for taken in range(0, 2 * count, 2):
         own = slice(2 * pair, 2 * pair + 2)
-        with_all = cov[:, own] - told[:, :taken] @ told[own, :taken].T
+        with_all = cov[:, own] - factors[:, :taken] @ factors[own, :taken].T
         whitening = np.linalg.inv(np.linalg.cholesky(with_all[own] + noise)).T
         factor = with_all @ whitening
         mean -= factor @ (whitening.T @ mean[own])
-        told[:, taken : taken + 2] = factor
+        factors[:, taken : taken + 2] = factor
         of_pair = factor.reshape(count, 2, 2)
         own_cov -= of_pair @ of_pair.transpose(0, 2, 1)
         chosen[pair] = True
@@ -98,7 +98,7 @@ _KNOWN_SIGMA_M = 0.01  # as well as this, it tells them whatever others say
 _OUTVOTED = 0.5  # mean weight below which a track does not fit its landmark
 _MOST_PAIRS = 300  # of one place, that are compared with each other
 _PLACE_M = 4.0  # side of a place that is not divided further
-_AMBIGUOUS = 2.0  # a alternative this little worse (log-likelihood) forbids a choice
+_AMBIGUOUS = 2.0  # log-likelihood by which a pair must beat every other pair of its landmarks
 
 
 class Places(Protocol):

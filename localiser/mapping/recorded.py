@@ -91,7 +91,7 @@ def known_poses(log: RecordedLog, poses: str) -> Trajectory:
     """
     if poses == TRUTH:
         if log.groundtruth is None:
-            problem = f"the log has no true poses; expected --poses {SLAM}, {ODOMETRY} or a trajectory"
+            problem = "the log has no true poses; expected another --poses, such as the trajectory of a replay"
             raise InputError(problem, path=log.path, field="groundtruth")
         return log.groundtruth
     if poses != ODOMETRY:
@@ -170,12 +170,12 @@ def start_on_map(landmark_map: LandmarkMap, log: RecordedLog) -> Array | None:
 
     It is the same drive when its images begin and end at the same times, and its wheels drove as far.
     """
-    told = landmark_map.header.get(DRIVE)
-    if told is None or (told["first_image_ns"], told["last_image_ns"]) != (log.frames[0].t_ns, log.frames[-1].t_ns):
+    drive = landmark_map.header.get(DRIVE)
+    if drive is None or (drive["first_image_ns"], drive["last_image_ns"]) != (log.frames[0].t_ns, log.frames[-1].t_ns):
         return None
-    if abs(told["odometry_m"] - _driven_m(log)) > _SAME_M:
+    if abs(drive["odometry_m"] - _driven_m(log)) > _SAME_M:
         return None
-    start = told["start"]
+    start = drive["start"]
     return np.array([start["x"], start["z"], np.deg2rad(start["heading_deg"])])
 
 

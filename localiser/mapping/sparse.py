@@ -41,9 +41,9 @@ class Block:
         """Return the derivatives (K, V), sparse, by all V variables; those that are 0 are left out."""
         from scipy.sparse import csr_array
 
-        told = (self.column >= 0) & (self.value != 0)
-        begin = np.concatenate([[0], np.cumsum(told.sum(axis=1))])
-        return csr_array((self.value[told], self.column[told], begin), shape=(len(self.residual), size))
+        free = (self.column >= 0) & (self.value != 0)
+        begin = np.concatenate([[0], np.cumsum(free.sum(axis=1))])
+        return csr_array((self.value[free], self.column[free], begin), shape=(len(self.residual), size))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +206,7 @@ def substitute(
 
     begin (V + 1,), row, value: columns of L, strictly below the diagonal, rows in order. right_begin (G + 1,),
     right_row, right_column (in the group), right_value: the values of R. offset (G + 1,): where the rows of each group
-    begin, see `count_reached`. mark (V,) of -1, work (V, TOGETHER) of 0: as they are lent they are not given back.
+    begin, see `count_reached`. mark (V,) of -1 and work (V, TOGETHER) of 0 are scratch, of which mark is left changed.
     Columns of a group share what is read of L, so they should reach nearly the same rows.
     """
     own = np.empty(TOGETHER)
