@@ -17,9 +17,10 @@ from localiser.commands.options import ConfigFile, Overrides, with_options
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from localiser.filter import Start
-    from localiser.live import LiveOptions
+    from localiser.live import LiveOptions, LiveRun
     from localiser.storage import Log
 
 live_app = typer.Typer(
@@ -216,7 +217,7 @@ def _run(options: LiveOptions) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from localiser.live import end_table, open_run, status_line
+    from localiser.live import open_run, status_line
     from localiser.replay import asked_to_stop
 
     console, drawn = Console(stderr=True, markup=False), 0.0
@@ -245,3 +246,23 @@ def say(console: Console, text: str, level: str) -> None:
     from localiser.errors import one_paragraph
 
     console.print(Text(one_paragraph(text), style="yellow" if level == "WARNING" else ""), soft_wrap=True)
+
+
+def end_table(run: LiveRun) -> Table:
+    """Return what a run came to: its figures, what was wrong how often, and what was left out."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    monitor, timeline = run.outputs.monitor, run.tracker.timeline
+    left_out = {**timeline.skipped, **{f"{role} dropped": count for role, count in run.inbox.dropped.items()}}
+    if timeline.late_odometry:
+        left_out["odometry"] = timeline.late_odometry
+    rows = monitor.rows()
+    for title, counts in (("warning", monitor.wrong), ("left out", left_out)):
+        rows |= {f"{title}: {kind}": str(count) for kind, count in counts.items()}
+    table = Table(title="Live run", title_justify="left", box=SIMPLE_HEAD, show_header=False, pad_edge=False)
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for label, text in rows.items():
+        table.add_row(label, text)
+    return table

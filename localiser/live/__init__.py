@@ -10,7 +10,8 @@ from localiser.live.inbox import (
     topic_for,
     type_of,
 )
-from localiser.live.monitor import end_table, status_line
+from localiser.live.monitor import status_line
 from localiser.live.prepare import LiveOptions, open_run
+from localiser.live.run import LiveRun
 from localiser.live.stand_in import Passage, StandIn
 from localiser.live.transport import ENDPOINT, Topic, Transport, network_of, open_transport, prefix_of

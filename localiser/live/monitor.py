@@ -1,4 +1,4 @@
-"""What a user is told of a live run: messages, a line while it runs, a table at its end."""
+"""What a user is told of a live run: messages, a line while it runs, figures for a table at its end."""
 
 from __future__ import annotations
 
@@ -6,18 +6,12 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from localiser.edges import light_of
 from localiser.filter import SURE, LocatedFrame
 from localiser.geometry import Array, between
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from localiser.live.run import LiveRun
 
 AGAIN_S = 10.0
 """How long a message of one kind is not repeated."""
@@ -193,23 +187,3 @@ def status_line(monitor: Monitor) -> str:
         f"edges {matched}/{len(landmark)}",
     ]
     return "  ".join(part for part in parts if part)
-
-
-def end_table(run: LiveRun) -> Table:
-    """Return what a run came to: its figures, what was wrong how often, and what was left out."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    monitor, timeline = run.outputs.monitor, run.tracker.timeline
-    left_out = {**timeline.skipped, **{f"{role} dropped": count for role, count in run.inbox.dropped.items()}}
-    if timeline.late_odometry:
-        left_out["odometry"] = timeline.late_odometry
-    rows = monitor.rows()
-    for title, counts in (("warning", monitor.wrong), ("left out", left_out)):
-        rows |= {f"{title}: {kind}": str(count) for kind, count in counts.items()}
-    table = Table(title="Live run", title_justify="left", box=SIMPLE_HEAD, show_header=False, pad_edge=False)
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    for label, text in rows.items():
-        table.add_row(label, text)
-    return table

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
     start[2] = wrap_angle(start[2])
     return SimulatedLog(
         name=world.name,
-        camera=scene.camera if _is_stated(world) else replace(scene.camera, shutter=None),
+        camera=scene.camera,
         drive=drive,
         landmark_map=_seen(scene.structure.landmark_map, visible),
         start=start,
@@ -85,12 +85,6 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
         seed=seed,
         scene=scene,
     )
-
-
-def _is_stated(world: World) -> bool:
-    """Whether the log says how the shutter rolls, if it does."""
-    shutter = world.camera.rolling_shutter
-    return shutter is None or shutter.stated
 
 
 def _stated_mounts(scene: Scene, times_ns: list[int], rng: np.random.Generator) -> tuple[Mount | None, ...]:

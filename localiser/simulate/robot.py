@@ -56,11 +56,10 @@ class MountMotionSpec(Model):
 
 
 class ShutterSpec(Model):
-    """A rolling shutter, as in a log's camera file. stated: whether the log says that the shutter rolls."""
+    """A rolling shutter, as in a log's camera file."""
 
     row_time_us: Annotated[float, Field(ge=-1000, le=1000)]
     stamp_row: Annotated[float, Field(ge=0, le=4096)] = 0.0
-    stated: bool = True
 
 
 class CameraSpec(Model):

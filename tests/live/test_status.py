@@ -13,9 +13,10 @@ from live_feed import LOG, Feed, camera, drive, image
 from rich.console import Console
 from short_log import CORRIDOR
 
+from localiser.commands.live import end_table
 from localiser.config import read_config
 from localiser.geometry import Increment, compose
-from localiser.live import LiveOptions, end_table, status_line
+from localiser.live import LiveOptions, status_line
 from localiser.live.monitor import Monitor
 from localiser.live.prepare import advice
 

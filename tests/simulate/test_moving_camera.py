@@ -82,10 +82,9 @@ def test_a_robot_that_stands_has_the_image_of_a_camera_that_takes_all_rows_at_on
     np.testing.assert_array_equal(*images)
 
 
-@pytest.mark.parametrize("stated", [True, False])
-def test_the_log_states_the_shutter_or_does_not(stated: bool) -> None:
-    log = simulated_log(world_of(world_data(SHUTTER | {"stated": stated})), 0)
-    assert log.camera.shutter == (RollingShutter(250e-6, 80.0) if stated else None)
+def test_the_log_states_the_shutter() -> None:
+    log = simulated_log(world_of(world_data(SHUTTER)), 0)
+    assert log.camera.shutter == RollingShutter(250e-6, 80.0)
     assert log.scene.camera.shutter is not None
     first_s, last_s = log.scene.camera.readout_s
     assert log.drive.image_t_ns[0] >= round(-first_s * 1e9)
