@@ -27,6 +27,7 @@ from localiser.storage.bags.frames import (
     MOST_FRAMES_LIVE,
     FrameTree,
     Link,
+    around,
     mount_links,
     mount_of,
     plain_frame,
@@ -299,8 +300,7 @@ class Inertial:
         optical_from_sensor: (3, 3). Raises ValueError where the sensor was silent.
         """
         times, up, cov = self._fused()
-        after = int(np.searchsorted(times, t_ns))
-        first, last = max(after - 1, 0), min(after, len(times) - 1)
+        first, last, share = around(times, t_ns)
         near = first if t_ns - times[first] <= abs(times[last] - t_ns) else last
         apart_s = abs(int(times[near]) - t_ns) / 1e9
         if apart_s > MOST_APART_S:
@@ -308,8 +308,6 @@ class Inertial:
                 f"expected an inertial sensor within {MOST_APART_S} s of the image at {t_ns} ns, found it silent for "
                 f"{apart_s:.3g} s"
             )
-        span = float(times[last] - times[first])
-        share = float(np.clip((t_ns - times[first]) / span, 0.0, 1.0)) if span > 0 else 0.0
         camera_from_sensor = _CAMERA_FROM_OPTICAL @ optical_from_sensor
         upward = camera_from_sensor @ ((1.0 - share) * up[first] + share * up[last])
         return _leaning(mount, upward / np.linalg.norm(upward), camera_from_sensor @ cov[near] @ camera_from_sensor.T)

@@ -160,16 +160,13 @@ class FrameTree:
         times, values = self._of(link)
         if not len(times):
             raise ValueError(f"expected transforms from {link[0]!r} to {link[1]!r}, found none")
-        after = int(np.searchsorted(times, t_ns))
-        first, last = max(after - 1, 0), min(after, len(times) - 1)
+        first, last, share = around(times, t_ns)
         apart_s = max(t_ns - times[first], times[last] - t_ns, key=abs) / 1e9
         if abs(apart_s) > MOST_APART_S and times[first] != t_ns and times[last] != t_ns:
             raise ValueError(
                 f"expected transforms from {link[0]!r} to {link[1]!r} within {MOST_APART_S} s of the image at "
                 f"{t_ns} ns, found none for {abs(apart_s):.3g} s"
             )
-        span = float(times[last] - times[first])
-        share = float(np.clip((t_ns - times[first]) / span, 0.0, 1.0)) if span > 0 else 0.0
         moved = (1.0 - share) * values[first, :3] + share * values[last, :3]
         transform = _transform(moved, _between(values[first, 3:], values[last, 3:], share))
         _require_near(*link, transform)
@@ -199,6 +196,14 @@ def _shortest(beside: dict[str, dict[str, None]], target: str, source: str) -> l
         steps.append((came_from[frame], frame))
         frame = came_from[frame]
     return steps[::-1] if source in came_from and len(steps) <= MOST_STEPS else None
+
+
+def around(times: NDArray[np.int64], t_ns: int) -> tuple[int, int, float]:
+    """Return which of sorted times are before and after a time, and its share of the way from one to the other."""
+    after = int(np.searchsorted(times, t_ns))
+    first, last = max(after - 1, 0), min(after, len(times) - 1)
+    span = float(times[last] - times[first])
+    return first, last, float(np.clip((t_ns - times[first]) / span, 0.0, 1.0)) if span > 0 else 0.0
 
 
 def _transform(moved: Sequence[float] | Array, turned: Sequence[float] | Array) -> Array:

@@ -321,7 +321,8 @@ def records_of(file: BinaryIO, allowance: Allowance) -> Records:
     for kind in (Mcap, Ros1):
         if head.startswith(kind.magic):
             return kind(file, allowance)
-    found = "a bag of an older version of ROS 1" if head.startswith(b"#ROSBAG") else "something else"
+    others = {b"#ROSBAG": "a bag of an older version of ROS 1", b"version https": "a pointer of Git LFS, not its file"}
+    found = next((text for begin, text in others.items() if head.startswith(begin)), "something else")
     raise ValueError(f"expected a bag of ROS 1, MCAP or SQLite, found {found if head else 'an empty file'}")
 
 

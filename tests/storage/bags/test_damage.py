@@ -179,6 +179,20 @@ def test_a_truncated_mcap_is_read_up_to_where_it_ends(tmp_path: Path, squeeze: s
     assert all((frame.load() == frame.t_ns % 251).all() for frame in log.images)
 
 
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (b"", "an empty file"),
+        (b"version https://", "a pointer of Git LFS"),
+        (b"#ROSBAG V1.2", "an older version"),
+    ],
+)
+def test_what_is_no_bag_is_named(tmp_path: Path, content: bytes, found: str) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    with pytest.raises(InputError, match=f"expected a bag of ROS 1, MCAP or SQLite, found .*{found}"):
+        open_log(tmp_path / "x.mcap")
+
+
 def test_what_is_missing_of_a_bag_is_told(tmp_path: Path) -> None:
     file, _ = drive(tmp_path / "bag", "mcap")
     file.unlink()
