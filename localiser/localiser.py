@@ -260,7 +260,7 @@ class Localiser:
         self._measured[t_ns] = measured
         mcl = self._mcl
         if not by_wheels:
-            mcl = replace(mcl, odometer=Odometer(self.camera, replace(self.config.increments, source="vision")))
+            mcl = mcl.by_edges()
         return self._step(mcl, Sighting(t_ns, measured.edges))
 
     def measurement(self, t_ns: int, measurement: ArrayLike) -> list[LocatedFrame]:

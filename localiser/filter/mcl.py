@@ -28,7 +28,7 @@ from localiser.filter.height import (
     seen_from_offset,
 )
 from localiser.filter.map_error import SCALES, MapError
-from localiser.filter.moves import moves_between
+from localiser.filter.moves import is_silent, moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering
@@ -98,6 +98,13 @@ class Mcl:
     search: GlobalLocalisation | None = None
     level: Level | None = None
 
+    def by_edges(self) -> Mcl:
+        """Return the same in which edges alone tell how the robot moved. Raises ValueError without a camera."""
+        if self.odometer is None:
+            raise ValueError("edges tell how a robot moved only where its camera is known")
+        parameters = replace(self.odometer.parameters, source="vision")
+        return replace(self, odometer=replace(self.odometer, parameters=parameters))
+
     def moved(self, cloud: Particles, moves: list[Increment], rng: np.random.Generator) -> Particles:
         """Return particles moved by odometry alone."""
         for move in moves:
@@ -113,8 +120,8 @@ class FilterState:
     been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and where.
     attitude: tilt and roll of the camera; None: as stated. height: of the camera. map_error: how far landmarks are from
     where the map has them. seen: the last image. scene: the images that the belief compares the next one with. wheels:
-    whether they are right. pace: twist per second at the last image, from the edges. odometry: poses since then, and
-    the last one before. waiting: sightings that odometry has not reached yet.
+    whether they are right. pace: twist per second at the last image, where edges alone told the motion. odometry: poses
+    since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
@@ -172,6 +179,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
+    if mcl.odometer is not None and state.is_begun and is_silent(state.odometry, state.at_ns, sighting.t_ns):
+        mcl = mcl.by_edges()
     measured = replace(sighting, map_scale=state.map_error.scale)
     sighting = _from_height(mcl, state, measured)
     # Drive: how did the robot move, by odometry, unless the edges contradict it? A few particles move blindly.
@@ -249,8 +258,11 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
     increment, seconds = reduce(Increment.then, moves), (sighting.t_ns - state.at_ns) / 1e9
     if mcl.odometer is not None and mcl.odometer.follows_edges and seconds > 0:
         before = None if seen is None else seen.edges
-        increment, state.pace = mcl.odometer.increment(before, sighting.edges, seconds, state.pace)
+        pace = state.wheels.pace if state.pace is None else state.pace
+        increment, state.pace = mcl.odometer.increment(before, sighting.edges, seconds, pace)
         moves = [increment]
+    else:
+        state.pace = None
     return _Drive(moves, increment, odometry_pose, jumped)
 
 

@@ -12,6 +12,7 @@ from localiser.filter.events import Odometry, track_of
 from localiser.geometry import Array, Increment, Trajectory, bridged
 
 MOVE_M, MOVE_RAD = 0.5, 0.3  # the longest way and turn that are taken as one step
+SILENT_NS = 1_000_000_000  # between two poses of odometry, from which on they do not tell how the robot moved between
 
 
 def moves_between(
@@ -64,3 +65,10 @@ def _by_delay(track: Trajectory, ends_ns: NDArray[np.int64], means: Array, delay
     change = geometry.between(late[:-1], late[1:]) - means
     change[:, 2] = geometry.wrap_angle(change[:, 2])
     return np.asarray(change / delay_s)
+
+
+def is_silent(odometry: deque[Odometry], start_ns: int, t_ns: int) -> bool:
+    """Return whether odometry was silent at some time between `start_ns` and `t_ns`, so that poses say little of it."""
+    times = np.array([pose.t_ns for pose in odometry])
+    before, after = times[:-1], times[1:]
+    return bool(((after - before > SILENT_NS) & (before < t_ns) & (after > start_ns)).any())

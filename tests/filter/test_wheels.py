@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,6 +18,7 @@ from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
+from localiser.filter.moves import is_silent
 from localiser.filter.wheels import ASTRAY, Evidence, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate, Particles
@@ -71,8 +73,22 @@ def test_wheels_that_err_for_three_seconds(fault: str) -> None:
     assert error_m.max() < 0.25 and error_m[seconds > END_S + 1.0].max() < 0.05
     if fault == "none":
         assert not told.any()
-    elif fault != "fall silent":  # then the way between is interpolated, and may be right
+    elif fault == "fall silent":  # then edges alone tell the motion, whose covariance comes with it
+        by_edges = np.array([frame.located.increment.cov.any() for frame in frames])
+        assert by_edges[faulty].all() and not by_edges[(seconds < BEGIN_S) | (seconds > END_S + 1.0)].any()
+    else:
         assert told[faulty].mean() > 0.7 and told[seconds < BEGIN_S].sum() == 0
+
+
+def test_odometry_is_silent_where_poses_are_more_than_a_second_apart() -> None:
+    second = 10**9
+    odometry = deque(Odometry(t_ns, np.zeros(3)) for t_ns in (0, second, 4 * second, 5 * second))
+    assert not is_silent(odometry, 0, second)
+    assert is_silent(odometry, second, 2 * second)
+    assert is_silent(odometry, 2 * second, 3 * second)
+    assert is_silent(odometry, 3 * second, 5 * second)
+    assert not is_silent(odometry, 4 * second, 6 * second)
+    assert not is_silent(deque(), 0, second)
 
 
 def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
