@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 IMAGES = ROOT / "docs" / "images"
 MADE_BY = {
     "recording.png": [ROOT / "localiser" / "view" / name for name in ("layout.py", "palette.py", "draw.py")],
-    "report.png": [ROOT / "localiser" / "evaluate" / name for name in ("report.py", "panels.py")],
+    "report.png": [ROOT / "localiser" / "evaluate" / "report.py"],
 }
 SIZE = (1440, 713)
 SECONDS = 45.0  # by which the viewer is drawn, without a graphics card

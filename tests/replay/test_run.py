@@ -528,4 +528,4 @@ def test_a_log_without_a_map_says_how_one_is_made(localiser: Localiser, log: Pat
     kept = [line for line in (log / "log.yaml").read_text().splitlines() if not line.startswith("map")]
     (log / "log.yaml").write_text("\n".join(kept) + "\n")
     result = localiser("replay", log, "--out", tmp_path / "out")
-    assert result.exit_code == 2 and f"`localiser map build {log} --poses slam -o map.yaml`" in result.err
+    assert result.exit_code == 2 and f"`localiser map build {log} -o map.yaml`" in result.err
