@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from folders import ROOT
-from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program
+from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program, wait_until
 from short_log import CORRIDOR, Localiser
 
 from localiser.config import LiveParameters
@@ -104,6 +104,16 @@ def test_a_viewer_that_is_not_there_changes_nothing(robot: Program, endpoint: st
         live.poses(5)
         assert live.end() == 0
     assert "Traceback" not in live.all_said()
+
+
+@pytest.mark.slow  # quick: tests/view/test_view.py kills a run with a viewer
+def test_the_stand_in_does_not_outlive_a_demo_that_is_killed() -> None:
+    with program("live", "demo", CORRIDOR, "--json", *SETTINGS) as live:
+        live.poses(1)
+        commands = [Path(f"/proc/{child}/cmdline") for child in live.children()]
+        assert any(b"--serve" in command.read_bytes() for command in commands)
+        live.end(signal.SIGKILL)
+    wait_until(lambda: not any(command.exists() and command.read_bytes() for command in commands))
 
 
 @pytest.fixture
