@@ -26,6 +26,9 @@ def evaluate(
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True poses (TUM, or CSV t_ns,x,z,heading).")
     ] = None,
+    align: Annotated[
+        str | None, typer.Option(metavar="origin|se2", help="Move the truth onto a run: by the first pose, or by all.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all figures as JSON, by run, and no table.")] = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print all figures as CSV, a row a run, and no table.")] = False,
 ) -> None:
@@ -40,7 +43,7 @@ def evaluate(
     if as_json and as_csv:
         raise InputError("expected --json or --csv, found both", field="--csv")
     runs = list({run.resolve(): run for run in reversed(runs)}.values())[::-1]  # `latest` is one of the others
-    figures = {name: evaluate_run(run, truth) for name, run in zip(_names(runs), runs, strict=True)}
+    figures = {name: evaluate_run(run, truth, align) for name, run in zip(_names(runs), runs, strict=True)}
     if as_json:
         typer.echo(json_text(figures), nl=False)
     elif as_csv:
@@ -48,6 +51,8 @@ def evaluate(
     else:
         for part in run_tables(figures):
             show(part)
+    if align and not (as_json or as_csv):
+        typer.echo(f"Aligned: the truth was moved and turned onto each run, by {align}.")
     for name, found in figures.items():
         if found.get("complete") is False:
             typer.secho(

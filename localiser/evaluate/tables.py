@@ -227,7 +227,7 @@ NOTES = {"resid.\nχ²": "resid. χ²: 1 is right, below: cautious", "NEES": "NE
 """What stands below a table with these columns."""
 TABLES = {
     "What the run knows of itself": OWN,
-    "Errors against the truth, no alignment": ERRORS,
+    "Errors against the truth": ERRORS,
 }
 COLUMNS = (*OWN, *ERRORS)
 NAMES = ("log", *ABOUT)

@@ -20,7 +20,7 @@ from localiser.storage import Log
 START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
 """How far a start that is given on the command line may be off: x, z (m), heading (rad), one sigma."""
 
-FARTHEST = np.array([1e6, 1e6, 2 * np.pi])
+FARTHEST = np.array([1e8, 1e8, 2 * np.pi])
 """The largest x, z (m) and heading (rad) that can be given, as in a log's start."""
 
 TRUTH, GLOBAL = "truth", "global"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -91,8 +92,8 @@ def read_camera(path: Path | str) -> Camera:
     """
     refuse_other(Path(path), CAMERA)
     text = read_text(Path(path))
-    if text.startswith("%YAML"):  # OpenCV's is no YAML by its first line and its tag
-        text = "#" + text.replace("!!opencv-matrix", "")
+    if text.startswith("%YAML"):  # OpenCV's is no YAML by its first line, its tag, and colons without a space
+        text = "#" + re.sub(r"(?m)^([ \w.]+):(?=[^\s:])", r"\1: ", text.replace("!!opencv-matrix", ""))
     document = parse(text, str(path))
     value = document.value
     if not isinstance(value, dict) or (found := _of_other_program(document, value)) is None:

@@ -49,8 +49,8 @@ class StartFile(BaseModel):
 
     model_config = FileModel
 
-    x: Annotated[float, Field(ge=-1e6, le=1e6)]
-    z: Annotated[float, Field(ge=-1e6, le=1e6)]
+    x: Annotated[float, Field(ge=-1e8, le=1e8)]  # as large as UTM has them
+    z: Annotated[float, Field(ge=-1e8, le=1e8)]
     heading_deg: Annotated[float, Field(ge=-360, le=360)]
     sigma_m: Annotated[float, Field(ge=0, le=1000)]
     sigma_deg: Annotated[float, Field(ge=0, le=360)]

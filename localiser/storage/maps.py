@@ -23,7 +23,7 @@ MOST_LANDMARKS = 100_000  # as many as are measured in docs/results.md
 LARGE_BYTES = 50_000  # from which on a map is kept as it was read
 KEPT_MAPS = 20
 
-Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Metres = Annotated[float, Field(ge=-1e8, le=1e8)]
 Variance = Annotated[float, Field(ge=0, le=1e12)]
 Open = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
 

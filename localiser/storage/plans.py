@@ -31,7 +31,7 @@ class PlanFile(BaseModel):
 
     image: Annotated[str, Field(min_length=1)]
     resolution: Annotated[float, Field(ge=1e-3, le=10.0)]
-    origin: Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
+    origin: Annotated[list[Annotated[float, Field(ge=-1e8, le=1e8)]], Field(min_length=3, max_length=3)]
     negate: Annotated[int, Field(ge=0, le=1)]
     occupied_thresh: Annotated[float, Field(ge=0, le=1)]
     free_thresh: Annotated[float, Field(ge=0, le=1)]

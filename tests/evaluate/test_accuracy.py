@@ -13,6 +13,7 @@ from localiser.errors import InputError
 from localiser.evaluate import Track, errors_against, metrics
 from localiser.evaluate.accuracy import dead_reckoning
 from localiser.geometry import Array, Trajectory, between, compose, ros_from_pose, wrap_angle
+from localiser.replay import evaluate_run
 
 SECOND = 1_000_000_000
 
@@ -138,3 +139,17 @@ def test_sigma_of_the_position_is_the_rms_distance_expected() -> None:
     assert track.heading_sigma_rad[0] == pytest.approx(0.1)
     draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), cov[0], 200_000)
     assert np.sqrt(np.square(draws[:, :2]).sum(axis=1).mean()) == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize("how", ["origin", "se2"])
+def test_truth_of_another_frame_is_aligned_on_request(how: str) -> None:
+    rng, times = np.random.default_rng(4), np.arange(40) * SECOND
+    poses = np.cumsum(rng.normal(0.2, 0.3, (40, 3)), axis=0)
+    truth = Trajectory(times, compose(np.array([500.0, -300.0, 2.0]), poses))
+    assert evaluate_run(Track.from_poses(times, poses), truth)["position_rmse_m"] > 100
+    figures = evaluate_run(Track.from_poses(times, poses), truth, how)
+    assert figures["position_rmse_m"] < 1e-9 and figures["heading_rmse_deg"] < 1e-9
+    noisy = evaluate_run(Track.from_poses(times, poses + rng.normal(0, 0.05, (40, 3)) * [1, 1, 0]), truth, "se2")
+    assert 0.05 < noisy["position_rmse_m"] < 0.09
+    with pytest.raises(InputError, match="--align: expected origin or se2, found 'sim3'"):
+        evaluate_run(Track.from_poses(times, poses), truth, "sim3")

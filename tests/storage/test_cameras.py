@@ -144,7 +144,7 @@ distortion_coefficients: !!opencv-matrix
    rows: 5
    cols: 1
    dt: d
-   data: [ -0.25, 0.1, 0.001, 0., 0. ]
+   data:[ -0.25, 0.1, 0.001, 0., 0. ]
 """
 KALIBR = """cam0:
   cam_overlaps: [1]
@@ -168,6 +168,7 @@ Camera.type: "PinHole"
 Camera.width: 640
 Camera.height: 480
 ORBextractor.nFeatures: 1000
+Viewer.PointSize:2
 """
 
 

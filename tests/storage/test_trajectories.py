@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import small_log
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_log import TRUTH
 
 from localiser.errors import InputError, InputWarning
+from localiser.filter import Start
 from localiser.geometry import Trajectory
-from localiser.storage import read_poses, write_poses, write_tum
+from localiser.storage import open_log, read_poses, write_log, write_poses, write_tum
 from localiser.storage.trajectories import nanoseconds, seconds, tum_line
 
 
@@ -226,6 +229,22 @@ def test_paths_and_poses_in_a_cameras_axes_are_turned_and_that_is_told(tmp_path:
         found = read_poses(tmp_path / "00.txt")
     np.testing.assert_allclose(found.poses, expected)
     assert found.t_ns[:2].tolist() == [0, 100_000_000]
+
+
+def test_coordinates_of_utm_are_a_start_a_map_and_a_path(tmp_path: Path) -> None:
+    far = np.array([500_000.25, -5_800_000.5, 0.5])
+    landmark_map = replace(small_log.MAP, points=small_log.MAP.points + far[:2])
+    start, odometry = Start(small_log.ODOMETRY.t_ns[0], far, np.diag([0.01, 0.01, 0.001])), small_log.ODOMETRY
+    truth = Trajectory(odometry.t_ns, odometry.poses + far)
+    write_log(
+        tmp_path / "log", name="far", camera=small_log.CAMERA, odometry=odometry, sightings=small_log.sightings(),
+        landmark_map=landmark_map, start=start, groundtruth=truth,
+    )  # fmt: skip
+    log = open_log(tmp_path / "log")
+    assert log.start is not None and log.landmark_map is not None and log.groundtruth is not None
+    np.testing.assert_allclose(log.start.mean, far, atol=1e-9)
+    np.testing.assert_allclose(log.landmark_map.points, landmark_map.points, atol=1e-6)
+    np.testing.assert_allclose(log.groundtruth.poses, truth.poses, atol=1e-6)
 
 
 def test_axes_that_point_nowhere_are_told(tmp_path: Path) -> None:
