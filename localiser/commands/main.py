@@ -172,7 +172,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     warnings.showwarning = _shown_by(warnings.showwarning)
     try:
-        _check_memory(arguments)
+        _check_limits(arguments)
         _check_options(arguments)
         _run([*of_all, *arguments])
     except Exception as error:
@@ -197,19 +197,23 @@ def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
     return show
 
 
-_LEAST_MB = 1200
-"""Of addresses: a replay reserves 1150 MB, of which it uses a third."""
+_LEAST_MB, _LEAST_FILES = 1200, 64
+"""Of addresses (a replay reserves 1150 MB, of which it uses a third), and of open files."""
 
 
-def _check_memory(arguments: list[str]) -> None:
-    """Raise LocaliserError where the libraries would end in a segmentation fault, or wait for ever."""
+def _check_limits(arguments: list[str]) -> None:
+    """Raise LocaliserError where the libraries would end in a segmentation fault or a panic, or wait for ever."""
     if sys.platform == "win32" or {"--help", "--version"} & set(arguments):
         return
     import resource
 
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < _LEAST_MB * 10**6:
-        raise LocaliserError(f"`ulimit -v`: expected at least {_LEAST_MB} MB, found {limit // 10**6} MB")
+    for option, what, least, unit in (
+        ("-v", resource.RLIMIT_AS, _LEAST_MB * 10**6, "bytes"),
+        ("-n", resource.RLIMIT_NOFILE, _LEAST_FILES, "open files"),
+    ):
+        limit, _ = resource.getrlimit(what)
+        if limit != resource.RLIM_INFINITY and limit < least:
+            raise LocaliserError(f"`ulimit {option}`: expected at least {least} {unit}, found {limit}")
 
 
 def _run(arguments: list[str]) -> None:
