@@ -334,6 +334,19 @@ def test_a_folder_in_one_that_others_can_change_is_not_used(chosen: Any, tmp_pat
     assert chosen(name, LOCALISER_CACHE=stated, HOME=NOWHERE, TMPDIR=temporary) == stated.resolve() / name
 
 
+def test_a_user_who_is_unknown_to_the_system_has_a_temporary_folder(
+    chosen: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in `docker --user 12345`."""
+
+    def unknown(uid: int) -> object:
+        raise KeyError(uid)
+
+    monkeypatch.delenv("HOME")
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    assert chosen("edges", TMPDIR=tmp_path) == tmp_path / f"localiser-edges-{os.getuid()}"
+
+
 def test_what_is_made_on_the_way_is_the_users_alone(chosen: Any, tmp_path: Path) -> None:
     before = os.umask(0)
     try:

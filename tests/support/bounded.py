@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from attack_pool import processor_s
+from attack import processor_s
 
 MORE_MB, MORE_S = 300, 2
 _PRELUDE = """
