@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from localiser.documents import output_errors, write_all
 from localiser.filter import LocatedFrame
-from localiser.view.context import Context
+from localiser.view.paths import Context
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from localiser.geometry import Array
 from localiser.view import paths
-from localiser.view.context import Context
+from localiser.view.paths import Context
 
 BACKGROUND = (17, 20, 26, 255)
 SHOWN_FIRST = 3

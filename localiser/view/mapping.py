@@ -16,7 +16,7 @@ from localiser.filter import Image
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.view import paths
-from localiser.view.context import Context
+from localiser.view.paths import Context
 
 LANDMARKS, SIGMA, TRACKS = "plots/landmarks", "plots/sigma", "plots/tracks"
 _TITLES = {LANDMARKS: "Landmarks", SIGMA: "Their 1σ, cm", paths.COUNTS: "Edges", TRACKS: "Tracks"}

@@ -18,8 +18,8 @@ from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, predicted_lines
 from localiser.view import draw, palette, paths
-from localiser.view.context import Context
 from localiser.view.mapping import LANDMARKS, SIGMA, TRACKS, Finished, Growing
+from localiser.view.paths import Context
 
 CHUNK_BYTES = 1 << 20
 """What is gathered before it is passed on, about ten frames: what a crash would lose of a file."""

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from localiser.documents import write_all
 from localiser.errors import InputError
 from localiser.filter import LocatedFrame
-from localiser.view.context import Context
+from localiser.view.paths import Context
 
 if TYPE_CHECKING:
     import rerun as rr
