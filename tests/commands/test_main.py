@@ -292,8 +292,8 @@ BAD = {
     "file outside the folder": Bad(
         edited("log.yaml", replaced("odometry.csv", "/etc/hosts")), ["log.yaml:4:", "odometry", "inside the log's"]
     ),
-    "nan in odometry": Bad(
-        edited("odometry.csv", with_cell(3, "heading", "nan")), ["odometry.csv:4: heading", "finite number", "'nan'"]
+    "infinity in odometry": Bad(
+        edited("odometry.csv", with_cell(3, "heading", "inf")), ["odometry.csv:4: heading", "finite number", "'inf'"]
     ),
     "text in odometry": Bad(edited("odometry.csv", with_cell(3, "x", "far")), ["odometry.csv:4: x", "number", "'far'"]),
     "no odometry while there are images": Bad(
