@@ -145,9 +145,7 @@ class EdgeSearch:
         was done until then is on disk.
         """
         first = self.images[0].load()  # a wrong camera is told before a folder is made
-        self._find(
-            first, self.images[0]
-        )  # the detector makes what it keeps for a camera, so that no image's time has it
+        self._find(first, self.images[0])  # what the detector makes once for a camera is in no image's time
         self.folder = self._new_folder()
         write_camera(self.camera, self.folder / "camera.yaml")
         write_text(self.folder / "config.yaml", to_yaml(in_force(self.config)))

@@ -111,7 +111,8 @@ def _of_other_program(document: Document, value: dict[str, Any]) -> tuple[str, d
         found = value.get("distortion_coefficients", value.get("Distortion_Coefficients"))
         bent = found.get("data") if isinstance(found, dict) else []
         size = [value.get(f"image_{side}", value.get(f"image_{side.title()}")) for side in ("width", "height")]
-        model = "equidistant" if value.get("fisheye_model") else _model_of(bent)
+        many = isinstance(bent, list) and len(bent) > 5
+        model = "equidistant" if value.get("fisheye_model") else "rational_polynomial" if many else "plumb_bob"
         return "OpenCV", _ros_keys(size, matrix.get("data"), model, bent)
     if isinstance(camera := value.get("cam0"), dict):
         if camera.get("camera_model") != "pinhole":
@@ -137,10 +138,6 @@ def _matrix_data(intrinsics: Any) -> list[Any]:
     given = intrinsics if isinstance(intrinsics, list) else []
     fx, fy, cx, cy = [*given, None, None, None, None][:4]
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-
-
-def _model_of(coefficients: Any) -> str:
-    return "rational_polynomial" if isinstance(coefficients, list) and len(coefficients) > 5 else "plumb_bob"
 
 
 def _ros_keys(size: Any, matrix: Any, model: Any, coefficients: Any) -> dict[str, Any]:
