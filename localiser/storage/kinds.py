@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+from localiser.documents import open_regular
 from localiser.errors import InputError
 
 CAMERA, MAP, PLAN = "a camera file", "a landmark map", "a floor plan"
@@ -27,12 +28,12 @@ def is_video(path: Path) -> bool:
 
 def kind_of(path: Path) -> str:
     """Return what a file or folder is, in words; "" where that is not known."""
-    with suppress(OSError):
+    with suppress(OSError, InputError):
         if path.is_dir():
             return runs_in(path)
         if is_video(path):
             return "a video, of which `localiser convert VIDEO LOG --camera FILE` makes a log"
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(4096)
         for begin, kind in _BYTES:
             if head.startswith(begin):
