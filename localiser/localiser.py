@@ -152,7 +152,7 @@ class Localiser:
     def start(self, pose: ArrayLike, cov: ArrayLike, t_ns: int | None = None) -> list[LocatedFrame]:
         """Take where the robot is said to be: pose (3,) in the map, covariance (3, 3). Raises InputError.
 
-        The position is within 1000 km, sigmas are at most 1000 m and a whole turn, as in files and messages.
+        The position is within 100,000 km, sigmas are at most 1000 m and a whole turn, as in files and messages.
 
         t_ns: when; None for the time of the next measurement. What was believed before is forgotten. Images that wait
         for the wheels and were taken before the start are dropped; all that wait where t_ns is None.

@@ -367,7 +367,7 @@ def floor_cov(message: Any) -> Array:
 def start_of_message(message: Any) -> tuple[Array, Array]:
     """Return the pose (3,) and its covariance (3, 3) where a robot is said to start. Raises ValueError.
 
-    The position is within 1000 km, sigmas are at most 1000 m and a whole turn.
+    The position is within 100,000 km, sigmas are at most 1000 m and a whole turn.
     """
     mean, cov = np.array(floor_pose(message)), floor_cov(message)
     check_start(mean, cov)
