@@ -157,6 +157,8 @@ def _how_sure(confidence: Any) -> str:
     if confidence["found_s"] is None:
         found = "The robot was not found, so there are no figures of its path. "
     elif confidence["not_found"]:
-        found = f"The robot was found after {confidence['found_s']:.1f} s. Left out, because it was not found yet or "
-        found += f"lost: {100 * confidence['not_found']:.1f} % of images. "
+        left_out = f"{100 * confidence['not_found']:.1f} % of images"
+        found = (
+            f"The robot was found after {confidence['found_s']:.1f} s; figures leave out what was before, {left_out}. "
+        )
     return f"{found}Sure of the pose (p_correct > 0.9) in {100 * (confidence['sure'] or 0):.1f} % of images{why}."

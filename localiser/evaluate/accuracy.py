@@ -139,6 +139,11 @@ class Track:
         return int(np.argmax(self.found)) if self.found.any() else None
 
     @property
+    def since_found(self) -> NDArray[np.bool_]:
+        """Whether (T,) the robot was found by then, even if it was lost again."""
+        return np.logical_or.accumulate(self.found)
+
+    @property
     def sighted(self) -> NDArray[np.bool_]:
         """Whether (T,) any edge was measured; true where that is not known."""
         return np.asarray(self.edges != 0)
@@ -159,8 +164,9 @@ class Errors:
     """Errors at each of T images; nan where the truth is not known.
 
     truth: (T, 3) true poses. position_m: (T,) distance. heading_rad: (T,) estimate - truth, wrapped.
-    nees: (T,) normalised estimation error squared of x, z and heading. odometry: (T, 3) where odometry alone would
-    have led from the true pose where the robot was found first. odometry_m: (T,) its distance from the truth.
+    nees: (T,) normalised estimation error squared of x, z and heading, of ordinary poses. odometry: (T, 3) where
+    odometry alone would have led from the true pose where the robot was found first. odometry_m: (T,) its distance from
+    the truth.
     """
 
     truth: Array
@@ -174,8 +180,8 @@ class Errors:
 def errors_against(track: Track, truth: Trajectory) -> Errors:
     """Return the errors of `track` against the truth, interpolated along the arc at every image time.
 
-    Images outside the time of the truth have no error (nan), nor has a pose that is no ordinary one, while the robot is
-    not found yet or lost. Raises InputError when the truth has no image's time.
+    Images outside the time of the truth have no error (nan), nor have those before the robot was found. Raises
+    InputError when the truth has no image's time.
     """
     known = np.array([truth.covers(int(t)) for t in track.t_ns], dtype=bool)
     if not known.any():
@@ -185,7 +191,7 @@ def errors_against(track: Track, truth: Trajectory) -> Errors:
     true_poses = np.where(known[:, None], truth.sampled(track.t_ns).poses, np.nan)
     error = track.poses - true_poses
     error[:, 2] = wrap_angle(error[:, 2])
-    judged = known & track.found
+    judged = known & track.since_found
     error[~judged] = np.nan
     first = int(np.argmax(judged if judged.any() else known))
     odometry = dead_reckoning(track.odometry[first:], true_poses[first])
@@ -194,7 +200,7 @@ def errors_against(track: Track, truth: Trajectory) -> Errors:
         truth=true_poses,
         position_m=np.hypot(error[:, 0], error[:, 1]),
         heading_rad=error[:, 2],
-        nees=nees(error, track.covs),
+        nees=np.where(track.found, nees(error, track.covs), np.nan),
         odometry=odometry,
         odometry_m=np.hypot(*(odometry - true_poses)[:, :2].T),
     )

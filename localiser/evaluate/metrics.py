@@ -1,8 +1,9 @@
 """The figures of one run as a plain dictionary: the content of `metrics.json`.
 
 `pauses` lists each time of more than 3 s without edges. `own_figures` has those that need no truth. Unknown figures are
-null. Figures are of the images since the robot was found, with an ordinary pose (`LocatedFrame.is_found`);
-`confidence.not_found` is the share of the others, which are left out. A stated start counts as found.
+null. Figures are of the images since the robot was found, lost again or not; `confidence.not_found` is the share of the
+others, which are left out. A stated start counts as found. Sigmas and NEES are of ordinary poses only
+(`LocatedFrame.is_found`): while the robot is lost, the covariance says that it may be anywhere.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
     landmark.
     """
     duration_s, distance_m = float(track.seconds[-1]), distance_m_of(track, distance_scale)
-    found = track.found
+    found = track.since_found
     figures = {
         "duration_s": duration_s,
         "distance_m": distance_m,
@@ -73,7 +74,7 @@ def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
         "heading_3sigma_{}_deg": np.degrees(track.heading_sigma_rad),
     }
     for name, sigma in spreads.items():
-        known = 3 * sigma[found & np.isfinite(sigma)]
+        known = 3 * sigma[track.found & np.isfinite(sigma)]
         figures[name.format("median")] = float(np.median(known)) if len(known) else np.nan
         figures[name.format("max")] = float(known.max()) if len(known) else np.nan
     rounded = {name: round(value, DECIMALS) if np.isfinite(value) else None for name, value in figures.items()}
@@ -269,7 +270,7 @@ def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> 
         "correct": _figure(1.0 - wrong[known].mean()) if known.any() else None,
         "sure_and_wrong": _figure((sure & wrong)[known].mean()) if known.any() else None,
         "found_s": _figure(track.seconds[found]) if told and found is not None else None,
-        "not_found": _figure(1.0 - track.found.mean()) if told else None,
+        "not_found": _figure(1.0 - track.since_found.mean()) if told else None,
         "reasons": {reason: int(count) for reason, count in sorted(Counter(reasons).items()) if reason},
     }
 

@@ -282,8 +282,7 @@ ABOUT = (
 
 MEANINGS = (
     ("found after", "when the probability of being right was above 0.9 for the first time; 0 for a stated start"),
-    ("not found yet", "images before that, and while the robot was lost: from below 0.5 until above 0.9 again; all "
-     "figures of path and error leave them out"),
+    ("not found yet", "images before that; all figures of path and error leave them out"),
     ("images sure", "images in which that probability was above 0.9"),
     ("edges matched", "measured edges that match a landmark of the map"),
     ("residuals", "squared distance of matched edges from their landmarks, over what their sigmas make expect: 1 is "

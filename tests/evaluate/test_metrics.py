@@ -110,10 +110,10 @@ def test_how_sure_a_run_was_and_how_rightly() -> None:
     figures = metrics(track, Trajectory(t_ns, np.zeros((5, 3))), log="five", reasons=reasons)
     found = figures["confidence"]
     assert found["sure"] == 0.6 and found["p_correct_min"] == 0.1
-    assert (found["correct"], found["sure_and_wrong"]) == pytest.approx((1 / 3, 2 / 3), abs=1e-6)
-    assert found["found_s"] == 1.0 and found["not_found"] == 0.4
-    assert figures["position_rmse_m"] == pytest.approx(np.sqrt((0.01 + 0.36 + 0) / 3), abs=1e-6)
-    assert figures["position_max_m"] == 0.6 and figures["position_end_m"] == 0.0
+    assert (found["correct"], found["sure_and_wrong"]) == pytest.approx((1 / 2, 1 / 2), abs=1e-6)
+    assert found["found_s"] == 1.0 and found["not_found"] == 0.2
+    assert figures["position_rmse_m"] == pytest.approx(np.sqrt((0.01 + 0.36 + 0 + 0.04) / 4), abs=1e-6)
+    assert figures["position_max_m"] == 0.6 and figures["position_end_m"] == 0.2
     assert found["reasons"] == {"no edges": 1, "several places fit": 1}
 
 

@@ -64,5 +64,5 @@ def test_a_pose_that_is_no_ordinary_one_is_wide_and_not_in_the_tum_file(robot: L
     assert (np.sqrt(track.covs[~track.found, 1, 1]) > 0.2 * length).all()
     assert (np.sqrt(track.covs[track.found, 1, 1]) < 0.3).all()
     figures = metrics(track, None, log="corridor")
-    assert figures["confidence"]["not_found"] == pytest.approx(4 / 7, abs=1e-6)
+    assert figures["confidence"]["not_found"] == pytest.approx(2 / 7, abs=1e-6)
     assert figures["position_3sigma_max_m"] < 1.0
