@@ -22,6 +22,7 @@ from localiser.geometry import (
     bearing_from_point,
     bearing_per_lean,
     between,
+    bridged,
     compose,
     robot_from_map,
     wrap_angle,
@@ -144,6 +145,13 @@ class Track:
         return np.logical_or.accumulate(self.found)
 
     @property
+    def driven(self) -> Array:
+        """Poses (T, 3) of the odometry, without the jumps of a base that restarted; see `geometry.bridged`."""
+        if not np.isfinite(self.odometry).all():
+            return self.odometry
+        return bridged(Trajectory(self.t_ns, self.odometry))[0].poses
+
+    @property
     def sighted(self) -> NDArray[np.bool_]:
         """Whether (T,) any edge was measured; true where that is not known."""
         return np.asarray(self.edges != 0)
@@ -194,7 +202,7 @@ def errors_against(track: Track, truth: Trajectory) -> Errors:
     judged = known & track.since_found
     error[~judged] = np.nan
     first = int(np.argmax(judged if judged.any() else known))
-    odometry = dead_reckoning(track.odometry[first:], true_poses[first])
+    odometry = dead_reckoning(track.driven[first:], true_poses[first])
     odometry = np.concatenate([np.full((first, 3), np.nan), odometry])
     return Errors(
         truth=true_poses,

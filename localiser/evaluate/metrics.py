@@ -87,7 +87,7 @@ def distance_m_of(track: Track, distance_scale: float = 0.0) -> float:
     Estimates move a little in each image while the robot stands, and jump when it is found elsewhere.
     """
     if np.isfinite(track.odometry).all():
-        return _length(track.odometry) * (1 + distance_scale)
+        return _length(track.driven) * (1 + distance_scale)
     return _length(track.poses)
 
 

@@ -175,7 +175,7 @@ def draw_map(
     landmark was in view, and in how many it was matched.
     """
     first, found = track.first_found or 0, track.found
-    odometry = errors.odometry if errors else dead_reckoning(track.odometry[first:], track.poses[first])
+    odometry = errors.odometry if errors else dead_reckoning(track.driven[first:], track.poses[first])
     estimate = np.where(found[:, None], track.poses, np.nan) if found.any() else track.poses
     paths = [estimate, odometry]
     if landmark_map is not None:

@@ -121,3 +121,14 @@ def test_a_trajectory_of_another_program_says_nothing_of_confidence() -> None:
     track = Track.from_poses([0, SECOND], np.zeros((2, 3)))
     found = metrics(track, None, log="tum")["confidence"]
     assert found["sure"] is None and found["p_correct_mean"] is None and found["found_s"] is None
+
+
+def test_a_base_that_restarts_drives_no_farther() -> None:
+    t_ns = np.arange(20) * SECOND // 2
+    along = np.column_stack([np.zeros(20), -0.3 * np.arange(20), np.zeros(20)])
+    restarted = np.concatenate([along[:12] + [6.0, 0.0, 0.0], along[12:] - along[12]])
+    figures = [
+        metrics(Track.from_poses(t_ns, along, odometry=odometry), Trajectory(t_ns, along), log="restart")
+        for odometry in (along, restarted)
+    ]
+    assert figures[0]["distance_m"] == pytest.approx(19 * 0.3) == figures[1]["distance_m"]
