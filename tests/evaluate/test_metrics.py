@@ -126,7 +126,7 @@ def test_a_trajectory_of_another_program_says_nothing_of_confidence() -> None:
 def test_a_base_that_restarts_drives_no_farther() -> None:
     t_ns = np.arange(20) * SECOND // 2
     along = np.column_stack([np.zeros(20), -0.3 * np.arange(20), np.zeros(20)])
-    restarted = np.concatenate([along[:12] + [6.0, 0.0, 0.0], along[12:] - along[12]])
+    restarted = np.concatenate([along[:12] + np.array([6.0, 0.0, 0.0]), along[12:] - along[12]])
     figures = [
         metrics(Track.from_poses(t_ns, along, odometry=odometry), Trajectory(t_ns, along), log="restart")
         for odometry in (along, restarted)
