@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -382,3 +383,19 @@ def test_program_writes_its_page_and_compares_with_it(
     code, out, _ = ran("--against", str(saved))
     assert code == 1 and "worse: 1\n- rendered: corridor, line: heading ° " in out and "better: 0" in out
     assert "no longer among the rows: rendered: mine" in out
+
+
+def test_every_mechanism_can_be_switched_off() -> None:
+    """In a process of its own, as nothing is switched on again."""
+    code = "from board.off import MECHANISMS, switch_off; switch_off(','.join(MECHANISMS))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT / "benchmarks", capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_unknown_mechanism_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["scoreboard.py", "--off", "jump,wings"])
+    with pytest.raises(SystemExit):
+        scoreboard.main()
+    assert "found wings" in capsys.readouterr().err
