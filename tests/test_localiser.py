@@ -361,6 +361,10 @@ def test_what_does_not_go_with_ones_own_observation_is_refused() -> None:
         Localiser(LandmarkMap.from_points(np.zeros((1, 2))))
     with pytest.raises(InputError, match="camera: expected a camera"):
         by_beacon().image(0, np.zeros((480, 640), dtype=np.uint8))
+    started = by_beacon()
+    started.start([0.0, 0.0, 0.0], np.eye(3), 0)
+    with pytest.raises(InputError, match="camera: expected a camera"):
+        started.edges(0, Edges.from_bearings([0.1], 0.01), by_wheels=False)
     with pytest.raises(InputError, match="expected a start before the first measurement"):
         by_beacon().measurement(0, [3.5])
     with pytest.raises(InputError, match=r"measurement: expected Localiser\(…, observation=…\)"):

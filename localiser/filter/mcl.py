@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from localiser import particles
+from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level, measured_for_image
 from localiser.filter.belief import RELEASED, Belief, Move
 from localiser.filter.confidence import SURE
@@ -99,9 +100,9 @@ class Mcl:
     level: Level | None = None
 
     def by_edges(self) -> Mcl:
-        """Return the same in which edges alone tell how the robot moved. Raises ValueError without a camera."""
+        """Return the same in which edges alone tell how the robot moved. Raises InputError without a camera."""
         if self.odometer is None:
-            raise ValueError("edges tell how a robot moved only where its camera is known")
+            raise InputError("expected a camera, found none: edges alone tell no motion without one", field="camera")
         parameters = replace(self.odometer.parameters, source="vision")
         return replace(self, odometer=replace(self.odometer, parameters=parameters))
 
