@@ -1,18 +1,24 @@
-"""`localiser edges`: find vertical edges in images."""
+"""`localiser edges`: find vertical edges in images; write a table of them, and a picture of each image."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, show
-from localiser.errors import InputError
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, show, with_options
+from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 
 if TYPE_CHECKING:
-    from localiser.commands.edge_search import EdgeSearch
+    from localiser.camera import Camera, Mount
+    from localiser.config import Config
+    from localiser.edges import Edges
+    from localiser.geometry import Array, Twist
+    from localiser.storage import Image
 
 EPILOG = """Examples:
 
@@ -23,8 +29,12 @@ EPILOG = """Examples:
 `localiser edges logs/corridor --no-pictures --set edges.min_length_px=20`"""
 
 _MOST_ROWS = 60
+_MOST_KEPT = 200
+"""So many images tell whether the stated mount is right; a large batch is not held in memory."""
+_LEAST_WIDTH = 1000
+"""Smaller pictures are drawn larger."""
 _DEG = 180 / math.pi
-_COLUMNS = (
+_SHOWN = (
     ("edge", "edge", 1, "d"),
     ("bearing °", "bearing_rad", _DEG, "+.2f"),
     ("sigma °", "bearing_sigma_rad", _DEG, ".3f"),
@@ -37,6 +47,26 @@ _COLUMNS = (
     ("± m", "foot_range_sigma_m", 1, ".2f"),
 )
 """Title, key of the row, factor, and format of a number."""
+
+COLUMNS = (
+    "edge",  # number in the picture, from left to right
+    "bearing_rad",  # direction from the camera's forward axis, positive right, of the line held through the nadir point
+    "bearing_sigma_rad",  # its standard deviation
+    "lean_rad",  # angle of the free line from the image's vertical, top to the right positive, roll undone
+    "lean_sigma_rad",  # its standard deviation
+    "slope",  # the paper's slope m = 1 / tan(lean)
+    "slope_deg",  # the paper's slope as an angle, from the image's horizontal: 90 is vertical
+    "length_px",  # visible length
+    "polarity",  # 1 dark to light from left to right, -1 light to dark, 0 unknown
+    "bottom_u_px",  # lower end in the image as taken, to the right of the top-left pixel's centre
+    "bottom_v_px",  # and below it
+    "top_u_px",  # upper end
+    "top_v_px",  # and below the top-left pixel's centre
+    "foot_range_m",  # floor distance of the lower end from the camera, if it stands on the floor; empty if not seen
+    "foot_range_sigma_m",  # its standard deviation, the mount's error left out
+    "foot_right_m",  # that floor point to the right of the camera
+    "foot_back_m",  # and behind it, so negative ahead
+)
 
 
 def edges(
@@ -56,64 +86,232 @@ def edges(
     overrides: Overrides = None,
 ) -> None:
     """Find the vertical edges in images; write them as CSV, and a picture of each image."""
-    from dataclasses import replace
+    from localiser.config import in_force, read_config, to_yaml
+    from localiser.replay import Stop, asked_to_stop
+    from localiser.storage import write_camera, write_text
 
-    from localiser.commands.edge_search import EdgeSearch, inputs_of
-    from localiser.config import read_config
-    from localiser.edges import registered
-
-    settings = read_config(config, overrides or [])
-    if detector is not None:
-        settings = settings.model_copy(update={"edges": replace(settings.edges, detector=detector)})
+    settings = read_config(config, with_options(overrides, edges__detector=detector))
+    taken_by, taken = _inputs(images, camera)
+    taken[0].load()  # a wrong camera is told before a folder is made
+    folder = _new_folder(out)
+    write_camera(taken_by, folder / "camera.yaml")
+    write_text(folder / "config.yaml", to_yaml(in_force(settings)))
+    found: list[Edges] = []
+    counts: list[int] = []
+    asked = Stop()
     try:
-        registered(settings.edges.detector)
-    except ValueError as error:
-        raise InputError(f"{error}, found {settings.edges.detector!r}", field="--detector") from None
-    taken_by, taken = inputs_of(images, camera)
-    search = EdgeSearch(taken_by, taken, settings, out, pictures)
-    with progress("Finding edges", len(taken), shown=len(taken) > 1) as advance:
-        search.run(advance)
+        with progress("Finding edges", len(taken), shown=len(taken) > 1) as advance, asked_to_stop() as asked:
+            for number, one in enumerate(taken):
+                if asked.is_set():
+                    raise KeyboardInterrupt
+                edges_of_one = _found_in(one, number, taken_by, settings, folder, pictures)
+                counts.append(len(edges_of_one))
+                found += [edges_of_one] if number < _MOST_KEPT else []
+                advance()
+    except (KeyboardInterrupt, LocaliserError) as error:
+        reason, exit_code = "stopped", asked.exit_code
+        if isinstance(error, LocaliserError):
+            reason, exit_code = str(error), error.exit_code
+        done = f"The run ended after {len(counts)} of {len(taken)} images"
+        raise RunEndedEarlyError(f"{reason}. {done}; what was done is in {folder}", exit_code) from error
     if is_quiet():
         return
-    _show(search)
-    typer.echo(f"Results in {search.folder}: edges.csv{'; a picture of each image' if pictures else ''}.")
-    if warning := search.mount_warning():
+    _show(taken, found, counts)
+    typer.echo(f"Results in {folder}: edges.csv{'; a picture of each image' if pictures else ''}.")
+    if warning := _mount_warning(found, taken_by, settings):
         typer.secho(warning, fg="yellow", err=True)
 
 
-def _show(search: EdgeSearch) -> None:
+# -- what is looked at ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taken:
+    """An image to find edges in. image: its file, as it was named.
+
+    t_ns, twist, mount: its time, the robot's motion and the camera's mount, in a log.
+    """
+
+    image: str
+    load: Callable[[], Image]
+    t_ns: int | None = None
+    twist: Twist | None = None
+    mount: Mount | None = None
+
+
+def _inputs(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, list[Taken]]:
+    """Return the camera and the images: files that the camera of `camera_file` took, or those of one log folder.
+
+    A camera file replaces the log's own camera. Raises InputError.
+    """
+    from localiser.storage import FolderReader, open_log, read_camera, read_image
+
+    logs = [path for path in paths if FolderReader().recognises(path)]
+    if logs and len(paths) > 1:
+        raise InputError("expected images or one log, found it among other inputs", path=logs[0])
+    camera = read_camera(camera_file) if camera_file else None
+    if logs:
+        log = open_log(logs[0], format="folder")
+        if not log.has_images:
+            raise InputError("expected a log with images, found one whose edges are measured already", path=logs[0])
+        if camera and (camera.width, camera.height) != (log.camera.width, log.camera.height):
+            found = f"one of {camera.width}×{camera.height}"
+            expected = f"a camera of {log.camera.width}×{log.camera.height} pixels"
+            raise InputError(f"expected {expected}, found {found}", field="--camera")
+        known = camera or log.camera
+        return known, [
+            Taken(image.name, image.load, image.t_ns, known.twist_at(log.odometry, image.t_ns), image.mount)
+            for image in log.images
+        ]
+    if camera is None:
+        raise InputError("expected --camera FILE: what took the images", path=paths[0])
+    size = (camera.width, camera.height)
+    return camera, [Taken(str(path), lambda path=path: read_image(path, size)) for path in paths]  # type: ignore[misc]
+
+
+def _new_folder(out: Path | None) -> Path:
+    """Return the folder of the results, made. Raises OutputError when it holds something already."""
+    from localiser.storage import RunFolder, output_errors, require_new
+
+    if out is None:
+        return RunFolder.create(Path("results"), "edges").path
+    require_new(out)
+    with output_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+# -- what is found ----------------------------------------------------------------------------------------------------
+
+
+def _found_in(taken: Taken, number: int, camera: Camera, settings: Config, folder: Path, pictures: bool) -> Edges:
+    """Return the edges of an image from left to right, appended to edges.csv, which so survives a stop, and drawn."""
+    import numpy as np
+
+    from localiser.edges import find_edges
+    from localiser.storage import csv_of, encode_image, output_errors, safe_name, write_bytes
+
+    image = taken.load()
+    found = find_edges(image, camera, settings.edges, mount=taken.mount, twist=taken.twist)
+    found = found.take(np.argsort(found.bearing, kind="stable"))
+    about = {"image": taken.image, **({} if taken.t_ns is None else {"t_ns": taken.t_ns})}
+    about["detector"] = settings.edges.detector
+    path = folder / "edges.csv"
+    with output_errors(path):
+        head = [] if path.exists() else [[*about, *COLUMNS]]
+        with path.open("a", encoding="utf-8", newline="") as file:
+            file.write(csv_of([*head, *([*about.values(), *map(_cell, row.values())] for row in rows_of(found))]))
+    if pictures:
+        name = f"{number + 1:04d}_{safe_name(Path(taken.image).stem)}.png"
+        write_bytes(folder / name, encode_image(picture(image, found, camera), ".png", 100))
+    return found
+
+
+def rows_of(edges: Edges) -> list[dict[str, Any]]:
+    """Return one row an edge with the keys of `COLUMNS`; what is not known is nan."""
+    import numpy as np
+
+    from localiser import geometry
+
+    computed = {
+        "edge": np.arange(1, len(edges) + 1),
+        "slope": geometry.slope_from_lean(edges.lean),
+        "slope_deg": 90.0 - np.rad2deg(edges.lean),
+        "foot_right_m": edges.foot_range_m * np.sin(edges.bearing),
+        "foot_back_m": -edges.foot_range_m * np.cos(edges.bearing),
+    }
+    ends = ("bottom_u_px", "bottom_v_px", "top_u_px", "top_v_px")
+    computed |= dict(zip(ends, edges.ends_px.reshape(-1, 4).T, strict=True))
+    columns = (computed.get(name, getattr(edges, name.removesuffix("_rad"), None)) for name in COLUMNS)
+    values = [np.asarray(column).tolist() for column in columns]
+    return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*values, strict=True)]
+
+
+def _cell(value: float) -> object:
+    return "" if math.isnan(value) else value
+
+
+def picture(image: Image, edges: Edges, camera: Camera) -> Image:
+    """Return the image (H, W) in colour, larger where it is small, with segments that are no vertical edges in grey.
+
+    Vertical edges are blue, those whose bearing is not known to 0.1° red; each has its number at its top, and a ring
+    at its lower end where that is seen on the floor.
+    """
+    import cv2
+    import numpy as np
+
+    zoom = max(1, -(-_LEAST_WIDTH // camera.width))
+    larger = cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC) if zoom > 1 else image
+    pixels = np.asarray(cv2.cvtColor(larger, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+
+    along = np.linspace(0.0, 1.0, 9)[:, None]  # the lens bends a straight line
+
+    def draw(ends: Array, colour: tuple[int, int, int], width: int) -> list[list[int]]:
+        one, other = camera.image_from_pixels(ends)
+        line = camera.pixels_from_image(one * (1.0 - along) + other * along)
+        line = np.round((line + 0.5) * zoom - 0.5).astype(np.int32)
+        cv2.polylines(pixels, [line], False, colour, width, cv2.LINE_AA)
+        return line[[0, -1]].tolist()  # type: ignore[no-any-return]
+
+    for ends in edges.rejected_px:
+        draw(ends, (212, 205, 199), 1)
+    for number, ends in enumerate(edges.ends_px):
+        if not np.isfinite(ends).all():
+            continue
+        is_sure = edges.bearing_sigma[number] < np.deg2rad(0.1)
+        bottom, top = draw(ends, (255, 140, 20) if is_sure else (60, 80, 255), 2)
+        if np.isfinite(edges.foot_range_m[number]):
+            cv2.circle(pixels, bottom, 6, (255, 255, 255), 1, cv2.LINE_AA)
+        for colour, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+            at = (top[0] + 4, max(top[1], 14))
+            cv2.putText(pixels, str(number + 1), at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, width, cv2.LINE_AA)
+    return pixels
+
+
+# -- what is told -----------------------------------------------------------------------------------------------------
+
+
+def _show(taken: Sequence[Taken], found: Sequence[Edges], counts: Sequence[int]) -> None:
     """Print the edges of a single image, or what was found in several."""
     import numpy as np
 
-    if len(search.images) > 1:
-        typer.echo(
-            f"{sum(search.counts)} vertical edges in {len(search.images)} images, {np.median(search.counts):g} in an "
-            f"image (median), found in {np.median(search.ms):.1f} ms"
-        )
-        return
-    from localiser.commands.edge_search import rows_of
     from localiser.evaluate import new_table
 
-    rows, image = rows_of(search.last), search.images[0].image
-    if not rows:
-        typer.echo(f"No vertical edges in {image}; segments rejected: {len(search.last.rejected_px)}")
+    if len(counts) > 1:
+        typer.echo(f"{sum(counts)} vertical edges in {len(counts)} images, {np.median(counts):g} in an image (median)")
         return
-    table = new_table(f"{len(rows)} vertical edges in {image}", *(title for title, *_ in _COLUMNS), texts=0)
+    rows, image = rows_of(found[0]), taken[0].image
+    if not rows:
+        typer.echo(f"No vertical edges in {image}; segments rejected: {len(found[0].rejected_px)}")
+        return
+    table = new_table(f"{len(rows)} vertical edges in {image}", *(title for title, *_ in _SHOWN), texts=0)
     for row in rows[:_MOST_ROWS]:
-        table.add_row(*(_text(row[key], factor, spec) for _, key, factor, spec in _COLUMNS))
+        cells = ((row[key] * factor, spec) for _, key, factor, spec in _SHOWN)
+        table.add_row(*(format(value, spec) if math.isfinite(value) else "–" for value, spec in cells))
     if len(rows) > _MOST_ROWS:
         table.add_row(f"{len(rows) - _MOST_ROWS} more in edges.csv")
-    mount, found = search.camera.at(search.images[0].mount).mount, search.mount
-    stated = zip(("tilt", "roll"), np.rad2deg([mount.tilt_rad, mount.roll_rad]), strict=True)
-    parts = (
-        f"{name} {found[f'{name}_deg']:.2f} ± {found[f'{name}_sigma_deg']:.2f}° (stated {value:.2f}°)"
-        for name, value in stated
-    )
-    table.caption = "By these edges: " + ", ".join(parts)
     show(table)
 
 
-def _text(value: Any, factor: float, spec: str) -> str:
-    if isinstance(value, str):
-        return value
-    return format(value * factor, spec) if math.isfinite(value) else "–"
+def _mount_warning(found: list[Edges], camera: Camera, settings: Config) -> str | None:
+    """Return a text where the edges contradict the stated mount clearly, else None; see `check_mount`.
+
+    Nothing says how far apart images were taken, so all together are as certain as one of them. One image may well
+    contradict the truth by a sigma of what is stated, so more is asked than of a whole run: what chance exceeds in 1 %
+    of the cases.
+    """
+    import numpy as np
+
+    from localiser.calibration import check_mount
+
+    believed_rad = settings.edges.mount_sigma_rad
+    check = check_mount(found, np.zeros((len(found), 3)), camera, believed_rad)
+    off, cov = check.mount - check.stated, check.cov + np.diag(believed_rad**2)
+    if not check.disagrees or off @ np.linalg.solve(cov, off) <= 9.2:
+        return None
+    stated, says, sigma = (np.rad2deg(values) for values in (check.stated, check.mount, check.sigma))
+    return (
+        f"The lines say that the camera's tilt is {says[0]:z.1f}° ± {sigma[0]:.1f}° and its roll {says[1]:z.1f}° ± "
+        f"{sigma[1]:.1f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. Until the camera file is right, edges are "
+        "missed and bearings are off. See `localiser camera tilt`."
+    )
