@@ -18,12 +18,12 @@ from localiser.replay import FolderRun, Outputs, prepare
 from localiser.storage import (
     CHOICE,
     RunFolder,
+    csv_text,
     json_text,
     output_errors,
     read_figures,
     read_map,
     safe_name,
-    write_runs_csv,
     write_text,
 )
 
@@ -317,7 +317,7 @@ def _row(run: _Run, figures: Row) -> Row:
 def _write_tables(folder: Path, rows: dict[int, Row]) -> None:
     ordered = [rows[number] for number in sorted(rows)]
     if ordered:
-        write_runs_csv(folder / CSV, ordered)
+        write_text(folder / CSV, csv_text(ordered))
         write_text(folder / SUMMARY, summary_markdown(ordered))
 
 

@@ -22,8 +22,7 @@ from localiser.documents import (
     write_text,
 )
 from localiser.errors import InputError
-from localiser.storage.files import inside
-from localiser.storage.kinds import CAMERA, refuse_other
+from localiser.storage.files import CAMERA, inside, refuse_other
 
 MOST_PIXELS = 12_500_000  # cameras of robots have fewer; some 100 bytes of memory each while edges are found
 Metres = Annotated[float, Field(ge=-100, le=100)]

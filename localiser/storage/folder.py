@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera, Mount, MountSigma
 from localiser.documents import drafted, dump, is_name, load, validate, write_bytes, write_text
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
@@ -34,8 +34,7 @@ from localiser.storage.images import (
 )
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Frame, Log, ReadOptions, require_overlap
 from localiser.storage.maps import read_map, write_map
-from localiser.storage.mounts import MOUNT_COLUMNS, mount_cells, mounts_of_table
-from localiser.storage.tables import Column, integer, read_table, text
+from localiser.storage.tables import Column, Table, integer, number_or_unknown, read_table, text
 from localiser.storage.trajectories import read_poses, write_poses
 
 Part = TypeVar("Part")
@@ -207,7 +206,7 @@ def write_log(
         part("odometry", "odometry.csv", write_poses, odometry if len(odometry) else None)
         part("groundtruth", "groundtruth.csv", write_poses, groundtruth)
         part("map", "map.yaml", write_map, landmark_map)
-        of_mounts = mount_cells(mounts, camera)
+        of_mounts = mount_cells(mounts, camera.mount)
         part(
             "images",
             "images.csv",
@@ -225,17 +224,88 @@ def write_log(
 
 def _write_images(
     images: Iterable[tuple[int, Image | bytes]],
-    of_mounts: tuple[list[str], list[list[str]]],
+    of_mounts: Mapping[str, Sequence[str]],
     table: Path,
     suffix: str,
     jpeg_quality: int,
 ) -> None:
-    """Write the images and their table. of_mounts: names and rows of the columns of how the camera was mounted."""
-    names, rows = of_mounts
-    lines = [",".join(["t_ns", "file", *names])]
+    """Write the images and their table. of_mounts: the columns that say how the camera was mounted."""
+    lines = [",".join(["t_ns", "file", *of_mounts])]
     for index, (t_ns, image) in enumerate(images):
         data = image if isinstance(image, bytes) else encode_image(image, suffix, jpeg_quality)
         name = f"images/{index:06d}{suffix_of(data)}"
         write_bytes(table.parent / name, data)
-        lines.append(",".join([str(t_ns), name, *(rows[index] if names else ())]))
+        lines.append(",".join([str(t_ns), name, *(column[index] for column in of_mounts.values())]))
     write_text(table, "\n".join(lines) + "\n")
+
+
+# -- the mount of each image, as columns of images.csv; an empty cell where it is as usual ----------------------------
+
+
+SIGMA = "_sigma"
+_FIELDS = {f"{name}_deg": f"{name}_rad" for name in ("tilt", "roll", "yaw")}
+_FIELDS |= {name: name for name in ("height_m", "right_m", "back_m")}
+"""Columns, and the fields of a mount that they state; the sigma of each has a column that ends in `SIGMA`."""
+
+
+def _within(expected: str, is_right: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return what reads a cell: a number for which `is_right`, nan for an empty cell."""
+
+    def read(cell: str) -> float:
+        value = number_or_unknown(cell)
+        if not (math.isnan(value) or is_right(value)):
+            raise ValueError(expected)
+        return value
+
+    return read
+
+
+_ANGLE = _within("an angle within ±180 degrees", lambda value: abs(value) <= 180)
+_LENGTH = _within("a length within ±100 m", lambda value: abs(value) <= 100)
+_SIGMA_DEG = _within("a sigma from 0 to 45 degrees", lambda value: 0 <= value <= 45)
+_SIGMA_M = _within("a sigma from 0 to 10 m", lambda value: 0 <= value <= 10)
+_READERS = {
+    "tilt_deg": _within("an angle above -90 and below 90 degrees", lambda value: -90 < value < 90),
+    "height_m": _within("a height above 0 and at most 100 m", lambda value: 0 < value <= 100),
+}
+for _name in _FIELDS:
+    _READERS.setdefault(_name, _ANGLE if _name.endswith("_deg") else _LENGTH)
+    _READERS[_name + SIGMA] = _SIGMA_DEG if _name.endswith("_deg") else _SIGMA_M
+MOUNT_COLUMNS = tuple(Column(name, read, required=False) for name, read in _READERS.items())
+
+
+def mounts_of_table(table: Table, usual: Mount) -> list[Mount | None]:
+    """Return the mount of each row (R); None where all its cells are empty. usual: what an empty cell means."""
+    mounts: list[Mount | None] = []
+    for row in range(len(table)):
+        cells = {name: column[row] for name in _READERS if (column := table.columns.get(name))}
+        known = {
+            name: math.radians(value) if "_deg" in name else value
+            for name, value in cells.items()
+            if not math.isnan(value)
+        }
+        values = {field: known[name] for name, field in _FIELDS.items() if name in known}
+        sigmas = {field: known[name + SIGMA] for name, field in _FIELDS.items() if name + SIGMA in known}
+        sigma = MountSigma(**sigmas) if sigmas else None
+        mounts.append(replace(usual, **values, sigma=sigma) if known else None)
+    return mounts
+
+
+def mount_cells(mounts: Sequence[Mount | None], usual: Mount) -> dict[str, list[str]]:
+    """Return the columns that say how the camera was mounted at each image, without those that would say nothing.
+
+    mounts: of the images; None: as usual.
+    """
+    columns: dict[str, list[float | None]] = {}
+    for name, field in _FIELDS.items():
+        values = [None if mount is None else getattr(mount, field) for mount in mounts]
+        sigmas = [None if mount is None or mount.sigma is None else getattr(mount.sigma, field) for mount in mounts]
+        if any(value is not None and value != getattr(usual, field) for value in values):
+            columns[name] = values
+        if any(sigma is not None for sigma in sigmas):
+            columns[name + SIGMA] = sigmas
+
+    def cell(name: str, value: float | None) -> str:
+        return "" if value is None else repr(degrees(value) if "_deg" in name else float(value))
+
+    return {name: [cell(name, value) for value in column] for name, column in columns.items()}

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_v
 from localiser.documents import Document, dump, is_name, parse, read_text, shown, validate, write_text
 from localiser.geometry import Array, private_folder, read_kept, write_kept
 from localiser.landmarks import FRAME, LandmarkMap, Quality
-from localiser.storage.kinds import MAP, refuse_other
-from localiser.storage.packing import decode, encode, form_of
+from localiser.storage.checkpoint import decode, encode, form_of
+from localiser.storage.files import MAP, refuse_other
 
 FORMAT = "localiser-map/1"
 MOST_BYTES = 64 * 2**20

@@ -15,7 +15,7 @@ from localiser.documents import load, read_bytes, validate
 from localiser.errors import InputError, warn
 from localiser.image_files import PNG_SIGNATURE, decode, measure
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
-from localiser.storage.kinds import CAMERA, MAP, PLAN, kind_of, refuse_other
+from localiser.storage.files import CAMERA, MAP, PLAN, kind_of, refuse_other
 
 OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
 _MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text

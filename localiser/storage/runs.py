@@ -6,7 +6,7 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from localiser.documents import draft_beside, output_errors, read_text, write_text
-from localiser.errors import InputError, OutputError
-from localiser.storage.kinds import kind_of
+from localiser.documents import draft_beside, field_name, output_errors, read_text, shown, write_text
+from localiser.errors import InputError, OutputError, one_paragraph
+from localiser.storage.files import kind_of
+from localiser.storage.tables import Column, csv_of, read_table
 
 LATEST = "latest"
 
@@ -134,3 +135,73 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+# -- tables of many runs, a row a run ---------------------------------------------------------------------------------
+
+
+Row = Mapping[str, Any]
+
+CHOICE = "set."
+"""How the names begin of columns that say what was chosen for a run."""
+
+TEXTS = (
+    "run", "log", "log_path", "log_id", "config", "error", "folder", "warnings", "confidence.reasons",
+    "observation", "association", "odometry", "start", "map", "inputs", "version",
+)  # fmt: skip
+INTEGERS = ("seed", "frames", "particles")
+_LARGEST = 2**62
+_REQUIRED = ("log", "log_id", "seed")
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """Return the table of rows as CSV; its columns are in the order in which rows have them; unknown: empty."""
+
+    def cell(value: Any) -> str:
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return ""
+        return str(int(value)) if isinstance(value, bool) else str(value)
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return csv_of([names, *([cell(row.get(name)) for name in names] for row in rows)])
+
+
+def read_figures(path: Path) -> dict[str, Any]:
+    """Return the figures of one run that a JSON file holds, as tables have them: by name. Raises InputError."""
+    figures = read_json(path)
+    for name, value in figures.items():
+        kind, fits = _type_of(name), isinstance(value, str)
+        if kind is not str:
+            fits = isinstance(value, (int, float)) and abs(value) < _LARGEST and (kind is float or value == int(value))
+        if not fits and value is not None:
+            expected = {str: "a text", int: "a whole number", float: "a number"}[kind]
+            raise InputError(f"expected {expected}, found {shown(value)}", path=path, field=field_name((name,)))
+    return figures
+
+
+def read_runs(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a table, None where something is not known. Raises InputError."""
+    table = read_table(path, [Column(name, str) for name in _REQUIRED], more_columns=True)
+
+    def value(index: int, name: str) -> Any:
+        cell, kind = table.columns[name][index], _type_of(name)
+        if not cell or kind is str:
+            return one_paragraph(cell) or None
+        try:
+            found = kind(cell)
+        except ValueError:
+            found = math.nan
+        if not abs(found) < _LARGEST:
+            raise table.error(index, name, f"expected a number or an empty cell, found {cell!r}")
+        return found
+
+    if not len(table):
+        raise InputError("expected at least one run, found none", path=path)
+    return [{name: value(index, name) for name in table.columns} for index in range(len(table))]
+
+
+def _type_of(name: str) -> type:
+    """Return what a column holds, by its name alone, so that tables of other runs can be put together."""
+    if name in TEXTS or name.startswith(CHOICE):
+        return str
+    return int if name in INTEGERS else float

@@ -17,7 +17,7 @@ from short_log import CORRIDOR, FEW_PARTICLES, Localiser, Result, cut_log
 
 from localiser.batch import run
 from localiser.evaluate import is_time
-from localiser.storage import read_figures, read_runs, write_runs_csv
+from localiser.storage import csv_text, read_figures, read_runs
 
 IMAGES = 4
 
@@ -106,8 +106,8 @@ def test_a_comparison_ends_with_1_on_a_loss(localiser: Localiser, log: Path, tmp
     same = batch(localiser, out, log, "--seeds", "0-1")
     assert same.exit_code == 0
     found = read_runs(out / "runs.csv")
-    write_runs_csv(half, [row | {"position_rmse_m": row["position_rmse_m"] / 2} for row in found])
-    write_runs_csv(double, [row | {"position_rmse_m": row["position_rmse_m"] * 2} for row in found])
+    half.write_text(csv_text([row | {"position_rmse_m": row["position_rmse_m"] / 2} for row in found]))
+    double.write_text(csv_text([row | {"position_rmse_m": row["position_rmse_m"] * 2} for row in found]))
     same = batch(localiser, out, log, "--seeds", "0-1", "--against", out)
     assert same.exit_code == 0 and "2 pairs: no significant loss." in same.out
     worse = batch(localiser, out, log, "--seeds", "0-1", "--against", half)

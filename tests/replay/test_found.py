@@ -14,7 +14,7 @@ from localiser.config import read_config
 from localiser.evaluate import found_images, metrics
 from localiser.filter import Finding
 from localiser.storage import TrackWriter, read_poses
-from localiser.storage.tracks import read_track
+from localiser.storage.trajectories import read_track
 
 PROBABILITY = [0.3, 0.7, 0.95, 0.6, 0.4, 0.8, 0.92]
 FOUND = [False, False, True, True, False, False, True]

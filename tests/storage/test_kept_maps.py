@@ -10,7 +10,7 @@ import pytest
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap
 from localiser.storage import maps, read_map, write_map
-from localiser.storage.packing import fingerprint
+from localiser.storage.checkpoint import fingerprint
 
 
 def large_map(count: int = 900) -> LandmarkMap:

@@ -8,8 +8,18 @@ from pathlib import Path
 import pytest
 from small_log import write_edge_log
 
-from localiser.errors import InputError
-from localiser.storage import FORMATS, FolderReader, Log, LogReader, ReadOptions, open_log
+from localiser.errors import InputError, OutputError
+from localiser.storage import (
+    FORMATS,
+    FolderReader,
+    Log,
+    LogReader,
+    ReadOptions,
+    open_log,
+    require_new,
+    require_new_file,
+    write_bytes,
+)
 
 
 class PointerReader:
@@ -48,3 +58,34 @@ def test_what_is_said_of_a_format_is_that_of_all_registered(pointer: Path) -> No
         open_log(pointer, camera=pointer)
     with pytest.raises(InputError, match="no such log"):
         open_log(pointer.parent / "missing")
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("durably", [False, True])
+def test_interrupted_writing_leaves_what_was_there_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, durably: bool
+) -> None:
+    path = tmp_path / "state"
+    write_bytes(path, b"before", durably=durably)
+
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("os.fsync" if durably else "pathlib.Path.replace", fail)
+    with pytest.raises(OutputError, match="state: cannot be written: no space left"):
+        write_bytes(path, b"after", durably=durably)
+    assert path.read_bytes() == b"before"
+    assert [file.name for file in tmp_path.iterdir()] == ["state"]
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    require_new(tmp_path)
+    require_new(tmp_path / "new")
+    require_new_file(tmp_path / "file")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(OutputError, match="expected a new or empty folder, found files in it"):
+        require_new(tmp_path)
+    with pytest.raises(OutputError, match="expected a new file, found one that is there already"):
+        require_new_file(tmp_path / "file")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from batches import row
 
 from localiser.edges import Edges
 from localiser.errors import InputError, OutputError
@@ -14,8 +15,19 @@ from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array, Increment
 from localiser.observation import Matches
 from localiser.particles import Estimate, Particles
-from localiser.storage import RunFolder, TrackWriter, find_run, json_text, read_json, read_poses, read_track
-from localiser.storage import runs as runs_module
+from localiser.storage import (
+    RunFolder,
+    TrackWriter,
+    csv_text,
+    find_run,
+    json_text,
+    read_figures,
+    read_json,
+    read_poses,
+    read_runs,
+    read_track,
+    write_text,
+)
 
 COV = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.001], [0.0, -0.001, 0.0025]])
 
@@ -68,7 +80,7 @@ def test_number_that_another_run_takes_is_skipped(tmp_path: Path, monkeypatch: p
     assert RunFolder.create(tmp_path, "log").path.name == "2"
 
 
-@pytest.mark.parametrize("name", ["../../etc", "a/b", ".", "..", "", "con:1", "ü" * 5])
+@pytest.mark.parametrize("name", ["../../etc", "a/b", ".", "..", "...", "", "con:1", "ü" * 5])
 def test_name_of_a_log_cannot_leave_the_folder(tmp_path: Path, name: str) -> None:
     run = RunFolder.create(tmp_path / "results", name)
     assert run.path.resolve().parent.parent == (tmp_path / "results").resolve()
@@ -161,19 +173,53 @@ def test_json_is_read_back_and_errors_have_a_place(tmp_path: Path) -> None:
             read_json(tmp_path / "metrics.json")
 
 
-def test_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = RunFolder(tmp_path)
-    run.write_text("config.yaml", "old")
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(OutputError, match=r"config\.yaml: cannot be written: No space left on device"):
-        run.write_text("config.yaml", "new")
-    assert (tmp_path / "config.yaml").read_text() == "old"
-    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
+# -- tables of many runs ----------------------------------------------------------------------------------------------
 
 
-def test_safe_name_of_nothing_is_log() -> None:
-    assert runs_module.safe_name("...") == "log"
+ROWS = [
+    row("a, b", 0, 0.125, frames=205, **{"set.mcl.particles": "500", "nees_mean": 3}),
+    row("c", 1, None, **{"set.mcl.particles": "600"}),
+]
+
+
+def test_a_table_gives_the_rows_back(tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").write_text(csv_text(ROWS))
+    expected = [one | {"frames": one.get("frames"), "nees_mean": one.get("nees_mean")} for one in ROWS]
+    assert read_runs(tmp_path / "runs.csv") == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("log,log_id,seed,nees_mean\nhouse,x,0,good\n", r"runs\.csv:2: nees_mean: expected a number .* found 'good'"),
+        ("log,log_id,seed\nhouse,x,first\n", r"runs\.csv:2: seed: expected a number .* found 'first'"),
+        ("log,seed\nhouse,0\n", "expected a column 'log_id'"),
+        ("log,log_id,seed\n", "expected at least one run, found none"),
+    ],
+)
+def test_a_bad_table_is_refused_by_line_and_column(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "runs.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_runs(tmp_path / "runs.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"frames": "many"}', "frames: expected a whole number, found 'many'"),
+        ('{"frames": 1.5}', "frames: expected a whole number, found 1.5"),
+        ('{"nees_mean": [1]}', r"nees_mean: expected a number, found \[1\]"),
+        ('{"nees_mean": 1e400}', "nees_mean: expected a number, found inf"),
+        ('{"map": 3}', "map: expected a text, found 3"),
+    ],
+)
+def test_figures_of_another_type_are_told(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "row.json").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_figures(tmp_path / "row.json")
+
+
+def test_a_name_that_is_no_text_fits_into_the_table(tmp_path: Path) -> None:
+    rows = [row("a", 0, 0.1, log_path="b\udcff")]
+    write_text(tmp_path / "runs.csv", csv_text(rows))
+    assert read_runs(tmp_path / "runs.csv")[0]["log_path"] == "b\\udcff"
