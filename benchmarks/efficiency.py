@@ -32,8 +32,7 @@ from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
 from localiser.motion.constant_errors import EXACT
-from localiser.observation import ObservationParameters
-from localiser.observation.known_association import observation_of
+from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
 from localiser.simulate import structure_of, truth_of, world_of
 
@@ -123,7 +122,7 @@ def run(
     )
     mcl = Mcl(
         setting.landmark_map,
-        observation_of(setting.camera, parameters),
+        EdgeObservation(setting.camera, parameters),
         MclParameters(particles=particles, start_particles=particles),
         MOTION,
         parameters,

@@ -1,6 +1,5 @@
 """How fast particles are weighed, and how long a whole step of the filter takes, by particles, landmarks and edges.
 
-    oracle   the same model with arrays, over the pairs of landmark and edge near each other: how many times as slow
     step     moved, weighed, estimated and resampled: the plain particle filter, ms
 
 Times are CPU times of the thread, the smallest of some rounds in which all paths take turns, so that other work on the
@@ -86,15 +85,13 @@ def main() -> None:
     arguments = parser.parse_args()
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=arguments.observation))
     observation.warm_up()
-    heads = ("particles", "landmarks", "edges", "weighing ms", "particles/s", "oracle", "step ms")
+    heads = ("particles", "landmarks", "edges", "weighing ms", "particles/s", "step ms")
     table = Table(*heads, title=f"{arguments.observation}, one thread")
     for count, landmarks, edges in product(arguments.particles, arguments.landmarks, arguments.edges):
         frame = frame_of(count, landmarks, edges)
-        fast, plain = partial(observation.by_rate, *frame), partial(observation.by_rate_plain, *frame)
-        whole = partial(step, observation, np.random.default_rng(0), frame)
-        weighing, stepping = fastest_ms([fast, whole], max(min(arguments.times, round(3e5 / count)), 3))
-        oracle, again = fastest_ms([plain, fast], 3)
-        cells = (f"{weighing:.2f}", f"{1e3 * count / weighing:.3g}", f"{oracle / again:.1f}×", f"{stepping:.2f}")
+        works = [partial(observation.by_rate, *frame), partial(step, observation, np.random.default_rng(0), frame)]
+        weighing, stepping = fastest_ms(works, max(min(arguments.times, round(3e5 / count)), 3))
+        cells = (f"{weighing:.2f}", f"{1e3 * count / weighing:.3g}", f"{stepping:.2f}")
         table.add_row(str(count), str(landmarks), str(edges), *cells)
     Console().print(table)
 

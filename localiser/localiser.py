@@ -41,7 +41,6 @@ from localiser.filter import (
     Start,
     Wheels,
     finish,
-    matched,
     step,
     track_of,
 )
@@ -49,7 +48,7 @@ from localiser.filter import warm_up as warm_up_filter
 from localiser.geometry import Array, Trajectory, Twist, finite_numbers
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel
-from localiser.observation import EdgeObservation, LocalisesGlobally, Observation, observation_of
+from localiser.observation import EdgeObservation, Observation
 from localiser.relocalisation import GlobalLocalisation
 from localiser.storage import check_start, check_whole, checkpoint_bytes, checkpoint_of, decoded, identity_of
 from localiser.visual_odometry import Odometer
@@ -107,7 +106,7 @@ class Localiser:
         self.rng, self.state = np.random.default_rng(self.config.seed), FilterState()
         self._camera, self._detector = camera, detector
         self._own = {"observation": observation, "motion": motion, "detector": detector}
-        self.observation = observation or observation_of(self.camera, config.observation)
+        self.observation = observation or EdgeObservation(self.camera, config.observation)
         motion = motion or config.motion
         self._mcl = Mcl(landmark_map, self.observation, config.mcl, motion, config.observation, search=self._search())
         if camera is not None:
@@ -119,7 +118,7 @@ class Localiser:
     def _search(self) -> GlobalLocalisation | None:
         """Return global localisation, None where the observation has no such ability."""
         known = self.config.observation.association == "known" and self._own["observation"] is None
-        if known or not isinstance(self.observation, LocalisesGlobally):
+        if known or not isinstance(self.observation, EdgeObservation):
             return None
         return GlobalLocalisation.of(self.observation, self.landmark_map, self.config.search)
 
@@ -343,9 +342,8 @@ class Localiser:
         for result in results:
             located, wide_cov = self._finding.after(result)
             measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
-            matches = matched(self._mcl, located)
             stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
-            frames.append(LocatedFrame(located, matches, measured.image, None, stage_ms, wide_cov))
+            frames.append(LocatedFrame(located, located.matches, measured.image, None, stage_ms, wide_cov))
             begin = perf_counter()
         return frames
 

@@ -30,7 +30,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.live import LiveOptions, open_run
 from localiser.localiser import Localiser
 from localiser.motion import MotionModel
-from localiser.observation import NearLandmarks, Observation, Visibility, matches_of
+from localiser.observation import EdgeObservation, NearLandmarks, Observation, Visibility
 from localiser.particles import Particles
 from localiser.replay import replay_log
 from localiser.storage import Event, ImageEvent, Log, open_log, read_track, write_camera
@@ -158,7 +158,9 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     assert last.located.sighting is not None
     as_weighed, as_measured = last.located.sighting.edges, last.located.edges
     assert np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
-    expected = matches_of(one.observation, last.located.estimate.pose_as_seen, last.located.sighting, LOG.landmark_map)
+    assert isinstance(one.observation, EdgeObservation)
+    pose = last.located.estimate.pose_as_seen
+    expected = one.observation.associate(pose, last.located.sighting, LOG.landmark_map).matches()
     np.testing.assert_array_equal(last.matches.landmark, expected.landmark)
     np.testing.assert_array_equal(last.matches.residual, expected.residual)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from edge_images import camera_of, wall_image
+from plain_likelihood import by_rate_plain
 
 from localiser.camera import Camera, Mount, MountSigma
 from localiser.edges import CommonError, EdgeParameters, Edges, find_edges, foot_of_edges
@@ -86,11 +87,11 @@ def test_particles_are_weighed_by_the_mount_of_the_image(kind) -> None:
     )
     sighting = Sighting(0, seen(USUAL, MOVED, pose))
     by_rate = observation.by_rate(cloud, sighting, MAP)
-    np.testing.assert_allclose(by_rate, observation.by_rate_plain(cloud, sighting, MAP), atol=0.05)
+    np.testing.assert_allclose(by_rate, by_rate_plain(observation, cloud, sighting, MAP), atol=0.05)
     alone = EdgeObservation(USUAL.at(MOVED), observation.parameters)
     np.testing.assert_array_equal(by_rate, alone.by_rate(cloud, Sighting(0, replace(sighting.edges, mount=None)), MAP))
     assert by_rate[-2].argmax() == 0
-    assert (observation.associate(pose, sighting, MAP).landmark >= 0).all()
+    assert (observation.associate(pose, sighting, MAP).matches().landmark >= 0).all()
 
 
 def test_edges_continue_those_of_an_image_under_another_mount() -> None:
@@ -102,7 +103,7 @@ def test_edges_continue_those_of_an_image_under_another_mount() -> None:
     increment = Increment(move, np.zeros((3, 3)), 0.05, 0.05)
 
     def densities(earlier: Sighting) -> list[float]:
-        persistent = observation.with_persistent_clutter(now, earlier, increment, 1e-4).edges.clutter
+        persistent = observation.persistent_clutter(now.edges, earlier.edges, increment, 1e-4)
         return [float(persistent.max()), *observation.scene_clutter(now, [EarlierImage(earlier, increment, 1e-4)])[0]]
 
     forgotten = replace(before, edges=replace(before.edges, mount=None))  # as if the camera had not been turned

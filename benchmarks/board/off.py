@@ -61,7 +61,6 @@ def _never_carried() -> None:
 
 
 MECHANISMS: dict[str, Patch] = {
-    "second-cloud": _set("filter.mcl:FEW", 10**9),
     "map-error": _set("filter.mcl:_map_error", lambda mcl, state, *_: state.map_error),
     "map-decorrelation": _set("filter.map_error:LONGEST", 1.0),
     "height": _all(
@@ -73,14 +72,14 @@ MECHANISMS: dict[str, Patch] = {
     "visibility": _set("observation.visibility:Visibility.after", _same),
     "wheels-check": _set("filter.mcl:_checked", _unchecked),
     "jump": _never_carried,
-    "persistent-clutter": _set(
-        "observation.edge_observation:EdgeObservation.with_persistent_clutter", lambda self, sighting, *_: sighting
-    ),
+    "persistent-clutter": _set("observation.edge_observation:EdgeObservation.persistent_clutter", lambda *_: None),
     "scene-clutter": _set(
         "observation.edge_observation:EdgeObservation.scene_clutter",
         lambda self, sighting, *_: (np.ones(len(sighting.edges)), np.ones(len(sighting.edges))),
     ),
-    "polarity": _set("observation.polarity:mean_polarity", lambda polarity: 0.0 * np.nan_to_num(polarity)),
+    "polarity": _all(
+        _set("observation.likelihood:MEAN_POLARITY", 0.0), _set("observation.association:MEAN_POLARITY", 0.0)
+    ),
     "history": _set("relocalisation.history:SCENES", 1),
     "fourth-root": _set("relocalisation.candidates:EVENNESS", 1.0),
     "limits": _set("filter.belief:SUPPORTED", np.inf),

@@ -60,7 +60,6 @@ class Edges:
     foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
         where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
     profile: (E, P) grey values across the edge from left to right, P may be 0.
-    clutter: (E,) how much denser clutter is expected where this edge is than anywhere in the image; 1 unless known.
     landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
     common: errors shared by all edges of the frame.
     rejected_px: (R, 2, 2) segments that were found and are not vertical edges, to look at.
@@ -79,7 +78,6 @@ class Edges:
     foot_range_m: Array
     foot_range_sigma_m: Array
     profile: Array
-    clutter: Array
     landmark_id: NDArray[np.int64]
     common: CommonError
     rejected_px: Array = field(default_factory=lambda: np.zeros((0, 2, 2)))
@@ -101,7 +99,6 @@ class Edges:
             "foot_range_m": unknown,
             "foot_range_sigma_m": unknown,
             "profile": np.zeros((count, 0)),
-            "clutter": np.ones(count),
             "landmark_id": np.full(count, -1, dtype=np.int64),
             "common": CommonError((), np.zeros((0, 0)), np.zeros((count, 0)), np.zeros((count, 0))),
         }

@@ -29,11 +29,12 @@ import numpy as np
 from localiser import particles
 from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_weight
 from localiser.filter.scene import Jump
+from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
 from localiser.observation import DetectionRate, Matches, NearLandmarks, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
-from localiser.relocalisation import Candidates, Clues, GlobalLocalisation, History, Limits, beyond
+from localiser.relocalisation import POWER, Candidates, Clues, GlobalLocalisation, History, Limits, beyond
 
 LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
 ENTERED = 1e-3  # from off the map onto it
@@ -129,7 +130,7 @@ class Belief:
     def after(
         self,
         search: GlobalLocalisation,
-        few: Particles | None,
+        found: Weighed | None,
         like: Particles,
         sighting: Sighting,
         jump: Jump,
@@ -138,13 +139,13 @@ class Belief:
     ) -> Belief:
         """Return the belief after an image.
 
-        few: some of the tracked particles, moved by odometry alone, None where none are tracked. like: particles whose
-        constant errors hold elsewhere too. jump: how new the image is. move: since the last image.
+        found: what it says of the tracked place, None where none is tracked. like: particles whose constant errors hold
+        elsewhere too, those tracked if any are. jump: how new the image is. move: since the last image.
         """
-        clues, is_tracked, carried = search.clues(sighting), few is not None, jump.carried(search.parameters.carried)
+        clues, is_tracked, carried = search.clues(sighting), found is not None, jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
         begun = replace(self, history=self.history.moved(move.increment, novelty))
-        belief = begun._judged(clues, few, replace(jump, novelty=novelty), carried, move)
+        belief = begun._judged(clues, found, replace(jump, novelty=novelty), carried, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
@@ -154,22 +155,22 @@ class Belief:
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
-            belief = belief._explored(search, like, few, clues, new, most_effort, move.model, rng)
+            tracked = like if is_tracked else None
+            belief = belief._explored(search, like, tracked, clues, new, most_effort, move.model, rng)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.most) if is_tracked else search.most
         return replace(belief, unproposed=0.0, history=belief.history.with_image(sighting))._resampled(most, rng)
 
-    def _judged(self, clues: Clues, few: Particles | None, jump: Jump, carried: float, move: Move) -> Belief:
+    def _judged(self, clues: Clues, found: Weighed | None, jump: Jump, carried: float, move: Move) -> Belief:
         """Return the belief after transitions and Bayes' rule."""
         novelty = jump.novelty
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
         log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
-        if few is not None:
-            by_rate, shown_by_rate = clues.by_rate_and_visibility(few, self.visibility)
-            detections, log_tracked = _rated(few, by_rate, detections, novelty)
-            shown, log_shown = _rated(few, shown_by_rate, shown, novelty)
-            blind = clues.blind_weight(few, by_rate)
+        if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
+            detections, log_tracked = _rated(found.before, POWER * found.by_rate, detections, novelty)
+            shown, log_shown = _rated(found.before, POWER * found.shown_by_rate, shown, novelty)
+            blind = clues.blind_weight(found.before, found.by_rate)
             support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
         explained = support + log_shown
         is_explained = carried < SUSPECTED and explained > SUPPORTED
@@ -230,7 +231,7 @@ class Belief:
         self,
         search: GlobalLocalisation,
         like: Particles,
-        few: Particles | None,
+        tracked: Particles | None,
         clues: Clues,
         new: float,
         most_effort: float,
@@ -242,8 +243,8 @@ class Belief:
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
-        is_first = few is None and self.elsewhere == 0.0 and self.overlooked == 1.0
-        shares = few is not None and (self.is_known or not search.places.are_many)
+        is_first = tracked is None and self.elsewhere == 0.0 and self.overlooked == 1.0
+        shares = tracked is not None and (self.is_known or not search.places.are_many)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
         overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
@@ -253,8 +254,8 @@ class Belief:
             overlooked=overlooked * self.overlooked,
             history=self.history.looked(overlooked),
         )
-        if proposed is not None and few is not None:  # poses at the tracked place are no other place
-            proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(few).pose))
+        if proposed is not None and tracked is not None:  # poses at the tracked place are no other place
+            proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(tracked).pose))
         if proposed is not None and len(proposed):
             known = [] if self.candidates is None else [(self.candidates.particles, self.elsewhere)]
             more, probability = beyond(self.history.weighed(proposed, clues.sighting, search.clues, motion, rng), known)
@@ -398,10 +399,10 @@ class Belief:
         return replace(self, candidates=self.candidates.resampled(most, rng))
 
 
-def _rated(few: Particles, by_rate: Array, rate: DetectionRate, novelty: float) -> tuple[DetectionRate, float]:
+def _rated(cloud: Particles, by_rate: Array, rate: DetectionRate, novelty: float) -> tuple[DetectionRate, float]:
     """Return the detection rate after an image, and the logarithm of the mean likelihood of these particles.
 
     by_rate: (K, N) log p(edges | particle, p_k). rate: before the image.
     """
-    weighed, log_mean = Candidates.of(few, rate).weighed(by_rate, novelty, needs_landmarks=False)
+    weighed, log_mean = Candidates.of(cloud, rate).weighed(by_rate, novelty, needs_landmarks=False)
     return weighed.mean_rate, log_mean

@@ -13,7 +13,7 @@ from localiser.filter.confidence import MapWarning, Reason
 from localiser.filter.height import Height
 from localiser.filter.map_error import MapError
 from localiser.geometry import Array, Increment, Trajectory
-from localiser.observation import Sighting
+from localiser.observation import Matches, Sighting
 from localiser.particles import Clusters, Estimate, Particles
 
 
@@ -61,7 +61,8 @@ class Located:
     within 0.5 m and 10°. reason: why it is below 0.9, else "". clusters: the places where the robot may be, heaviest
     first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. height: by how
     much the camera's height above the floor does. map_error: how far landmarks are from where the map has them.
-    sighting: what particles were weighed by, edges corrected by attitude and height. warning: what a user should look
+    sighting: what particles were weighed by, edges corrected by attitude and height. matches: which landmark each of
+    them shows, seen from the estimate. warning: what a user should look
     at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     odometry_jumped: whether odometry began anew since the last image, so that the motion was bridged.
@@ -81,6 +82,7 @@ class Located:
     height: Height = field(default_factory=Height)
     map_error: MapError = field(default_factory=MapError)
     sighting: Sighting | None = None
+    matches: Matches = field(default_factory=lambda: Matches.none(0, 0))
     warning: MapWarning = ""
     wheels_are_wrong: bool = False
     odometry_jumped: bool = False

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from localiser.filter.confidence import LEAST_SURE, NOT_FOUND, SURE
 from localiser.filter.events import Located
-from localiser.filter.mcl import Mcl
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import Matches, Sighting, matches_of
+from localiser.observation import Matches
 
 Image = NDArray[np.uint8] | bytes
 """Pixels (height, width) grey or (height, width, 3) BGR as OpenCV has them, or the bytes of a JPEG or PNG file."""
@@ -77,9 +76,3 @@ class Finding:
         if self.is_found:
             return located, None
         return located, p_correct * located.estimate.pose_cov + (1 - p_correct) * self.anywhere
-
-
-def matched(mcl: Mcl, located: Located) -> Matches:
-    """Return which landmark each of the edges that particles were weighed by shows, seen from the estimate."""
-    sighting = located.sighting or Sighting(located.t_ns, located.edges)
-    return matches_of(mcl.observation, located.estimate.pose_as_seen, sighting, mcl.landmark_map)

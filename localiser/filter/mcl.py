@@ -32,34 +32,28 @@ from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.moves import is_silent, moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
-from localiser.filter.tempering import Tempering
+from localiser.filter.tempering import Tempering, Weighed
 from localiser.filter.wheels import MOST_EDGES, Evidence, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EstimatesConstantErrors, LinearisedMotion, MotionModel, MotionParameters, covariance_of
 from localiser.observation import (
-    ComparesEnds,
+    Association,
     EarlierImage,
     EdgeObservation,
-    FollowsClutter,
-    GuidesSteps,
     InlierRate,
     Matches,
     Observation,
     ObservationParameters,
-    PredictsScenes,
-    ScalesMaps,
     Sighting,
-    TempersByScale,
-    likelihood_by_rate,
-    matches_of,
+    end_offsets,
     novelty_of,
 )
-from localiser.particles import POSE, Estimate, Particles, log_sum, systematic_resample, thinned
+from localiser.particles import POSE, Particles, log_sum, systematic_resample, thinned
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer
 
-FEW = 512  # particles that tell how well all of them fit
+FEW = 512  # particles that tell where odometry alone expects all of them
 FIRST_THREADS = 4  # at most, that share the first image
 
 
@@ -98,6 +92,11 @@ class Mcl:
     odometer: Odometer | None = None
     search: GlobalLocalisation | None = None
     level: Level | None = None
+
+    @property
+    def edges(self) -> EdgeObservation | None:
+        """The observation of edges; None where it is one's own, of which nothing but a likelihood is asked."""
+        return self.observation if isinstance(self.observation, EdgeObservation) else None
 
     def by_edges(self) -> Mcl:
         """Return the same in which edges alone tell how the robot moved. Raises InputError without a camera."""
@@ -190,23 +189,22 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         state.height = _height_with_poses(mcl, state, few, measured)
         sighting = _from_height(mcl, state, measured)
     image = _received(mcl, state, sighting, drive)
-    weighed = None
+    found = None
     if state.particles is not None and few is not None:
         # Predict: every particle moves by its own draw of the motion, at best where the edges say.
         moved = _proposed(mcl, state, state.particles, few, image, rng)
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
-        weighed = _weighed(mcl, state, state.particles, moved, image, rng)
+        found = _weighed(mcl, state, state.particles, moved, image, rng)
     # Compare: is the robot at another place, or not on this map at all?
-    weighed = _compared(mcl, state, few, weighed, image, rng)
-    # Estimate: before resampling, which only adds noise.
-    located = _located(state, weighed, measured, image)
+    weighed = _compared(mcl, state, found, image, rng)
+    # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
+    located, association = _located(mcl, state, weighed, measured, image)
     # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
-    matches = None if weighed is None else _matches(mcl, located.estimate, image.sighting)
-    if matches is not None and mcl.search is not None:
+    if weighed is not None and mcl.search is not None:
         pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
-        state.belief = state.belief.seen(matches, points, pose, image.jump.novelty)
+        state.belief = state.belief.seen(located.matches, points, pose, image.jump.novelty)
     state.height = _height(mcl, state, located, image)
-    state.map_error = _map_error(mcl, state, located, image)
+    state.map_error = _map_error(mcl, state, located, association, image.novelty)
     # Resample: as many particles as the way needs, from those that explain the edges.
     state.particles = _resampled(mcl, state, weighed, located.ess, rng)
     seconds = (sighting.t_ns - state.at_ns) / 1e9
@@ -278,31 +276,29 @@ def _checked(
         return drive, None
     few = thinned(state.particles, FEW)
     driven, seen, seconds = mcl.moved(few, drive.moves, rng), state.seen, (sighting.t_ns - state.at_ns) / 1e9
-    odometer, observation = mcl.odometer, mcl.observation
-    if odometer is None or odometer.follows_edges or not state.weighed or seen is None or seconds <= 0:
+    odometer, observation = mcl.odometer, mcl.edges
+    if observation is None or odometer is None or odometer.follows_edges or not state.weighed or seen is None:
         return drive, driven
-    if seconds > odometer.parameters.pace_s:  # by then the robot may go on at any pace, so that nothing can be judged
+    if not 0 < seconds <= odometer.parameters.pace_s:  # later the robot may go on at any pace: nothing can be judged
         return drive, driven
     if not len(sighting.edges) or not len(seen.edges):
         return drive, driven
     edges, camera = sighting.edges, odometer.camera
     if state.attitude is not None and not measured_for_image(camera.at(edges.mount).mount):
         edges = state.attitude.levelled(edges, camera)
+    level, parts = replace(sighting, edges=edges), (seen, sighting)
 
     def fit(cloud: Particles) -> Array:
-        by_rate = likelihood_by_rate(observation, cloud, replace(sighting, edges=edges), mcl.landmark_map)
-        return state.inliers.log_mean(by_rate)
+        return state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
 
-    earlier, now = (replace(one, edges=one.edges.longest(MOST_EDGES)) for one in (seen, sighting))
+    earlier, now = (replace(one, edges=one.edges.longest(MOST_EDGES)) for one in parts)
 
     def continued(motion: Increment) -> float:
-        assert isinstance(observation, PredictsScenes)
         before = EarlierImage(earlier, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
         return float(np.log(observation.scene_clutter(now, [before])[0]).sum())
 
-    follows = continued if isinstance(observation, PredictsScenes) else None
     state.wheels, other = state.wheels.after(
-        Evidence(odometer, earlier.edges, now.edges, fit, follows),
+        Evidence(odometer, earlier.edges, now.edges, fit, continued),
         drive.increment,
         covariance_of(mcl.motion, drive.increment),
         driven,
@@ -320,13 +316,13 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
     """Return what the motion and earlier images tell of an image."""
     motion, seen, increment = mcl.motion, state.seen, drive.increment
     novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
-    jump, clutter = Jump(novelty), None
-    if mcl.search is not None and isinstance(mcl.observation, PredictsScenes):
-        state.scene, clutter, jump = state.scene.followed(mcl.observation, motion, sighting, increment)
-    if seen is not None and novelty < 1.0 and isinstance(mcl.observation, FollowsClutter):
+    jump, scene, persistent = Jump(novelty), None, None
+    if mcl.edges is not None and mcl.search is not None:
+        state.scene, scene, jump = state.scene.followed(mcl.edges, motion, sighting, increment)
+    if mcl.edges is not None and seen is not None and novelty < 1.0:
         turn_var = float(covariance_of(motion, increment)[2, 2])
-        sighting = mcl.observation.with_persistent_clutter(sighting, seen, increment, turn_var)
-    sighting = replace(sighting, clutter=clutter)
+        persistent = mcl.edges.persistent_clutter(sighting.edges, seen.edges, increment, turn_var)
+    sighting = replace(sighting, persistent=persistent, scene=scene)
     if mcl.level is not None:
         edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
@@ -337,13 +333,13 @@ def _proposed(
     mcl: Mcl, state: FilterState, cloud: Particles, few: Particles, image: _Image, rng: np.random.Generator
 ) -> Particles | None:
     """Return the particles drawn from the optimal proposal; None at a start, and where nothing guides the steps."""
-    observation, motion, parameters = mcl.observation, mcl.motion, mcl.parameters
-    if not isinstance(observation, GuidesSteps) or not isinstance(motion, LinearisedMotion):
+    observation, motion, parameters = mcl.edges, mcl.motion, mcl.parameters
+    if observation is None or not isinstance(motion, LinearisedMotion):
         return None
     if not state.weighed or not len(image.sighting.edges) or image.novelty <= 0:
         return None
     rate = state.inliers.after(image.novelty).mean
-    targets = observation.targets(few, image.sighting, mcl.landmark_map, rate)
+    targets = observation.associate_prior(few, image.sighting, mcl.landmark_map).targets(rate)
     camera = observation.camera.at(image.sighting.edges.mount)
     proposal = OptimalProposal(camera, targets, image.novelty, parameters.stage_below, parameters.resample_below)
     *earlier, last = image.moves
@@ -357,42 +353,38 @@ def _weighed(
     proposed: Particles | None,
     image: _Image,
     rng: np.random.Generator,
-) -> Particles:
+) -> Weighed:
     """Return weighed particles: those proposed, else `cloud` moved by odometry alone and weighed in stages."""
-    inliers, stage_below = state.inliers.after(image.novelty), mcl.parameters.stage_below
-    observation = mcl.observation
+    inliers, observation = state.inliers.after(image.novelty), mcl.observation
     if isinstance(observation, EdgeObservation) and not state.weighed:  # many particles, many times: all wait for it
         observation = observation.on_processors(FIRST_THREADS)
-    tempering = Tempering(observation, mcl.landmark_map, image.sighting, inliers, image.novelty, stage_below)
+    visible = None if mcl.search is None else state.belief.visibility.of_all(len(mcl.landmark_map))
+    stage_below = mcl.parameters.stage_below
+    tempering = Tempering(observation, mcl.landmark_map, image.sighting, inliers, image.novelty, stage_below, visible)
     found = None if proposed is None else tempering.at_once(proposed)
     if found is None:  # the first image, and one whose edges were taken for those of other landmarks
         found = tempering.in_stages(mcl.moved(cloud, image.moves, rng), not state.weighed, rng)
-    weighed, state.inliers = found
-    return weighed
+    state.inliers = found.inliers
+    return found
 
 
 def _compared(
-    mcl: Mcl,
-    state: FilterState,
-    few: Particles | None,
-    weighed: Particles | None,
-    image: _Image,
-    rng: np.random.Generator,
+    mcl: Mcl, state: FilterState, found: Weighed | None, image: _Image, rng: np.random.Generator
 ) -> Particles | None:
     """Return the particles that are tracked from now on; None while there are candidates only."""
+    weighed = None if found is None else found.particles
     if mcl.search is None:
         return weighed
-
     move = Move(image.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.moves, rng))
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
-    belief = state.belief.after(mcl.search, few, like, image.sighting, image.jump, move, rng)
+    belief = state.belief.after(mcl.search, found, like, image.sighting, image.jump, move, rng)
     if weighed is not None:
         belief = belief.beside(particles.estimate(weighed).pose)
     elif belief.candidates is None:
         belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.most, rng))
-    found = belief.found(is_tracked=weighed is not None)
-    if found is not None:
-        weighed, belief = found
+    other = belief.found(is_tracked=weighed is not None)
+    if other is not None:
+        weighed, belief = other
     elif weighed is not None and belief.here < RELEASED:
         belief, weighed = belief.released(weighed), None
     state.belief = belief
@@ -407,11 +399,16 @@ def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Pa
     return mcl.motion.with_constant_errors(origin) if isinstance(mcl.motion, EstimatesConstantErrors) else origin
 
 
-def _located(state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image) -> Located:
-    belief = state.belief
+def _located(
+    mcl: Mcl, state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image
+) -> tuple[Located, Association | None]:
+    """Return what is known of the robot, and how the edges compare with the landmarks that it sees."""
+    belief, association = state.belief, None
     cloud, estimate, clusters = belief.places(weighed)
     p_correct = belief.p_correct(cloud, estimate.pose, is_tracked=weighed is not None)
-    return Located(
+    if mcl.edges is not None:
+        association = mcl.edges.associate(estimate.pose_as_seen, image.sighting, mcl.landmark_map)
+    located = Located(
         t_ns=measured.t_ns,
         estimate=estimate,
         particles=cloud,
@@ -429,7 +426,9 @@ def _located(state: FilterState, weighed: Particles | None, measured: Sighting, 
         height=state.height,
         map_error=state.map_error,
         sighting=image.sighting,
+        matches=Matches.none(0, len(mcl.landmark_map)) if association is None else association.matches(),
     )
+    return located, association
 
 
 def _resampled(
@@ -453,7 +452,7 @@ def _from_height(mcl: Mcl, state: FilterState, sighting: Sighting) -> Sighting:
 def _tells_height_with_poses(mcl: Mcl, state: FilterState, sighting: Sighting) -> bool:
     """Return whether an image should tell the camera's height together with the pose."""
     level, edges, landmarks = mcl.level, sighting.edges, mcl.landmark_map
-    if level is None or not isinstance(mcl.observation, ComparesEnds) or not state.height.is_unknown:
+    if level is None or mcl.edges is None or not state.height.is_unknown:
         return False
     if not np.isfinite(edges.ends_px).any() or is_measured(level.camera, edges):
         return False
@@ -466,15 +465,14 @@ def _height_with_poses(mcl: Mcl, state: FilterState, few: Particles, sighting: S
 
     Edges are blurred so that a few particles are dense enough.
     """
-    assert mcl.level is not None
-    observation, camera, blur_rad = mcl.observation, mcl.level.camera, 0.0
-    if isinstance(observation, TempersByScale):
-        spread_rad, sigma_rad = observation.scales(few, sighting, mcl.landmark_map)
-        blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
+    assert mcl.level is not None and mcl.edges is not None
+    observation, camera = mcl.edges, mcl.level.camera
+    spread_rad, sigma_rad = observation.scales(few, sighting, mcl.landmark_map)
+    blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
 
     def log_likelihood(offset_m: float) -> float:
         image = replace(sighting, edges=seen_from_offset(sighting.edges, camera, offset_m))
-        by_rate = likelihood_by_rate(observation, few, image, mcl.landmark_map, blur_rad)
+        by_rate = observation.by_rate(few, image, mcl.landmark_map, blur_rad)
         return float(log_sum(few.log_weight + state.inliers.after(1.0).log_mean(by_rate)))
 
     return state.height.with_poses(log_likelihood, state.height.novelty if state.weighed else 1.0)
@@ -482,35 +480,26 @@ def _height_with_poses(mcl: Mcl, state: FilterState, few: Particles, sighting: S
 
 def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> Height:
     """Return what is known of the camera's height after an image, while a place is tracked."""
-    observation, edges = mcl.observation, image.sighting.edges
-    if mcl.level is None or not isinstance(observation, ComparesEnds) or state.particles is None or not len(edges):
+    edges = image.sighting.edges
+    if mcl.level is None or mcl.edges is None or state.particles is None or not len(edges):
         return state.height
-    stated = mcl.level.camera.at(located.edges.mount)
     height = state.height.seen(image.novelty if state.weighed else 0.0)
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height
-    as_stated = image.sighting
-    if edges.mount is not located.edges.mount:
-        as_stated = replace(as_stated, edges=replace(edges, mount=located.edges.mount))
-    return height.after(observation.end_offsets(located.estimate.pose_as_seen, as_stated, mcl.landmark_map), stated)
+    stated = mcl.level.camera.at(located.edges.mount)
+    offsets = end_offsets(located.matches, located.estimate.pose_as_seen, edges, stated, mcl.landmark_map)
+    return height.after(offsets, stated)
 
 
-def _matches(mcl: Mcl, estimate: Estimate, sighting: Sighting) -> Matches:
-    """Return which landmark each edge shows from the estimate, whether or not an earlier image showed it too."""
-    edges = replace(sighting.edges, clutter=np.ones(len(sighting.edges)))
-    return matches_of(mcl.observation, estimate.pose_as_seen, replace(sighting, edges=edges), mcl.landmark_map)
-
-
-def _map_error(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> MapError:
+def _map_error(
+    mcl: Mcl, state: FilterState, located: Located, association: Association | None, novelty: float
+) -> MapError:
     """Return what is known of the landmarks' errors after an image, where the pose is sure."""
-    observation, sighting = mcl.observation, image.sighting
     is_sure = state.particles is not None and located.p_correct >= SURE
-    if not isinstance(observation, ScalesMaps) or not len(sighting.edges) or not is_sure:
+    if association is None or mcl.correlation.association == "known" or not len(located.edges) or not is_sure:
         return state.map_error
-    found = state.map_error.seen(image.novelty)
-    if found.novelty < LEAST_NOVELTY:
-        return found
-    return found.after(observation.by_map_scale(located.estimate.pose_as_seen, sighting, mcl.landmark_map, SCALES))
+    found = state.map_error.seen(novelty)
+    return found if found.novelty < LEAST_NOVELTY else found.after(association.by_map_scale(SCALES))
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel, covariance_of
-from localiser.observation import EarlierImage, PredictsScenes, Sighting
+from localiser.observation import EarlierImage, EdgeObservation, Sighting
 
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
@@ -74,7 +74,7 @@ class Scene:
     usual: float = USUAL
 
     def followed(
-        self, observation: PredictsScenes, motion: MotionModel, sighting: Sighting, increment: Increment
+        self, observation: EdgeObservation, motion: MotionModel, sighting: Sighting, increment: Increment
     ) -> tuple[Scene, Array, Jump]:
         """Return the scene with an image, the density of clutter at its edges (E,), and how new it is.
 

@@ -14,8 +14,33 @@ import numpy as np
 from localiser import particles
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import InlierRate, Observation, Sighting, TempersByScale, likelihood_by_rate
+from localiser.observation import (
+    DETECTION_RATES,
+    INLIER_RATES,
+    EdgeObservation,
+    InlierRate,
+    Observation,
+    Sighting,
+    View,
+    own_log_likelihood,
+)
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """Particles that an image has weighed, and what it says of their place.
+
+    particles: after the image. inliers: what is then known of the inlier rate. before: particles that the image had not
+    weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle, p_k) of these for every detection rate, where
+    all landmarks in view may show, and where some are hidden; None with an observation of one's own.
+    """
+
+    particles: Particles
+    inliers: InlierRate
+    before: Particles
+    by_rate: Array | None = None
+    shown_by_rate: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +48,8 @@ class Tempering:
     """How particles are weighed by one sighting.
 
     inliers: what is known of the inlier rate. novelty: 0 … 1, how much of the log-likelihood is new and is weighed.
-    stage_below: fraction of effective samples that each stage leaves; 0: one stage.
+    stage_below: fraction of effective samples that each stage leaves; 0: one stage. visible: (L,) probability that a
+    landmark in view is not hidden at the tracked place; None where nothing is asked of the place.
     """
 
     observation: Observation
@@ -32,26 +58,28 @@ class Tempering:
     inliers: InlierRate
     novelty: float
     stage_below: float
+    visible: Array | None = None
 
-    def at_once(self, moved: Particles) -> tuple[Particles, InlierRate] | None:
+    def at_once(self, moved: Particles) -> Weighed | None:
         """Return what `in_stages` does, in one stage; None where that would leave too few effective samples."""
-        by_rate = self._by_rate(moved)
+        by_rate, *of_place = self._by_views(moved)
         weighed = replace(moved, log_weight=moved.log_weight + self.novelty * self.inliers.log_mean(by_rate))
         if particles.effective_sample_size(weighed.weight) < self.stage_below * len(moved):
             return None
-        return weighed, self.inliers.given(by_rate, weighed.weight, self.novelty)
+        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), moved, *of_place)
 
-    def in_stages(self, moved: Particles, is_first: bool, rng: np.random.Generator) -> tuple[Particles, InlierRate]:
-        """Return the weighed particles, and what is then known of the inlier rate.
+    def in_stages(self, moved: Particles, is_first: bool, rng: np.random.Generator) -> Weighed:
+        """Return the particles, weighed.
 
         is_first: whether perhaps no particle fits at all, as at a start. Then edges are blurred first and sharpened
         from stage to stage.
         """
         coarser_rad: float | None = None
+        (sharp, *of_place), before = self._by_views(moved), moved
         for blur_rad in self._blurs(moved) if is_first else [0.0]:
             left = self.novelty
             for stage in range(MOST_STAGES):
-                by_rate = self._by_rate(moved, blur_rad)
+                by_rate = sharp if moved is before and blur_rad == 0 else self._by_rate(moved, blur_rad)
                 log_likelihood = self.inliers.log_mean(by_rate)
                 if coarser_rad is not None:  # which the particles have been weighed by already
                     log_likelihood = log_likelihood - self.inliers.log_mean(self._by_rate(moved, coarser_rad))
@@ -69,10 +97,25 @@ class Tempering:
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        return weighed, self.inliers.given(by_rate, weighed.weight, self.novelty)
+        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), before, *of_place)
 
     def _by_rate(self, moved: Particles, blur_rad: float = 0.0) -> Array:
-        return likelihood_by_rate(self.observation, moved, self.sighting, self.landmark_map, blur_rad)
+        if isinstance(self.observation, EdgeObservation):
+            return self.observation.by_rate(moved, self.sighting, self.landmark_map, blur_rad)
+        found = own_log_likelihood(self.observation, moved, self.sighting, self.landmark_map)
+        return np.tile(found, (len(INLIER_RATES), 1))  # the same whatever the rate
+
+    def _by_views(self, moved: Particles) -> list[Array]:
+        """Return `_by_rate`; where a place is judged, `by_rate` and `shown_by_rate` of `Weighed` too."""
+        if not isinstance(self.observation, EdgeObservation) or self.visible is None:
+            return [self._by_rate(moved)]
+        scene = self.sighting.scene
+        views = [
+            View(INLIER_RATES, True, self.sighting.persistent),
+            View(DETECTION_RATES, False, scene),
+            View(DETECTION_RATES, False, scene, self.visible),
+        ]
+        return self.observation.by_views(moved, self.sighting, self.landmark_map, views)
 
     def _blurs(self, moved: Particles) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
@@ -80,7 +123,7 @@ class Tempering:
         Only 0 where at least one particle is expected within an edge's sigma of the truth in every dimension. Else
         from twice the spread of the particles' predictions, halved until it is below the edges' sigma.
         """
-        if not isinstance(self.observation, TempersByScale):
+        if not isinstance(self.observation, EdgeObservation):
             return [0.0]
         spread_rad, sigma_rad = self.observation.scales(moved, self.sighting, self.landmark_map)
         if len(moved) * sigma_rad ** len(POSE) >= spread_rad ** len(POSE):

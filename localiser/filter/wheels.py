@@ -58,26 +58,24 @@ class Evidence:
 
     odometer: follows edges from one image to the next. before, after: longest edges of the last image and of this. fit:
     returns the log-likelihood (N,) of the image at particles. continued: returns the log-density of its edges, as those
-    of the last image predict them after a motion; None where the observation cannot.
+    of the last image predict them after a motion.
     """
 
     odometer: Odometer
     before: Edges
     after: Edges
     fit: Callable[[Particles], Array]
-    continued: Callable[[Increment], float] | None
+    continued: Callable[[Increment], float]
 
     def by_map(self, cloud: Particles) -> float:
         """Return the logarithm of the mean likelihood of the image over particles."""
         return float(log_sum(cloud.log_weight + self.fit(cloud)) - log_sum(cloud.log_weight))
 
     def by_last_image(self, increment: Increment) -> float:
-        """Return the log-density of the edges after a motion, 0 where nothing can be said.
+        """Return the log-density of the edges after a motion.
 
         Some images follow from none (`CROSSED`): a person walks by, or comes between.
         """
-        if self.continued is None:
-            return 0.0
         return float(np.logaddexp(np.log1p(-CROSSED) + self.continued(increment), np.log(CROSSED)))
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:

@@ -55,27 +55,10 @@ class Endpoints:
         return self.room >= _UNKNOWN
 
 
+@lru_cache(maxsize=16)  # the same ends are asked for several times in a frame
 def endpoints_of(edges: Edges, camera: Camera) -> Endpoints:
     """Return where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
-    return _endpoints_of(_Same(edges.ends_px), camera, edges.height_sigma_m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Same:
-    """An array that equals itself alone: edges that differ in their clutter have the same ends."""
-
-    array: Array
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.array is self.array
-
-    def __hash__(self) -> int:
-        return id(self.array)
-
-
-@lru_cache(maxsize=16)  # the same ends are asked for several times in a frame
-def _endpoints_of(ends: _Same, camera: Camera, height_sigma_m: float) -> Endpoints:
-    ends_px = ends.array
+    ends_px = edges.ends_px
     count = len(ends_px)
     known_sigma = SIGMA_PX / camera.focal_px
     if not np.isfinite(ends_px).all():  # measured by something that tells no ends
@@ -87,7 +70,7 @@ def _endpoints_of(ends: _Same, camera: Camera, height_sigma_m: float) -> Endpoin
     row = ROW_PX / camera.focal_px
     near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
     room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
-    sigma = known_sigma * np.hypot(1.0, height_sigma_m * end_per_height(e, camera) / known_sigma)
+    sigma = known_sigma * np.hypot(1.0, edges.height_sigma_m * end_per_height(e, camera) / known_sigma)
     peak = (1.0 - MISSED) * room / (np.sqrt(2 * np.pi) * sigma)
     per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
     # The border ends an edge wherever its landmark does.

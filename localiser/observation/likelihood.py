@@ -1,14 +1,15 @@
 """The likelihood of edges by compiled loops: the sum over particles, landmarks and edges.
 
-It computes what `EdgeObservation.by_rate_plain` does with arrays. Four things make it fast, and none of them changes
-the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be
-in view from a cell are looked at. An edge that no landmark comes near costs nothing. The loops run as vector
+Several questions about the same particles, views, are answered by one call. Four things make it fast, and none of them
+changes the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that
+can be in view from a cell are looked at. An edge that no landmark comes near costs nothing. The loops run as vector
 instructions (`likelihood_kernel`). No more particles are weighed at a time than the cache holds. A particle's result
 depends on that particle alone, whatever number of threads share the work.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,7 +23,6 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import (
     LandmarkMap,
-    Reach,
     SightParameters,
     in_view_of_cells,
     kept_with,
@@ -31,11 +31,13 @@ from localiser.landmarks import (
     widest_tangent,
 )
 from localiser.observation import endpoint_likelihood as endpoints
-from localiser.observation import polarity
 from localiser.observation.angle import Angle
 from localiser.observation.parameters import ObservationParameters
-from localiser.observation.protocols import Sighting
+from localiser.observation.sighting import Sighting
 
+# An edge of a landmark has its polarity with probability 0.9, and clutter has both alike. So p(polarity | landmark) / ½
+# is 1 + polarity_e · MEAN_POLARITY · polarity_l, and 1 where either is unknown (0). See docs/notes/observation.md.
+MEAN_POLARITY = 2 * 0.9 - 1.0
 GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 _UNKNOWN_M = 1e9  # beyond every height
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
@@ -43,6 +45,7 @@ _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
 _LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
 _MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
+_LANES = 8  # rates of a view, at most
 _BINS = 512  # of the compared angle
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 _PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
@@ -51,83 +54,56 @@ EdgeBins = tuple[NDArray[np.int64], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """What all particles share in a frame: landmarks, edges and the camera, as the loop takes them.
+class View:
+    """One of the questions that a particle's edges answer at once, see `likelihood_kernel.log_products`.
 
-    landmarks: (L, 6) x, z, bottom and top above the camera (∓1e9 where unknown), all in m, variance of the position in
-    m², mean polarity of its edges. visibility: (V, L) probability that nothing hides it, in each view. edges: (E, 13)
-    compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the lower and
-    upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and
-    1 / sigma, polarity, 1 / how dense clutter is there. bins: of their angles, see `bins_of`.
-    offset: right, back (m) and yaw (rad) of the camera on the robot.
-    view: (7,) sine and cosine of the tilt; a_left, a_right, e_low, e_high of the image with its margin; the shortest
-    length that counts. range_m: nearest, farthest, and from where on walls hide. widest: bound on |tan(bearing)|. gate:
-    reach beyond the landmark's own sigma: how many sigmas, and the largest variance of an edge. ends: how far an edge
-    may stick out, p(missed). span: of the compared angle (rad). is_slope: whether that is the lean. reach: which
-    landmarks are in range from where.
+    rates: (K,) ascending, at most 8. of_edges: whether these are inlier rates, else detection rates. clutter: (E,) how
+    dense clutter is at each edge; None: as dense everywhere. visibility: (L,) probability that a landmark in view is
+    not hidden; None: none is.
     """
 
-    landmarks: Array
-    visibility: Array
-    reach: Reach
-    edges: Array
+    rates: Array
+    of_edges: bool
+    clutter: Array | None = None
+    visibility: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeTable:
+    """The edges of one image as the loop takes them, by their compared angle.
+
+    rows: (E, 13) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the
+    lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and
+    1 / sigma, polarity, landmark whose edge it is said to be, -1 for any. order: (E,) which edge a row is. bins: of
+    their angles, see `bins_of`. largest_var: of the known ones. missed: p(an end is not its landmark's).
+    """
+
+    rows: Array
+    order: NDArray[np.int64]
     bins: EdgeBins
-    offset: tuple[float, float, float]
-    view: tuple[float, ...]
-    range_m: tuple[float, float, float]
-    widest: float
-    gate: tuple[float, float]
-    ends: tuple[float, float]
-    span: float
-    is_slope: bool
-
-
-def scene_of(
-    angle: Angle,
-    parameters: ObservationParameters,
-    sighting: Sighting,
-    landmark_map: LandmarkMap,
-    blur_rad: float,
-    visibility: Array,
-) -> Scene:
-    """Return what all particles share, for the edges of one image.
-
-    blur_rad: sigma that is added to every edge's. visibility: (V, L) probability that a landmark in view is not hidden,
-    in each of V views of it, at most `likelihood_kernel.VIEWS`.
-    """
-    camera, sight = angle.camera, parameters.sight
-    mount, farthest_m = camera.mount, sight.far.range_max_m
-    table, bins, largest_var, missed = _edges(angle, sighting.edges, blur_rad)
-    view, widest = _view(camera, sight)
-    return Scene(
-        landmarks=_landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale),
-        visibility=visibility,
-        reach=reach_of(landmark_map, farthest_m),
-        edges=table,
-        bins=bins,
-        offset=(mount.right_m, mount.back_m, mount.yaw_rad),
-        view=view,
-        ends=(endpoints.TOLERANCE_PX / camera.focal_px, missed),
-        range_m=(sight.range_min_m, farthest_m, sight.range_max_m),
-        widest=widest,
-        gate=(GATE_SIGMAS, largest_var),
-        span=angle.span_rad,
-        is_slope=angle.kind == "slope",
-    )
+    largest_var: float
+    missed: float
 
 
 @lru_cache(maxsize=64)  # the same edges are weighed several times in a frame, and when places are proposed later
-def _edges(angle: Angle, edges: Edges, blur_rad: float) -> tuple[Array, EdgeBins, float, float]:
-    """Return the edges of a scene (E, 13), their bins, the largest variance of those known, and p(missed)."""
+def edge_table(angle: Angle, edges: Edges, blur_rad: float, identified: bool) -> EdgeTable:
+    """Return the table of edges. blur_rad: sigma that is added to every edge's own.
+
+    identified: whether edges are of the landmark that they name, and of none where they name none.
+    """
     measured, variance = angle.measured(edges)
-    # Edges of which this observation knows nothing go to the end: no landmark comes near them.
     known = np.isfinite(measured) & np.isfinite(variance)
+    identity = np.full(len(edges), -1.0)
+    if identified:
+        known, identity = known & (edges.landmark_id >= 0), edges.landmark_id.astype(np.float64)
+    # Edges of which this observation knows nothing go to the end: no landmark comes near them.
     measured, variance = np.where(known, measured, np.inf), np.where(known, variance + blur_rad**2, 1.0)
     ends = endpoints.endpoints_of(edges, angle.camera)
     columns: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]
-    columns += [1.0 / ends.sigma, edges.polarity, 1.0 / edges.clutter]
-    table = np.column_stack(columns)[np.argsort(measured, kind="stable")]
-    return table, bins_of(table[: known.sum(), 0]), float(variance[known].max(initial=0.0)), ends.missed
+    columns += [1.0 / ends.sigma, edges.polarity, identity]
+    order = np.argsort(measured, kind="stable")[: known.sum() if identified else None]
+    rows = np.column_stack(columns)[order]
+    return EdgeTable(rows, order, bins_of(rows[: known.sum(), 0]), float(variance[known].max(initial=0.0)), ends.missed)
 
 
 @lru_cache(maxsize=16)
@@ -149,7 +125,7 @@ def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float, scale
             np.where(np.isnan(bottom), -_UNKNOWN_M, bottom),
             np.where(np.isnan(top), _UNKNOWN_M, top),
             (scale * sigmas_m(landmark_map, sigma_m)) ** 2,
-            polarity.mean_polarity(landmark_map.polarity),
+            np.asarray(MEAN_POLARITY * landmark_map.polarity, dtype=np.float64),
         ]
         return np.column_stack(columns)
 
@@ -160,17 +136,69 @@ def _landmarks(landmark_map: LandmarkMap, height_m: float, sigma_m: float, scale
     return kept[height_m, scale]
 
 
-def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_edges: bool = True) -> Array:
-    """Return log p(edges | pose, rate_k) (V, K, N) of N particles in each view, relative to clutter alone.
+def by_views(
+    angle: Angle,
+    parameters: ObservationParameters,
+    columns: Array,
+    sighting: Sighting,
+    landmark_map: LandmarkMap,
+    views: Sequence[View],
+    blur_rad: float = 0.0,
+) -> list[Array]:
+    """Return log p(edges | pose, rate_k) (K, N) of N particles in each view, relative to clutter alone.
 
-    columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's. rates: (K,)
-    ascending, at most 8 of them.
+    columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's.
     """
-    count = columns.shape[1]
-    result = np.empty((len(scene.visibility), len(rates), count))
+    count, threads = columns.shape[1], parameters.threads
+    table = edge_table(angle, sighting.edges, blur_rad, parameters.association == "known")
+    mount, sight = angle.camera.mount, parameters.sight
+    landmarks = _landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale)
+    offset, (seen, widest) = (mount.right_m, mount.back_m, mount.yaw_rad), _view(angle.camera, sight)
+    farthest_m, reach = sight.far.range_max_m, reach_of(landmark_map, sight.far.range_max_m)
+    # What all views share: which landmarks show, by distinct statements, and tables of rates and of clutter.
+    hidden = {id(view.visibility): view.visibility for view in views}
+    visibility = np.stack([np.ones(len(landmark_map)) if one is None else one for one in hidden.values()])
+    each = [(list(hidden).index(id(view.visibility)), len(view.rates), view.of_edges) for view in views]
+    odds = np.zeros((len(views), _LANES))
+    rare = np.ones((len(views), len(table.order)))
+    for row, view in enumerate(views):
+        odds[row, : len(view.rates)] = view.rates / (1.0 - view.rates if view.of_edges else len(table.order))
+        if view.clutter is not None:
+            rare[row] = 1.0 / view.clutter[table.order]
+
+    result = np.empty((len(views), odds.shape[1], count))
 
     def weigh(part: slice) -> None:
-        result[..., part] = _weighed(scene, columns[:, part], rates, of_edges)
+        """Weigh so few particles that all about them stays in the cache."""
+        from localiser.observation import likelihood_kernel as kernel
+
+        some = columns[:, part]
+        low, per_unit, shape = _cells(some[:3])
+        poses = some.T.copy()
+        run, order = kernel.ordered(kernel.cells_of(poses, low, per_unit, shape), int(shape.prod()), _by_heading(some))
+        half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
+        start, item = in_view_of_cells(run, low, per_unit, shape, landmarks, half_view_rad, farthest_m, reach, offset)
+        result[..., part] = kernel.log_products(
+            poses,
+            order,
+            run,
+            offset,
+            start,
+            item,
+            landmarks,
+            visibility,
+            odds,
+            np.array(each, dtype=np.int64),
+            rare,
+            table.rows,
+            *table.bins,
+            seen,
+            (sight.range_min_m**2, farthest_m**2, sight.range_max_m**2, widest),
+            (GATE_SIGMAS, table.largest_var),
+            (endpoints.TOLERANCE_PX / angle.camera.focal_px, table.missed),
+            angle.span_rad,
+            angle.kind == "slope",
+        )
 
     size = min(max(-(-count // threads), _PER_THREAD), _PART)
     parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -180,45 +208,7 @@ def by_rate(scene: Scene, columns: Array, rates: Array, threads: int = 1, *, of_
     else:
         with ThreadPoolExecutor(min(threads, len(parts))) as pool:
             list(pool.map(weigh, parts))
-    return result
-
-
-def _weighed(scene: Scene, columns: Array, rates: Array, of_edges: bool) -> Array:
-    """Return `by_rate` of so few particles that all about them stays in the cache."""
-    from localiser.observation import likelihood_kernel as kernel
-
-    low, per_unit, shape = _cells(columns[:3])
-    odds = rates / (1.0 - rates) if of_edges else rates / len(scene.edges)
-    poses = columns.T.copy()
-    cell, sequence = kernel.cells_of(poses, low, per_unit, shape), _by_heading(columns)
-    run, order = kernel.ordered(cell, int(shape.prod()), sequence)
-    nearest_m, farthest_m, open_m = scene.range_m
-    half_view_rad = float(np.arctan(scene.widest) + np.abs(columns[3]).max())
-    start, item = in_view_of_cells(
-        run, low, per_unit, shape, scene.landmarks, half_view_rad, farthest_m, scene.reach, scene.offset
-    )
-    found = kernel.log_products(
-        poses,
-        order,
-        run,
-        scene.offset,
-        start,
-        item,
-        scene.landmarks,
-        scene.visibility,
-        (*odds.tolist(), *[0.0] * (kernel.LANES - len(rates))),
-        len(rates),
-        of_edges,
-        scene.edges,
-        *scene.bins,
-        scene.view,
-        (nearest_m**2, farthest_m**2, open_m**2, scene.widest),
-        scene.gate,
-        scene.ends,
-        scene.span,
-        scene.is_slope,
-    )
-    return found.reshape(-1, len(rates), columns.shape[1])
+    return [found[: len(view.rates)] for found, view in zip(result, views, strict=True)]
 
 
 def _by_heading(columns: Array) -> NDArray[np.int64]:

@@ -23,7 +23,7 @@ Indices = NDArray[np.int64]
 LANES = 8  # float64 in a vector register
 FEWEST = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
-VIEWS = 2  # of which landmarks are hidden, at most
+SHOWN = 2  # statements of which landmarks are hidden, at most
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
@@ -41,10 +41,10 @@ _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SCALE = range(6, 14)
 _RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(14, 22)
 _OPEN = 22
-_SEEN = 23  # for each of `VIEWS`
+_SEEN = 23  # for each of `SHOWN`
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
-_PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _RARE = range(9, 13)
+_PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _IDENTITY = range(9, 13)
 
 
 # -- particles by cell ------------------------------------------------------------------------------------------------
@@ -199,10 +199,10 @@ def _look(
 
 @inlined
 def _count(block: Array, lanes: int, visibility: Array, k: int) -> None:
-    """Count landmark k for those that see it, by how visible it is in each view."""
-    for view in range(len(visibility)):
+    """Count landmark k for those that see it, by how visible it is."""
+    for shown in range(len(visibility)):
         for m in range(lanes):
-            block[_SEEN + view, m] += visibility[view, k] * block[_OPEN, m]
+            block[_SEEN + shown, m] += visibility[shown, k] * block[_OPEN, m]
 
 
 @inlined
@@ -279,22 +279,27 @@ def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: f
 
 @inlined
 def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density: Array) -> None:
-    """Add the densities of edge e and landmark k to `density` of each view."""
-    for view in range(len(visibility)):
+    """Add the densities of edge e and landmark k to `density`, by how visible the landmark is."""
+    for shown in range(len(visibility)):
         for m in range(lanes):
-            density[view, e, m] += visibility[view, k] * block[_OPEN, m] * block[_DENSITY, m]
+            density[shown, e, m] += visibility[shown, k] * block[_OPEN, m] * block[_DENSITY, m]
 
 
 @inlined
 def _multiply(
-    density: Array, block: Array, lanes: int, odds: Any, rates: int, factor: Array, log_factor: Array
+    density: Array, scale: Any, block: Array, lanes: int, odds: Array, rates: int, factor: Array, log_factor: Array
 ) -> None:
     """Multiply the factors by 1 + odds · ratio of one edge, and put large ones aside.
 
-    That is 1 for particles that it is not near, so their factors stay as they are, to the last bit.
+    scale: by which its density becomes the ratio, and whether the landmarks in view share it. The factor is 1 for
+    particles that the edge is not near, so that they stay as they are, to the last bit.
     """
+    per_density, is_shared = scale
     for m in range(lanes):
-        block[_RATIO, m] = density[m] * block[_SCALE, m]
+        block[_RATIO, m] = density[m] * per_density
+    if is_shared:
+        for m in range(lanes):
+            block[_RATIO, m] *= block[_SCALE, m]
     for k in range(rates):
         for m in range(lanes):
             factor[k, m] *= 1.0 + odds[k] * block[_RATIO, m]
@@ -310,13 +315,13 @@ def _multiply(
 @inlined
 def _begin(block: Array, density: Array, is_near: NDArray[np.bool_]) -> None:
     """Count no landmark, and no edge as near, yet."""
-    for view in range(len(density)):
+    for shown in range(len(density)):
         for m in range(BLOCK):
-            block[_SEEN + view, m] = 0.0
+            block[_SEEN + shown, m] = 0.0
         for e in range(len(is_near)):
             if is_near[e]:
                 for m in range(BLOCK):
-                    density[view, e, m] = 0.0
+                    density[shown, e, m] = 0.0
     for e in range(len(is_near)):
         is_near[e] = False
 
@@ -358,9 +363,9 @@ def log_products(
     item: NDArray[np.int32],
     landmarks: Array,
     visibility: Array,
-    odds: tuple[float, ...],
-    rates: int,
-    is_inlier_rate: bool,
+    odds: Array,
+    views: Indices,
+    rare: Array,
     edges: Array,
     first: Indices,
     bins: tuple[float, float, float],
@@ -371,27 +376,25 @@ def log_products(
     span: float,
     is_slope: bool,
 ) -> Array:
-    """Return the log-likelihood (V K, N) of every pose (N, 4), which has n landmarks in view, relative to clutter.
+    """Return the log-likelihood (V, LANES, N) in V views of every pose (N, 4), relative to clutter.
 
-    With d_e = span Σ_l c_el N(q_e; q_l, σ_el²), an edge's density relative to clutter, which only edges have that some
-    landmark comes near, it is
+    The pose has n landmarks in view. With d_e = span Σ_l c_el N(q_e; q_l, σ_el²) / clutter_e, an edge's density
+    relative to clutter, which only edges have that some landmark comes near, it is
 
         log Π_e (1 + o_k d_e / n) / (1 + o_k)    for inlier rates, o_k = w_k / (1 - w_k)
         log Π_e (1 + o_k d_e) / (1 + o_k n)      for detection rates, o_k = p_k / E
 
-    where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it.
-    visibility: (V, L) this, in each of V views.
+    where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
+    edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
-    odds: o_k of K ascending rates, LANES of them, 0 beyond K; rates: K.
+    visibility: (S, L) this probability, by S statements. odds: (V, LANES) o_k of ascending rates. views: (V, 3) of each
+    view its statement, how many rates it has, and whether they are inlier rates. rare: (V, E) 1 / clutter_e.
     """
-    block = np.ones((_SEEN + VIEWS, BLOCK))
-    views = len(visibility)
-    density, is_near = np.zeros((views, len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
+    block = np.ones((_SEEN + SHOWN, BLOCK))
+    density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
-    result, per_density = np.empty((views * rates, len(poses))), span / np.sqrt(2 * np.pi)
-    log_unseen = np.empty(rates)  # at inlier rates
-    for k in range(rates):
-        log_unseen[k] = np.log1p(odds[k])
+    result, per_density = np.zeros((len(views), LANES, len(poses))), span / np.sqrt(2 * np.pi)
+    log_unseen = np.log1p(odds)  # at inlier rates
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
             size = min(BLOCK, run[c + 1] - n)
@@ -407,23 +410,28 @@ def log_products(
                 begin, end = _edges_near(block, lanes, first)
                 for e in range(begin, end):
                     edge = edges[e]
+                    if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
+                        continue
                     if _meet(edge, block, lanes, ends[0]) > 0:
-                        alike = edge[_RARE] * (1.0 + edge[_POLARITY] * leaning)
-                        _weigh(edge, block, lanes, ends, hidden, alike)
+                        _weigh(edge, block, lanes, ends, hidden, 1.0 + edge[_POLARITY] * leaning)
                         _add_up(e, k, visibility, block, lanes, density)
                         is_near[e] = True
 
-            for view in range(views):
+            for view in range(len(views)):
+                shown, rates, is_inlier_rate = views[view]
                 for m in range(BLOCK):
-                    block[_SCALE, m] = per_density / (max(block[_SEEN + view, m], 1.0) if is_inlier_rate else 1.0)
+                    block[_SCALE, m] = 1.0 / max(block[_SEEN + shown, m], 1.0)
                 factor[:], log_factor[:] = 1.0, 0.0
                 for e in range(len(edges)):
                     if is_near[e]:
-                        _multiply(density[view, e], block, lanes, odds, rates, factor, log_factor)
+                        scale = per_density * rare[view, e], is_inlier_rate > 0 and edges[e, _IDENTITY] < 0
+                        _multiply(density[shown, e], scale, block, lanes, odds[view], rates, factor, log_factor)
                 values = factor.ravel()
                 _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
                 for k in range(rates):
                     for m in range(size):
-                        log_clutter = log_unseen[k] if is_inlier_rate else np.log1p(odds[k] * block[_SEEN + view, m])
-                        result[view * rates + k, order[n + m]] = log_factor[k, m] - len(edges) * log_clutter
+                        unseen = (
+                            log_unseen[view, k] if is_inlier_rate else np.log1p(odds[view, k] * block[_SEEN + shown, m])
+                        )
+                        result[view, k, order[n + m]] = log_factor[k, m] - len(edges) * unseen
     return result

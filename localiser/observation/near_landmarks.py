@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
-from localiser.observation.protocols import Matches
+from localiser.observation.sighting import Matches
 
 NEAR_M = 3.5
 BEFORE_M, BESIDE_RAD = 0.15, np.radians(30.0)  # a landmark that is nearer than another and beside it

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.observation.protocols import Matches
+from localiser.observation.sighting import Matches
 
 USUAL = 0.5  # how often a landmark in view is visible, where no image has told of it
 CHANGES = 0.1  # within a scene, from visible to hidden, and back

@@ -3,6 +3,7 @@
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.evidence import warm_up
 from localiser.relocalisation.global_localisation import (
+    POWER,
     Clues,
     GlobalLocalisation,
     SearchParameters,

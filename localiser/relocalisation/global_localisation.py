@@ -21,7 +21,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import DetectionRate, InlierRate, LocalisesGlobally, Sighting, Visibility
+from localiser.observation import DetectionRate, EdgeObservation, InlierRate, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles, multinomial_resample
 from localiser.relocalisation import evidence
 from localiser.relocalisation.candidates import Candidates
@@ -63,15 +63,8 @@ class Clues:
     """
 
     sighting: Sighting
-    observation: LocalisesGlobally
+    observation: EdgeObservation
     landmark_map: LandmarkMap
-
-    @cached_property
-    def _in_scene(self) -> Sighting:
-        """The sighting with the clutter that earlier images of the scene predict."""
-        edges, clutter = self.sighting.edges, self.sighting.clutter
-        clutter = np.ones(len(edges)) if clutter is None else clutter
-        return replace(self.sighting, edges=replace(edges, clutter=clutter))
 
     @cached_property
     def view(self) -> View:
@@ -90,14 +83,7 @@ class Clues:
 
     def by_rate(self, particles: Particles) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
-        return POWER * self.observation.by_detection_rate(particles, self._in_scene, self.landmark_map, BLUR_RAD)
-
-    def by_rate_and_visibility(self, particles: Particles, visibility: Visibility) -> tuple[Array, Array]:
-        """Return `by_rate` (K, N), and the same where landmarks are hidden as images have told from these particles."""
-        visible = visibility.of_all(len(self.landmark_map))
-        views = np.stack([np.ones_like(visible), visible])
-        found = self.observation.by_detection_rate(particles, self._in_scene, self.landmark_map, BLUR_RAD, views)
-        return POWER * found[0], POWER * found[1]
+        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
 
     def as_tracked(self, particles: Particles) -> Array:
         """Return log p(edges | particle) (N,) as the filter weighs tracked particles.
@@ -122,14 +108,14 @@ class Clues:
 class GlobalLocalisation:
     """Everything about global localisation that stays the same during a run."""
 
-    observation: LocalisesGlobally
+    observation: EdgeObservation
     landmark_map: LandmarkMap
     places: Places
     parameters: SearchParameters
 
     @classmethod
     def of(
-        cls, observation: LocalisesGlobally, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
+        cls, observation: EdgeObservation, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
     ) -> GlobalLocalisation:
         """Return the global localisation on this map; its tables take a second on a large one."""
         sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m

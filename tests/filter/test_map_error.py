@@ -42,7 +42,7 @@ def test_the_likeliest_scale_is_that_of_the_landmarks_errors(kind: str, scale: f
         points = far_m[:, None] * np.column_stack([np.sin(bearing), -np.cos(bearing)])
         sighting = image_of(points, kind, rng)
         known = LandmarkMap.from_points(points + scale * 0.01 * rng.standard_normal(points.shape))
-        total += observation.by_map_scale(np.zeros(3), sighting, known, SCALES)
+        total += observation.associate(np.zeros(3), sighting, known).by_map_scale(SCALES)
     found = SCALES[total.argmax()]
     assert scale / 1.5 < found < scale * 1.5, dict(zip(SCALES.round(2), total.round(1), strict=True))
 
@@ -51,7 +51,7 @@ def test_an_image_without_edges_or_landmarks_in_view_tells_nothing() -> None:
     rng, observation = np.random.default_rng(1), EdgeObservation(CAMERA, ObservationParameters())
     behind = LandmarkMap.from_points(np.array([[0.0, 5.0]]))
     for sighting in (Sighting(0), image_of(np.array([[0.0, -2.0]]), "line", rng)):
-        assert np.ptp(observation.by_map_scale(np.zeros(3), sighting, behind, SCALES)) == 0.0
+        assert np.ptp(observation.associate(np.zeros(3), sighting, behind).by_map_scale(SCALES)) == 0.0
 
 
 def test_edges_on_no_map_beside_landmarks_do_not_make_the_map_poor() -> None:
@@ -63,7 +63,7 @@ def test_edges_on_no_map_beside_landmarks_do_not_make_the_map_poor() -> None:
         beside = 2.0 * np.column_stack([np.sin(bearing + 0.04), -np.cos(bearing + 0.04)])  # 8 cm
         sighting = image_of(np.concatenate([places, beside]), "line", rng)
         known = LandmarkMap.from_points(places + 0.01 * rng.standard_normal(places.shape))
-        total += observation.by_map_scale(np.zeros(3), sighting, known, SCALES)
+        total += observation.associate(np.zeros(3), sighting, known).by_map_scale(SCALES)
     assert 0.5 < SCALES[total.argmax()] < 2.0
 
 

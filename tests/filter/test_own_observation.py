@@ -5,23 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 
-from localiser.camera import Camera, Mount
-from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, matched, step
+from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, finish, step
 from localiser.geometry import Array, Increment, compose, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.motion import LinearisedMotion, MotionModel, MotionParameters
-from localiser.observation import (
-    Associates,
-    FollowsClutter,
-    GuidesSteps,
-    LocalisesGlobally,
-    Observation,
-    ObservationParameters,
-    TempersByScale,
-)
-from localiser.observation.known_association import OBSERVATIONS
+from localiser.observation import EdgeObservation, Observation
 from localiser.particles import Particles
 
 TAGS = LandmarkMap.from_points(np.array([[-2.0, -3.0], [2.5, -4.0], [0.5, -7.0], [-3.0, 1.0]]))
@@ -80,14 +69,13 @@ def located(mcl: Mcl, events: list[Odometry | Sighting]) -> list[Located]:
 def test_an_observation_needs_a_log_likelihood_and_nothing_else() -> None:
     own = RangeAndBearing()
     assert isinstance(own, Observation)
-    for ability in (TempersByScale, GuidesSteps, FollowsClutter, Associates, LocalisesGlobally):
-        assert not isinstance(own, ability)
+    assert not isinstance(own, EdgeObservation)
     truth, events = drive(30)
     found = located(Mcl(TAGS, own, MclParameters(particles=1000)), events)
     error = np.array([one.estimate.pose for one in found]) - truth
     assert np.hypot(*error[5:, :2].T).max() < 0.15
     assert found[-1].reason == ""
-    assert matched(Mcl(TAGS, own), found[-1]).landmark.tolist() == []
+    assert found[-1].matches.landmark.tolist() == []
 
 
 def test_a_motion_model_needs_to_predict_and_nothing_else() -> None:
@@ -106,11 +94,3 @@ def test_the_motion_model_that_ships_runs_with_an_observation_that_it_does_not_k
     assert isinstance(model, MotionModel)
     found = located(Mcl(TAGS, RangeAndBearing(), MclParameters(particles=1000), model), events)
     assert np.hypot(*(found[-1].estimate.pose - truth[-1])[:2]) < 0.15
-
-
-@pytest.mark.parametrize("name", OBSERVATIONS)
-def test_observations_of_edges_that_ship_have_every_ability(name: str) -> None:
-    camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
-    observation = OBSERVATIONS[name](camera, ObservationParameters())
-    for ability in (Observation, TempersByScale, GuidesSteps, FollowsClutter, Associates, LocalisesGlobally):
-        assert isinstance(observation, ability)

@@ -9,17 +9,18 @@ from localiser import particles
 from localiser.filter.tempering import Tempering
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import INLIER_RATES, InlierRate, Sighting
+from localiser.observation import INLIER_RATES, EdgeObservation, InlierRate, Sighting
 from localiser.particles import Particles
 
 SIGMA = np.array([0.1, 0.1, 0.05])
 
 
-class Peak:
+class Peak(EdgeObservation):
     """A normal likelihood of the pose. Angles stand for what they do to it: one radian is as wide as the cloud."""
 
     def __init__(self, mean: Array, sharpness: float) -> None:
-        self.mean, self.sharpness = mean, sharpness
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "sharpness", sharpness)
 
     def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
         return np.asarray(self.by_rate(particles, sighting, landmark_map)[0])
@@ -71,7 +72,7 @@ def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
 def weighed(peak: Peak, cloud: Particles, *, first: bool = False, stage_below: float = 0.3, seed: int = 0) -> Particles:
     landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
     tempering = Tempering(peak, landmark_map, Sighting(0), InlierRate.unknown(), 1.0, stage_below)
-    return tempering.in_stages(cloud, first, np.random.default_rng(seed))[0]
+    return tempering.in_stages(cloud, first, np.random.default_rng(seed)).particles
 
 
 @pytest.mark.parametrize("sharpness", [1 / 4, 1 / 40])

@@ -96,7 +96,7 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     parameters, pace = VisualOdometryParameters(), Gaussian(np.array([0.0, -0.4, 0.0]), 1e-4 * np.eye(3))
     camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
     poor = Evidence(
-        Odometer(camera, parameters), Edges.none(), Edges.none(), lambda cloud: np.full(len(cloud), 2.0), None
+        Odometer(camera, parameters), Edges.none(), Edges.none(), lambda cloud: np.full(len(cloud), 2.0), lambda _: 0.0
     )
     known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
     cloud = Particles(POSE, np.zeros((3, 64)), np.zeros(64))

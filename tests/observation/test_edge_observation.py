@@ -151,7 +151,7 @@ def test_nothing_measured_or_nothing_in_view_tells_nothing_of_the_landmarks(kind
     # E (1 - w)^5: all five are clutter, wherever the particle is.
     expected = np.log(comb(10, 5) / 4**5)
     np.testing.assert_allclose(observation.log_likelihood(away, Sighting(0, edges), landmark_map), expected, rtol=1e-12)
-    matches = observation.associate(away.poses[0], Sighting(0, edges), landmark_map)
+    matches = observation.associate(away.poses[0], Sighting(0, edges), landmark_map).matches()
     assert (matches.landmark == -1).all()
     assert np.isnan(matches.residual).all()
     assert not matches.visible.any()
@@ -215,7 +215,7 @@ def test_association_is_the_likeliest_landmark_or_clutter(kind: str) -> None:
     rng = np.random.default_rng(4)
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
     landmark_map, edges = some_map(rng, 15), some_edges(rng, 25, common=True)
-    matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map)
+    matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map).matches()
     density = landmark_densities(observation, POSE_TRUE, edges, landmark_map)
     np.testing.assert_array_equal(matches.visible, ~np.isnan(density[0]))
     best = np.nanargmax(density, axis=1)
@@ -240,7 +240,7 @@ def test_association_finds_the_true_landmarks_of_simulated_edges() -> None:
     assert len(edges) == 5
     for kind in KINDS:
         observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
-        matches = observation.associate(np.zeros(3), Sighting(0, edges), landmark_map)
+        matches = observation.associate(np.zeros(3), Sighting(0, edges), landmark_map).matches()
         np.testing.assert_array_equal(matches.landmark, edges.landmark_id)
 
 
@@ -279,7 +279,7 @@ def test_sigma_and_gate_say_where_an_edge_becomes_clutter(kind: str) -> None:
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
     rng = np.random.default_rng(5)
     landmark_map, edges = some_map(rng, cov_m=0.05), some_edges(rng, 60, common=True)
-    matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map)
+    matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map).matches()
     assert matches.sigma is not None and matches.gate is not None
     matched = matches.landmark >= 0
     assert matched.any() and np.isnan(matches.sigma[~matched]).all() and np.isnan(matches.gate[~matched]).all()

@@ -14,7 +14,6 @@ from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting
 from localiser.observation.inlier_rate import INLIER_RATES
-from localiser.observation.known_association import IdentifiedObservation, observation_of
 from localiser.particles import POSE, Particles
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))
@@ -36,7 +35,7 @@ def edges_at(pose: Array, landmark: list[int], seen: Array | None = None) -> Edg
 
 
 def observation(kind: str = "line") -> EdgeObservation:
-    return observation_of(CAMERA, ObservationParameters(kind=kind, association="known"))  # type: ignore[arg-type]
+    return EdgeObservation(CAMERA, ObservationParameters(kind=kind, association="known"))  # type: ignore[arg-type]
 
 
 def cloud(*poses: Array) -> Particles:
@@ -99,7 +98,7 @@ def test_the_cameras_own_yaw_counts() -> None:
 def test_matches_are_those_that_the_edges_name() -> None:
     truth = np.array([0.0, 0.0, 0.0])
     edges = edges_at(truth, [2, -1, 0], seen=POINTS[[2, 1, 0]])
-    matches = observation().associate(truth, Sighting(0, edges), MAP)
+    matches = observation().associate(truth, Sighting(0, edges), MAP).matches()
     np.testing.assert_array_equal(matches.landmark, [2, -1, 0])
     np.testing.assert_allclose(matches.residual, [0, np.nan, 0], atol=1e-12)
     assert matches.visible.all()
@@ -111,6 +110,5 @@ def test_a_pose_is_found_among_lookalikes() -> None:
     start = particles.from_gaussian(truth + np.array([0.2, -0.1, 0.05]), np.diag([0.3, 0.3, 0.1]) ** 2, 20_000, rng)
     log_likelihood = observation().log_likelihood(start, Sighting(0, edges_at(truth, [0, 1, 2, 3])), MAP)
     found = particles.estimate(replace(start, log_weight=log_likelihood))
-    assert isinstance(observation(), IdentifiedObservation)
     error = found.pose - truth
     assert (np.abs(error) < 3 * np.sqrt(np.diag(found.pose_cov))).all()

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_likelihood import by_rate_plain
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, sight
-from localiser.observation import EdgeObservation, ObservationParameters, Sighting
-from localiser.observation.detection_rate import DETECTION_RATES
-from localiser.observation.inlier_rate import INLIER_RATES
+from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting, View
 from localiser.observation.likelihood import bins_of
-from localiser.observation.polarity import SAME
 from localiser.particles import POSE, Particles
 
 FOCAL = 554.0
@@ -52,7 +50,6 @@ def some_edges(rng: np.random.Generator, count: int, ends: bool) -> Edges:
         sigma * 3,
         ends_px=ends_px if ends else None,
         polarity=polarity if ends else None,
-        clutter=rng.uniform(1, 30, count) if ends else None,
     )
 
 
@@ -63,7 +60,7 @@ def cloud(rng: np.random.Generator, count: int) -> Particles:
 
 def difference(observation: EdgeObservation, particles: Particles, edges: Edges, landmark_map: LandmarkMap) -> Array:
     found = observation.by_rate(particles, Sighting(0, edges), landmark_map, 0.004)
-    return np.abs(found - observation.by_rate_plain(particles, Sighting(0, edges), landmark_map, 0.004))
+    return np.abs(found - by_rate_plain(observation, particles, Sighting(0, edges), landmark_map, 0.004))
 
 
 @settings(max_examples=40)
@@ -128,7 +125,7 @@ def test_hundreds_of_edges_neither_overflow_nor_vanish() -> None:
     edges = Edges.from_columns(bearing, np.full(600, 1e-5), bearing, np.full(600, 1e-5))
     poses = Particles(POSE, np.array([[0.0, 0.0], [0.0, 0.0], [-0.03, 3.0]]), np.zeros(2))
     found = observation.by_rate(poses, Sighting(0, edges), landmark_map)
-    np.testing.assert_allclose(found, observation.by_rate_plain(poses, Sighting(0, edges), landmark_map), rtol=1e-9)
+    np.testing.assert_allclose(found, by_rate_plain(observation, poses, Sighting(0, edges), landmark_map), rtol=1e-9)
     assert np.isfinite(found).all()
     assert np.abs(found).max() > 700, "so large that one product would overflow"
 
@@ -169,8 +166,8 @@ def test_polarity_multiplies_a_pair_by_its_probability_over_a_half() -> None:
         return float((np.exp(observation.by_rate(here, Sighting(0, edges), landmark_map)[2, 0]) - (1 - share)) / share)
 
     for sign in (1, -1):
-        assert density(sign, sign) == pytest.approx(2 * SAME * density(0, 0))
-        assert density(sign, -sign) == pytest.approx(2 * (1 - SAME) * density(0, 0))
+        assert density(sign, sign) == pytest.approx(2 * 0.9 * density(0, 0))
+        assert density(sign, -sign) == pytest.approx(2 * 0.1 * density(0, 0))
         assert density(sign, 0) == density(0, sign) == density(0, 0)
 
 
@@ -197,7 +194,7 @@ def test_landmarks_down_a_long_corridor_count_for_what_can_be_seen_of_them(kind:
     points = np.column_stack([far_m * np.sin(bearing), -far_m * np.cos(bearing)])
     landmark_map, particles = LandmarkMap.from_points(points), cloud(rng, 300)
     sighting = Sighting(0, some_edges(rng, 20, True))
-    plain = observation.by_rate_plain(particles, sighting, landmark_map)
+    plain = by_rate_plain(observation, particles, sighting, landmark_map)
     np.testing.assert_allclose(observation.by_rate(particles, sighting, landmark_map), plain, atol=2e-4)
     # A landmark at 24 m, which is twice as far as walls leave open, is in view with a probability of 1/16.
     one = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
@@ -239,14 +236,13 @@ def test_a_hidden_landmark_counts_for_the_probability_of_being_visible(kind: str
     landmark_map, particles, sighting = some_map(rng, 40), cloud(rng, 200), Sighting(0, some_edges(rng, 12, True))
 
     def by_rate(visibility: Array | None = None, of: LandmarkMap = landmark_map) -> Array:
-        if visibility is None:
-            return observation.by_detection_rate(particles, sighting, of, 0.004)
-        views = np.stack([visibility, rng.random(len(of))])
-        both = observation.by_detection_rate(particles, sighting, of, 0.004, views)
-        for view, found in zip(views, both, strict=True):  # each is weighed as if alone
-            alone = observation.by_detection_rate(particles, sighting, of, 0.004, view[None])
-            np.testing.assert_allclose(found, alone[0], rtol=1e-12, atol=1e-12)
-        return both[0]
+        view = View(DETECTION_RATES, False, visibility=visibility)
+        views = [view, View(INLIER_RATES, True), View(DETECTION_RATES, False, visibility=rng.random(len(of)))]
+        together = observation.by_views(particles, sighting, of, views, 0.004)
+        for each, found in zip(views, together, strict=True):  # each is weighed as if alone
+            (alone,) = observation.by_views(particles, sighting, of, [each], 0.004)
+            np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-12)
+        return together[0]
 
     everything, hidden = by_rate(), rng.random(40) < 0.5
     np.testing.assert_array_equal(by_rate(np.ones(40)), everything)
@@ -269,7 +265,7 @@ def test_particles_all_over_a_large_map_are_weighed_as_by_arrays():
     observation = EdgeObservation(camera(20.0), ObservationParameters())
     sighting = Sighting(0, some_edges(rng, 12, ends=True))
     fast = observation.by_rate(spread, sighting, landmark_map)
-    plain = observation.by_rate_plain(spread, sighting, landmark_map)
+    plain = by_rate_plain(observation, spread, sighting, landmark_map)
     np.testing.assert_allclose(fast, plain, atol=HARMLESS)
     near = Particles(POSE, poses[5:].T.copy(), np.zeros(595))
     np.testing.assert_array_equal(observation.by_rate(near, sighting, landmark_map), fast[:, 5:])
@@ -279,12 +275,12 @@ def test_what_is_kept_of_an_image_is_used_for_no_other() -> None:
     rng = np.random.default_rng(4)
     edges, landmark_map, particles = some_edges(rng, 20, True), some_map(rng, 40), cloud(rng, 50)
     pose, kept = particles.poses[0], EdgeObservation(camera(20.0), ObservationParameters())
-    moved, denser = replace(edges, bearing=edges.bearing + 0.01), replace(edges, clutter=edges.clutter + 1)
-    for shown in (edges, denser, edges, moved):
-        fresh, sighting = EdgeObservation(camera(20.0), ObservationParameters()), Sighting(0, shown)
+    plain, moved = Sighting(0, edges), Sighting(0, replace(edges, bearing=edges.bearing + 0.01))
+    for sighting in (plain, replace(plain, persistent=rng.uniform(1, 30, 20)), plain, moved):
+        fresh = EdgeObservation(camera(20.0), ObservationParameters())
         for blur_rad in (0.0, 0.01):
             found = kept.by_rate(particles, sighting, landmark_map, blur_rad)
             np.testing.assert_array_equal(found, fresh.by_rate(particles, sighting, landmark_map, blur_rad))
         for where in (landmark_map, landmark_map.take(np.arange(20))):
-            found = kept.associate(pose, sighting, where).landmark
-            np.testing.assert_array_equal(found, fresh.associate(pose, sighting, where).landmark)
+            found = kept.associate(pose, sighting, where).matches().landmark
+            np.testing.assert_array_equal(found, fresh.associate(pose, sighting, where).matches().landmark)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from localiser.edges import Edges
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map
 from localiser.landmarks import LandmarkMap, SightParameters, field_of_view_rad
-from localiser.observation import EdgeObservation, ObservationParameters, Sighting, Targets
+from localiser.observation import Association, EdgeObservation, ObservationParameters, Sighting
 from localiser.observation.persistent_clutter import NEAR_M, clutter_density
 from localiser.particles import POSE, Particles
 
@@ -102,7 +103,8 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
     sight = SightParameters(range_max_m=40.0)
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind, sight=sight))
     edges = Sighting(0, one_edge(np.radians(10.0)))
-    again = observation.with_persistent_clutter(edges, edges, Increment.from_mean([0.0, -0.1, 0.0]), 1e-6)
+    step = Increment.from_mean([0.0, -0.1, 0.0])
+    again = replace(edges, persistent=observation.persistent_clutter(edges.edges, edges.edges, step, 1e-6))
     new, known = (np.diff(observation.log_likelihood(poses, each, landmark_map)) for each in (edges, again))
     assert 0.0 < known < 0.5 * new
 
@@ -117,8 +119,7 @@ def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tu
     poses = [np.zeros(3), np.asarray(step)]
     seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
     before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)
-    seen = observation.with_persistent_clutter(Sighting(1, after), Sighting(0, before), Increment.from_mean(step), 0.0)
-    clutter = seen.edges.clutter[0]
+    (clutter,) = observation.persistent_clutter(after, before, Increment.from_mean(step), 0.0)
     right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
     across = float(right + back * 0.1)  # at a bearing of 0.1
     sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
@@ -129,11 +130,10 @@ def test_the_filter_knows_what_the_last_image_showed() -> None:
     clutter = []
 
     class Listening(EdgeObservation):
-        def targets(
-            self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, inlier_rate: float
-        ) -> Targets:
-            clutter.append(float(sighting.edges.clutter[0]))
-            return EdgeObservation.targets(self, particles, sighting, landmark_map, inlier_rate)
+        def associate_prior(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
+            assert sighting.persistent is not None
+            clutter.append(float(sighting.persistent[0]))
+            return super().associate_prior(particles, sighting, landmark_map)
 
     filter_ = mcl.Mcl(arena()[0], Listening(CAMERA, ObservationParameters()), mcl.MclParameters(particles=50))
     state, rng = mcl.FilterState(), np.random.default_rng(0)

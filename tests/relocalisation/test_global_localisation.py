@@ -15,10 +15,11 @@ from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry,
 from localiser.filter.belief import BARE, Belief, Move
 from localiser.filter.confidence import is_near
 from localiser.filter.scene import Jump
+from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
-from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters
+from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, ObservationParameters, View
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
 from localiser.relocalisation import Candidates, History
 from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
@@ -187,8 +188,13 @@ def after(
     search: GlobalLocalisation = SEARCH,
 ) -> Belief:
     """Return the belief after an image of a robot that stood still."""
-    still = Move(Increment.from_mean(np.zeros(3)), MotionParameters(), lambda cloud: cloud)
-    return belief.after(search, few, like, sighting, jump, still, np.random.default_rng(0))
+    still, found = Move(Increment.from_mean(np.zeros(3)), MotionParameters(), lambda cloud: cloud), None
+    if few is not None:
+        hidden = belief.visibility.of_all(len(search.landmark_map))
+        views = [View(DETECTION_RATES, False, sighting.scene, visibility) for visibility in (None, hidden)]
+        by_rate = search.observation.by_views(few, sighting, search.landmark_map, views)
+        found = Weighed(few, InlierRate.unknown(), few, *by_rate)
+    return belief.after(search, found, like, sighting, jump, still, np.random.default_rng(0))
 
 
 def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:

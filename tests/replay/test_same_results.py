@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_likelihood import by_rate_plain
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
@@ -25,7 +26,7 @@ class WithArrays(EdgeObservation):
     def by_rate(
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
     ) -> Array:
-        return self.by_rate_plain(particles, sighting, landmark_map, blur_rad)
+        return by_rate_plain(self, particles, sighting, landmark_map, blur_rad)
 
 
 def drive(images: int) -> tuple[LandmarkMap, list[Event]]:

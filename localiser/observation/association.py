@@ -1,0 +1,257 @@
+"""The association: which landmark each edge of an image shows, seen from one pose, and all that follows from it.
+
+Every pair of an edge and a landmark that are near each other is a row of one table, by the model of
+`edge_observation`. The optimal proposal takes the rows that are certain, the display the likeliest row of each edge.
+How far the map errs and how high the camera sits are told by the same rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap, image_heights, in_camera, sight, sigmas_m
+from localiser.observation import endpoint_likelihood as endpoints
+from localiser.observation.angle import Angle
+from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
+from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY
+from localiser.observation.parameters import ObservationParameters
+from localiser.observation.sighting import Matches, Sighting, Targets
+
+Indices = NDArray[np.int64]
+
+SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
+BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
+_SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """The landmarks that are seen from poses: K pairs of both.
+
+    pose, landmark: (K,) indices. angle: (K,) at which each is expected (rad), per_m: (K,) derivative by how far it
+    stands to the side (rad/m), variance: (K,) of it by the map (rad²). ends: (K, 2) upright heights of its lower and
+    upper end, known: (K, 2) whether the map knows them. leaning: (K,) mean polarity. in_the_open: (K,) probability that
+    no wall hides it.
+    """
+
+    pose: Indices
+    landmark: Indices
+    angle: Array
+    per_m: Array
+    variance: Array
+    ends: Array
+    known: NDArray[np.bool_]
+    leaning: Array
+    in_the_open: Array
+
+    @property
+    def count(self) -> float:
+        """How many landmarks are seen from one pose, at least 1."""
+        return max(float(self.in_the_open.sum()), 1.0)
+
+
+def expected_from(
+    angle: Angle, parameters: ObservationParameters, camera_poses: Array, landmark_map: LandmarkMap, map_scale: float
+) -> Expected:
+    """Return the landmarks that cameras at poses (N, 3) see; map_scale: of the map's sigmas."""
+    seen = sight(angle.camera, camera_poses, landmark_map, parameters.sight.far)
+    predicted, per_bearing = angle.predicted(seen.tangent)
+    landmark, per_m = seen.landmark, per_bearing / seen.range_m
+    sigma_m = map_scale * sigmas_m(landmark_map, parameters.landmark_sigma_m)[landmark]
+    return Expected(
+        pose=seen.pose,
+        landmark=landmark,
+        angle=predicted,
+        per_m=per_m,
+        variance=(per_m * sigma_m) ** 2,
+        ends=np.column_stack([seen.e_bottom, seen.e_top]),
+        known=np.isfinite(np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])),
+        leaning=np.asarray(MEAN_POLARITY * landmark_map.polarity[landmark], dtype=np.float64),
+        in_the_open=parameters.sight.in_the_open(seen.range_m),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Association:
+    """How edges (E) compare with the landmarks that are seen from one pose: P pairs near each other.
+
+    expected: the landmarks seen. pair: (P,) index into these, edge: (P,). residual: (P,) measured minus expected angle,
+    variance: (P,) of it (rad, rad²). odds: (P,) that the edge is this landmark's, against clutter that is spread
+    evenly, at an inlier rate of ½. measured, measured_var: (E,) of the edges.
+    """
+
+    angle: Angle
+    sighting: Sighting
+    landmark_map: LandmarkMap
+    expected: Expected
+    pair: Indices
+    edge: Indices
+    residual: Array
+    variance: Array
+    odds: Array
+    measured: Array
+    measured_var: Array
+
+    @classmethod
+    def of(
+        cls,
+        angle: Angle,
+        parameters: ObservationParameters,
+        sighting: Sighting,
+        landmark_map: LandmarkMap,
+        expected: Expected,
+        extra_var: Array | float = 0.0,
+    ) -> Association:
+        """Return how the edges of a sighting compare with what is expected; extra_var: (K,) rad², of that besides."""
+        edges = sighting.edges
+        measured, measured_var = angle.measured(edges)
+        variance = expected.variance + extra_var
+        pair, edge = pairs_near(measured, measured_var, expected.angle, variance)
+        shared = np.full(len(pair), expected.count)
+        if parameters.association == "known":  # an edge is of the landmark that it names, or clutter
+            said = edges.landmark_id[edge] == expected.landmark[pair]
+            pair, edge, shared = pair[said], edge[said], np.ones(int(said.sum()))
+        residual, variance = measured[edge] - expected.angle[pair], variance[pair] + measured_var[edge]
+        density = normal(residual, variance) * agreement(angle, parameters, edges, expected, pair, edge)
+        odds = density * angle.span_rad / shared
+        return cls(
+            angle, sighting, landmark_map, expected, pair, edge, residual, variance, odds, measured, measured_var
+        )
+
+    def matches(self) -> Matches:
+        """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""
+        count = len(self.measured)
+        matches, seen = Matches.none(count, len(self.landmark_map)), self.expected
+        matches.visible[seen.landmark[seen.in_the_open >= _SHOWN]] = True
+        # Ascending, so that the last write to an edge is its best landmark.
+        likelier = np.flatnonzero(self.odds > 1.0)
+        best = likelier[np.argsort(self.odds[likelier], kind="stable")]
+        edge, sigmas, gates = self.edge[best], np.full(count, np.nan), np.full(count, np.nan)
+        matches.landmark[edge], matches.residual[edge] = seen.landmark[self.pair[best]], self.residual[best]
+        # The odds fall as exp(-z²/2), and were 1 at the gate.
+        sigmas[edge] = np.sqrt(self.variance[best])
+        gates[edge] = np.sqrt(self.residual[best] ** 2 / self.variance[best] + 2 * np.log(self.odds[best]))
+        return replace(matches, sigma=sigmas, gate=gates)
+
+    def targets(self, inlier_rate: float) -> Targets:
+        """Return the edges with a certain landmark.
+
+        Of the landmarks (K) in view, the k-th is that of an edge with probability
+
+            β_ek = w/K c_ek N(q_e; q_k, σ_ek²) / ((1 - w)/span + Σ_l w/K c_el N(q_e; q_l, σ_el²)),
+
+        where σ² has the variance of what particles predict. A landmark is certain from `SETTLED` on.
+        """
+        clutter = self.sighting.persistent
+        own = inlier_rate * self.odds / (1.0 if clutter is None else clutter[self.edge])
+        total = np.bincount(self.edge, own, len(self.measured))
+        certain = np.flatnonzero(own >= SETTLED * (1 - inlier_rate + total[self.edge]))
+        pair, edge = self.pair[certain], self.edge[certain]
+        return Targets(
+            points=self.landmark_map.points[self.expected.landmark[pair]],
+            angle=self.measured[edge],
+            variance=self.measured_var[edge] + self.expected.variance[pair],
+            is_slope=self.angle.kind == "slope",
+        )
+
+    def by_map_scale(self, scales: Array) -> Array:
+        """Return log p(edges | scale) (K,) for scales (K,) of the map's sigmas.
+
+        Each landmark has a window of its own: the bearings that are nearer to it than to any other landmark, and
+        within `BESIDE_M` of it. At most one of the n edges inside, each as likely as the other, is the landmark's:
+
+            p(q_1 … q_n | scale) ∝ 1 - π + π/n Σ_e 2 w N(q_e; q_l(pose), σ_e² + scale² σ_l²) / P(window),
+
+        where w is half of the window, P(window) the part of the normal that lies inside, and π, how often an edge is
+        the landmark's, is integrated out. So neither an edge that is on no map nor a landmark that stands among others
+        says that the map is poor.
+        """
+        from scipy.special import erf
+
+        expected = self.expected
+        order = np.argsort(expected.angle, kind="stable")
+        gap = np.diff(expected.angle[order], prepend=-np.inf, append=np.inf)
+        window = BESIDE_M * np.abs(expected.per_m)
+        window[order] = np.minimum(window[order], np.minimum(gap[:-1], gap[1:]) / 2)
+        apart = self.measured - expected.angle[:, None]
+        pair, edge = np.nonzero((np.abs(apart) < window[:, None]) & np.isfinite(self.measured_var))
+        landmark, index, count = np.unique(pair, return_inverse=True, return_counts=True)
+        stated_var = expected.variance[pair] / self.sighting.map_scale**2
+        variance = stated_var * scales[:, None] ** 2 + self.measured_var[edge]
+        inside = erf(window[pair] / np.sqrt(2.0 * variance))
+        ratio = np.zeros((len(landmark), len(scales)))
+        np.add.at(ratio, index, (2.0 * window[pair] * normal(apart[pair, edge], variance) / inside / count[index]).T)
+        by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=1)
+        return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndOffsets:
+    """Where matched edges end, beside where their landmarks do: P ends inside the image.
+
+    offset: (P,) measured minus expected upright image height. per_height: (P,) derivative of the expected one by the
+    camera's height above the floor, 1/m.
+    """
+
+    offset: Array
+    per_height: Array
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+
+def end_offsets(matches: Matches, pose: Array, edges: Edges, camera: Camera, landmark_map: LandmarkMap) -> EndOffsets:
+    """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
+
+    A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
+    that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.
+    """
+    edge = np.flatnonzero((matches.landmark >= 0) & np.isfinite(edges.ends_px).all(axis=(1, 2)))
+    landmark, mount = matches.landmark[edge], camera.mount
+    _, ahead_m = in_camera(camera.pose_in_map(pose[None]), landmark_map.points[landmark])
+    ends_m = np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])
+    expected = np.column_stack(image_heights(camera, ahead_m[0], *ends_m.T))
+    measured, cut = endpoints.ends_lower_first(edges.ends_px[edge], camera)
+    _, _, e_low, e_high = camera.upright_bounds
+    inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~cut
+    depth = ahead_m[0, :, None] * np.cos(mount.tilt_rad) - (ends_m - mount.height_m) * np.sin(mount.tilt_rad)
+    per_height = -ahead_m[0, :, None] / depth**2
+    return EndOffsets((measured - expected)[inside], per_height[inside])
+
+
+# -- pairs of an edge and a landmark ----------------------------------------------------------------------------------
+
+
+def pairs_near(measured: Array, measured_var: Array, expected: Array, expected_var: Array) -> tuple[Indices, Indices]:
+    """Return indices (P,) of expected (K,) and measured angles (E,) within `GATE_SIGMAS` of each other."""
+    # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
+    known = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var))
+    order = known[np.argsort(measured[known])]
+    reach = GATE_SIGMAS * np.sqrt(expected_var + measured_var[known].max(initial=0.0))
+    first = np.searchsorted(measured[order], expected - reach)
+    last = np.searchsorted(measured[order], expected + reach)
+    pair = np.repeat(np.arange(len(expected)), last - first)
+    within = np.arange(len(pair)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
+    return pair, order[first[pair] + within]
+
+
+def agreement(
+    angle: Angle, parameters: ObservationParameters, edges: Edges, expected: Expected, pair: Indices, edge: Indices
+) -> Array:
+    """Return c_el (P,) of pairs: how well ends and polarities agree, and the probability that no wall is before."""
+    margin = parameters.sight.margin_px / angle.camera.focal_px
+    ends = endpoints.endpoints_of(edges, angle.camera)
+    by_ends = endpoints.agreement(ends, edge, expected.ends[pair], expected.known[pair], angle.camera, margin)
+    by_polarity = 1.0 + edges.polarity[edge] * expected.leaning[pair]
+    return np.asarray(by_ends * by_polarity * expected.in_the_open[pair])
+
+
+def normal(error: Array, variance: Array) -> Array:
+    """Return the normal density of errors of these variances."""
+    return np.asarray(np.exp(-0.5 * error**2 / variance) / np.sqrt(2 * np.pi * variance))

@@ -1,0 +1,113 @@
+"""What was measured at one time, what an observation says of it, and what any observation must be able to do.
+
+The one method that the filter needs is `Observation.log_likelihood`. All else, as learning the inlier rate or finding
+the robot anywhere on the map, it does with `EdgeObservation`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.edges import Edges
+from localiser.errors import InputError
+from localiser.geometry import Array, Increment
+from localiser.landmarks import LandmarkMap
+from localiser.particles import Particles
+
+_IMPOSSIBLE = -1e300  # stands for a log-likelihood of -inf, of which no difference can be taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What was measured at one time.
+
+    edges: of an image. measurement: an array that an observation of another kind understands, None where there is none.
+    persistent: (E,) how much denser clutter is at each edge than anywhere in the image, by the image before. scene:
+    (E,) the same by the earlier images of the scene. None where nothing is known. map_scale: by how much landmarks are
+    farther from where the map has them than it says.
+    """
+
+    t_ns: int
+    edges: Edges = field(default_factory=Edges.none)
+    measurement: NDArray[Any] | None = None
+    persistent: Array | None = None
+    scene: Array | None = None
+    map_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarlierImage:
+    """An earlier image, how the robot has moved since, and the variance of its turn (rad²)."""
+
+    sighting: Sighting
+    since: Increment
+    turn_var: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Edges (K) with a certain landmark.
+
+    points: (K, 2) of the landmarks. angle: (K,) measured, rad. variance: (K,) rad². is_slope: whether angles are leans,
+    not bearings.
+    """
+
+    points: Array
+    angle: Array
+    variance: Array
+    is_slope: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Which landmark each edge belongs to, seen from one pose.
+
+    landmark: (E,) index into the map, -1 for clutter. residual: (E,) measured minus predicted, rad, nan for clutter.
+    visible: (L,) whether the landmark is inside the field of view. sigma: (E,) of the residual, rad, the pose taken as
+    exact. gate: (E,) from how many sigmas on the edge would have counted as clutter. Both are nan for clutter, and None
+    where the observation does not tell.
+    """
+
+    landmark: NDArray[np.int64]
+    residual: Array
+    visible: NDArray[np.bool_]
+    sigma: Array | None = None
+    gate: Array | None = None
+
+    @classmethod
+    def none(cls, edges: int, landmarks: int) -> Matches:
+        """Return that no edge belongs to any landmark."""
+        unknown = np.full((3, edges), np.nan)
+        return cls(np.full(edges, -1), unknown[0], np.zeros(landmarks, dtype=bool), unknown[1], unknown[2])
+
+
+@runtime_checkable
+class Observation(Protocol):
+    """Anything that weighs particles by what was measured."""
+
+    def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
+        """Return log p(sighting | particle) (N,), up to a constant that all particles share."""
+        ...
+
+
+def own_log_likelihood(
+    observation: Observation, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap
+) -> Array:
+    """Return log p(sighting | particle) (N,) by an observation of one's own.
+
+    Raises InputError when it returns anything else than log-likelihoods.
+    """
+    found = np.asarray(observation.log_likelihood(particles, sighting, landmark_map))
+    name, count = f"{type(observation).__name__}.log_likelihood", len(particles)
+    if found.shape != (count,) or found.dtype.kind not in "fiu":
+        raise InputError(f"expected ({count},) numbers, found {found.dtype} {found.shape}", field=name)
+    if not (found < np.inf).all() or not (found > -np.inf).any():
+        problem = "-inf for all particles" if (found == -np.inf).all() else "nan or inf"
+        raise InputError(
+            f"expected log-likelihoods below inf, at least one of them finite, found {problem}", field=name
+        )
+    return np.maximum(found, _IMPOSSIBLE, dtype=np.float64)
