@@ -361,9 +361,8 @@ def _weighed(
     visible = None if mcl.search is None else state.belief.visibility.of_all(len(mcl.landmark_map))
     stage_below = mcl.parameters.stage_below
     tempering = Tempering(observation, mcl.landmark_map, image.sighting, inliers, image.novelty, stage_below, visible)
-    found = None if proposed is None else tempering.at_once(proposed)
-    if found is None:  # the first image, and one whose edges were taken for those of other landmarks
-        found = tempering.in_stages(mcl.moved(cloud, image.moves, rng), not state.weighed, rng)
+    moved = mcl.moved(cloud, image.moves, rng) if proposed is None else proposed
+    found = tempering.weighed(moved, not state.weighed, rng)
     state.inliers = found.inliers
     return found
 

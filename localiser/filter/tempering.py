@@ -60,15 +60,7 @@ class Tempering:
     stage_below: float
     visible: Array | None = None
 
-    def at_once(self, moved: Particles) -> Weighed | None:
-        """Return what `in_stages` does, in one stage; None where that would leave too few effective samples."""
-        by_rate, *of_place = self._by_views(moved)
-        weighed = replace(moved, log_weight=moved.log_weight + self.novelty * self.inliers.log_mean(by_rate))
-        if particles.effective_sample_size(weighed.weight) < self.stage_below * len(moved):
-            return None
-        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), moved, *of_place)
-
-    def in_stages(self, moved: Particles, is_first: bool, rng: np.random.Generator) -> Weighed:
+    def weighed(self, moved: Particles, is_first: bool, rng: np.random.Generator) -> Weighed:
         """Return the particles, weighed.
 
         is_first: whether perhaps no particle fits at all, as at a start. Then edges are blurred first and sharpened

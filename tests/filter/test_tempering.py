@@ -72,7 +72,7 @@ def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
 def weighed(peak: Peak, cloud: Particles, *, first: bool = False, stage_below: float = 0.3, seed: int = 0) -> Particles:
     landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
     tempering = Tempering(peak, landmark_map, Sighting(0), InlierRate.unknown(), 1.0, stage_below)
-    return tempering.in_stages(cloud, first, np.random.default_rng(seed)).particles
+    return tempering.weighed(cloud, first, np.random.default_rng(seed)).particles
 
 
 @pytest.mark.parametrize("sharpness", [1 / 4, 1 / 40])
