@@ -80,6 +80,9 @@ class Localiser:
     place of those that the configuration asks for; see docs/extending.md. An observation without global localisation
     needs a start.
 
+    landmark_map: one, or several laid apart (`Site.beside`), which compete. Then poses are in the frame of the map that
+    the robot is most likely on, `LocatedFrame.map_name`.
+
     rng: the generator. state: what changes during a run. Raises InputError for settings that do not fit the camera.
     """
 
@@ -148,8 +151,10 @@ class Localiser:
 
     # -- measurements -------------------------------------------------------------------------------------------------
 
-    def start(self, pose: ArrayLike, cov: ArrayLike, t_ns: int | None = None) -> list[LocatedFrame]:
+    def start(self, pose: ArrayLike, cov: ArrayLike, t_ns: int | None = None, map_name: str = "") -> list[LocatedFrame]:
         """Take where the robot is said to be: pose (3,) in the map, covariance (3, 3). Raises InputError.
+
+        map_name: of several maps the one whose frame the pose is in; "" for the first.
 
         The position is within 100,000 km, sigmas are at most 1000 m and a whole turn, as in files and messages.
 
@@ -157,7 +162,8 @@ class Localiser:
         for the wheels and were taken before the start are dropped; all that wait where t_ns is None.
         """
         at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
-        event = Start(at_ns, finite_numbers("pose", pose, (3,)), _covariance(cov))
+        mean = finite_numbers("pose", pose, (3,)) + self.landmark_map.origin(map_name)
+        event = Start(at_ns, mean, _covariance(cov))
         try:
             check_start(event.mean, event.cov)
         except ValueError as error:
@@ -343,7 +349,8 @@ class Localiser:
             located, wide_cov = self._finding.after(result)
             measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
             stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
-            frames.append(LocatedFrame(located, located.matches, measured.image, None, stage_ms, wide_cov))
+            frame = LocatedFrame(located, located.matches, measured.image, None, stage_ms, wide_cov)
+            frames.append(_in_frame_of_its_map(frame, self.landmark_map))
             begin = perf_counter()
         return frames
 
@@ -450,6 +457,24 @@ def decoded_file(data: bytes, camera: Camera) -> NDArray[np.uint8]:
     size, name = (camera.width, camera.height), Path("image")
     check_whole(data, size, path=name)
     return decoded(data, size, path=name)
+
+
+def _in_frame_of_its_map(frame: LocatedFrame, landmark_map: LandmarkMap) -> LocatedFrame:
+    """Return a frame whose poses are in that of all maps with poses in that of the map which the estimate is on."""
+    located, name = frame.located, landmark_map.map_at(frame.located.estimate.pose)
+    if not name:
+        return frame
+    origin, clusters = landmark_map.origin(name), located.clusters
+    mean, columns = located.estimate.mean.copy(), located.particles.columns.copy()
+    mean[:3] -= origin
+    columns[:3] -= origin[:, None]
+    moved = replace(
+        located,
+        estimate=replace(located.estimate, mean=mean),
+        particles=replace(located.particles, columns=columns),
+        clusters=clusters and replace(clusters, mean=clusters.mean - origin),
+    )
+    return replace(frame, located=moved, map_name=name)
 
 
 def _name_of(own: object) -> str:

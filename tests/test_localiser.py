@@ -428,7 +428,7 @@ def test_replay_and_live_refuse_the_same_settings_with_the_same_words(
     """All that a live run may refuse; a replay also says which file of the log does not fit."""
     log = cut_log(CORRIDOR, tmp_path / "log", 2)
     write_camera(UNTILTED, log / "camera.yaml")
-    options = LiveOptions(log / "map.yaml", read_config(None, settings), camera=log / "camera.yaml")
+    options = LiveOptions([log / "map.yaml"], read_config(None, settings), camera=log / "camera.yaml")
     with pytest.raises(InputError) as by_live, open_run(options, lambda text, level: None):
         pass
     assert str(by_live.value).startswith(told)

@@ -64,7 +64,7 @@ def replayed(task: Task) -> Outcome:
 def _metrics(task: Task) -> dict[str, Any]:
     opening, folder = task.opening, task.folder
     log = opening.open(task.log, task.config)
-    run = prepare(log, task.config, opening.start, map_file=opening.map_file)
+    run = prepare(log, task.config, opening.start, map_files=[opening.map_file] if opening.map_file else ())
     run.localiser.warm_up(images=log.has_images)
     with output_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)

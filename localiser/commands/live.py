@@ -64,7 +64,10 @@ LiveView = Annotated[
 @live_app.callback()
 def live(
     context: typer.Context,
-    map_file: Annotated[Path | None, typer.Option("--map", metavar="MAP", help="Landmark map.")] = None,
+    map_files: Annotated[
+        list[Path] | None,
+        typer.Option("--map", metavar="MAP", help="Landmark map, or a list of maps. Repeat it for several floors."),
+    ] = None,
     connect: Annotated[
         list[str] | None,
         typer.Option(metavar="ENDPOINT", help="A zenoh router; by default tcp/127.0.0.1:7447. Repeatable."),
@@ -106,15 +109,16 @@ def live(
     from localiser.errors import InputError
     from localiser.live import LiveOptions
     from localiser.replay import stated_start
+    from localiser.storage import read_maps
 
-    if map_file is None:
+    if not map_files:
         raise InputError("expected a map", field="--map")
     options = LiveOptions(
-        map_file,
+        map_files,
         read_config(config, with_options(overrides, live__connect=connect, live__dds=dds, live__domain=domain)),
         camera,
         image,
-        stated_start(start) if start else None,
+        stated_start(start, 0, read_maps(map_files)) if start else None,
         record,
         sys.stdout.fileno() if json else None,
         view,
@@ -161,7 +165,7 @@ def demo(
         map_file = Path(folder) / "map.yaml"
         write_map(driven.landmark_map, map_file)
         options = LiveOptions(
-            map_file,
+            [map_file],
             settings,
             start=_start_of(driven),
             record=record,

@@ -100,7 +100,7 @@ def drive_of(log: Log, config: Config, map_file: Path | None = None) -> Checked:
     if log.groundtruth is not None:
         drive, clock = on_one_clock(Drive(log.name, log.odometry, log.groundtruth))
         return Checked(drive, TRUTH, clock)
-    ready = prepare(log, config, map_file=map_file)
+    ready = prepare(log, config, map_files=[map_file] if map_file else ())
     ready.run()
     runs = [
         list(run)

@@ -48,8 +48,14 @@ View = Literal["native", "web", "none"]
 
 def replay(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log folder or ROS bag.")],
-    map_file: Annotated[
-        Path | None, typer.Option("--map", metavar="MAP", help="Landmark map; by default the log's own.")
+    map_files: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--map",
+            metavar="MAP",
+            help="Landmark map, or a list of maps; by default the log's own. Repeat it for several floors: the robot "
+            "is looked for on all of them.",
+        ),
     ] = None,
     config: ConfigFile = None,
     overrides: Overrides = None,
@@ -58,8 +64,9 @@ def replay(
         str | None,
         typer.Option(
             metavar="x,z,heading_deg|global|truth",
-            help="Where the robot starts, to 0.1 m and 3°. `global`: anywhere on the map. `truth`: the true pose plus "
-            "such an error. By default what the log states, else global.",
+            help="Where the robot starts, to 0.1 m and 3°; MAP:x,z,heading_deg on another map than the first. "
+            "`global`: anywhere on the map. `truth`: the true pose plus such an error. By default what the log states, "
+            "else global.",
         ),
     ] = None,
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
@@ -90,7 +97,7 @@ def replay(
     how: dict[str, Any] = {"topics": topics_by_role(topics), "camera": camera}
     recorded, effective = open_with_settings(log, config, settings, **how)
     with working("Getting ready; the first run compiles …"):
-        ready = prepare(recorded, effective, start, map_file=map_file)
+        ready = prepare(recorded, effective, start, map_files=map_files or ())
         ready.localiser.warm_up(images=recorded.has_images)
         run = FolderRun.open(ready, Outputs(out, rrd, view, bag=bag))
     if run.viewer is not None and run.viewer.address:

@@ -367,9 +367,11 @@ def _moment(moment: Moment, track: Track, camera: Camera, landmark_map: Landmark
     frame = moment.frame
     seconds = float(track.seconds[moment.number])
     title = f"{', '.join(moment.reasons).capitalize()}: image {moment.number} at {seconds:.1f} s"
+    path = track.poses[: moment.number + 1] - landmark_map.origin(frame.map_name)
+    landmark_map = landmark_map.seen_on(frame.map_name)
     pictures = (
         image_svg(frame, camera, landmark_map),
-        map_svg(frame, landmark_map, track.poses[: moment.number + 1], camera.width / camera.height),
+        map_svg(frame, landmark_map, path, camera.width / camera.height),
     )
     return (
         f'<figure class="moment"><h3>{escape(title)}</h3><div>{pictures[0]}</div><div>{pictures[1]}</div>'

@@ -25,6 +25,8 @@ class LocatedFrame:
     matches: which landmark each edge shows, seen from the estimate. image: None where edges were measured elsewhere.
     truth: (3,) true pose then, where known. stage_ms: what each stage of the work took. wide_cov: (3, 3) of a pose that
     is no ordinary one, because the robot is not found yet, or lost: it may be anywhere; None for an ordinary pose.
+    map_name: of several maps the one that the robot is most likely on, in whose frame all poses are; "" where there is
+    but one. Landmarks keep their numbers among those of all maps.
     """
 
     located: Located
@@ -33,6 +35,7 @@ class LocatedFrame:
     truth: Array | None
     stage_ms: Mapping[str, float]
     wide_cov: Array | None = None
+    map_name: str = ""
 
     @property
     def is_found(self) -> bool:
@@ -60,7 +63,8 @@ class Finding:
     @classmethod
     def on(cls, landmark_map: LandmarkMap) -> Finding:
         """Return it before anything is known."""
-        return cls(np.diag(np.square([*np.ptp(landmark_map.points, axis=0), np.pi]) / 3))
+        extent = np.max([np.ptp(one.points, axis=0) for one in landmark_map.maps], axis=0)
+        return cls(np.diag(np.square([*extent, np.pi]) / 3))
 
     def begin(self, *, found: bool) -> None:
         """Begin anew. found: whether it is known where."""

@@ -93,6 +93,31 @@ class LandmarkMap:
         """Return the map without what nobody reads but people."""
         return replace(self, frame={}, extra=(), header={})
 
+    # -- what several maps in one have, see `storage.Site`: a map is one alone -----------------------------------------
+
+    @property
+    def maps(self) -> tuple[LandmarkMap, ...]:
+        """The maps that this one is laid together of: itself."""
+        return (self,)
+
+    def origin(self, map_name: str) -> Array:
+        """Return where (3,) the frame of one of its maps lies."""
+        return np.zeros(3)
+
+    def map_at(self, point: Array) -> str:
+        """Return the name of the map at a point, "" where there is but one."""
+        return ""
+
+    def is_on(self, map_name: str, points: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 2 or more) lie on a map."""
+        return np.ones(len(points), dtype=bool)
+
+    def seen_on(self, map_name: str) -> LandmarkMap:
+        """Return all landmarks in the frame of one of its maps."""
+        return self
+
+    # -- parts ------------------------------------------------------------------------------------------------------
+
     def sigma_m(self, unknown_m: float) -> Array:
         """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
         trace = np.trace(self.cov, axis1=1, axis2=2)

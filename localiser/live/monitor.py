@@ -104,7 +104,8 @@ class Monitor:
         self.counts.update(located=1, sure=sure, edges=len(landmark), matched=int((landmark >= 0).sum()))
         if sure and self.counts["sure"] == 1:
             x, z, heading = located.estimate.pose
-            self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°")
+            on = f" on {frame.map_name}" if frame.map_name else ""
+            self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°{on}")
         if located.warning:
             self.warn("map", located.warning)
         if located.odometry_jumped:
@@ -178,6 +179,7 @@ def status_line(monitor: Monitor) -> str:
     cov = located.estimate.pose_cov
     matched = int((landmark >= 0).sum())
     parts = [
+        frame.map_name,
         f"{x:.2f}, {z:.2f} ± {np.sqrt(np.trace(cov[:2, :2])):.2f} m",
         f"{np.degrees(heading):.1f} ± {np.degrees(np.sqrt(cov[2, 2])):.1f}°",
         f"sure {located.p_correct:.2f}" + (f" ({located.reason})" if located.reason else ""),

@@ -36,8 +36,8 @@ MOST_LINES = 1000
 class Published:
     """One image's result as it goes out. stamp_ns, now_ns: of the image and of the wheels' last pose, by the robot.
 
-    now: (3,) pose in the map then. latency_ms: from the image's stamp, by this machine's calendar. error_m: where the
-    robot tells the truth beside.
+    now: (3,) pose in the map then. latency_ms: from the image's stamp, by this machine's calendar. map_name: of several
+    maps the one that poses are on. error_m: where the robot tells the truth beside.
     """
 
     located: Located
@@ -45,6 +45,7 @@ class Published:
     now_ns: int
     now: Array
     latency_ms: float
+    map_name: str = ""
     error_m: float | None = None
 
     def line(self) -> str:
@@ -63,7 +64,7 @@ class Published:
             "edges": len(located.edges),
             "p_correct": round(float(located.p_correct), 4),
             "latency_ms": round(self.latency_ms, 3),
-        }
+        } | ({"map": self.map_name} if self.map_name else {})
         return json.dumps(data | ({} if self.error_m is None else {"error_m": round(self.error_m, 6)}))
 
 

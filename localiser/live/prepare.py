@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,7 +30,7 @@ from localiser.live.transport import Reply, Take, Transport, network_of, open_tr
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
-from localiser.storage import encode_image, read_camera, read_map
+from localiser.storage import encode_image, map_text, read_camera, read_maps
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
 _CAMERA = Camera(320, 240, 280.0, 280.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0), "plumb_bob", (-0.1,) * 5)
@@ -41,13 +41,14 @@ _MOVING_KEPT = 2000  # times of each transform that changes: longer than images 
 class LiveOptions:
     """What a live run is asked to do.
 
-    config: its section `live` says how to take part in the robot's network, and under which names. image: a camera or
-    stream that OpenCV reads, in place of a topic. start: where the robot is at the first image, None where that is not
-    known. json: a file descriptor for lines of JSON. view: where it is shown. checkpoint: where the state is saved, and
-    gone on from where it is there and no start is given. stand_in: whether this program itself sends what is heard.
+    map_files: of one map or list of maps, or of several. config: its section `live` says how to take part in the
+    robot's network, and under which names. image: a camera or stream that OpenCV reads, in place of a topic. start:
+    where the robot is at the first image, None where that is not known. json: a file descriptor for lines of JSON.
+    view: where it is shown. checkpoint: where the state is saved, and gone on from where it is there and no start is
+    given. stand_in: whether this program itself sends what is heard.
     """
 
-    map_file: Path
+    map_files: Sequence[Path]
     config: Config
     camera: Path | None = None
     image: str | None = None
@@ -63,7 +64,7 @@ class LiveOptions:
 def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[LiveRun]:
     """Yield a live run with everything open; closes it all. say: takes messages for the user. Raises InputError."""
     view.check_kind(options.view)
-    landmark_map = read_map(options.map_file)
+    landmark_map = read_maps(options.map_files)
     resumed = state_to_resume(options, landmark_map, say)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
@@ -76,7 +77,7 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         for viewer in viewers:
             viewer.message(time.time_ns(), text, level)
 
-    def localiser_of(camera: Camera) -> Localiser:
+    def localiser_of(camera: Camera, landmark_map: LandmarkMap) -> Localiser:
         localiser = Localiser(landmark_map, camera, options.config)
         localiser.measure(np.zeros((camera.height, camera.width), dtype=np.uint8))  # makes the tables of its lens
         if options.view != "none":
@@ -108,7 +109,7 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         told = Outputs(monitor, publisher, recording, publish, viewers)
         failed = partial(monitor.warn, "no checkpoint")
         checkpoints = None if options.checkpoint is None else Checkpoints(options.checkpoint, failed)
-        tracker = Tracker(finder, localiser_of, clocks, told, options.start, resumed, checkpoints)
+        tracker = Tracker(finder, localiser_of, landmark_map, clocks, told, options.start, resumed, checkpoints)
         serve(transport, inbox, prefix_of(live), live.services)
         not_heard = {"image": options.image is not None, "clock": not live.use_sim_time}
         for role, topic in topics.items():
@@ -116,7 +117,7 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
                 transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
-        yield LiveRun(inbox, tracker, clocks, told, options.map_file.parent, live.map_frame)
+        yield LiveRun(inbox, tracker, clocks, told, options.map_files[0].parent, live.map_frame)
 
 
 def advice(options: LiveOptions, topics: Mapping[str, str], roles: list[str], *, joined: bool) -> str:
@@ -163,7 +164,8 @@ def state_to_resume(options: LiveOptions, landmark_map: LandmarkMap, say: Callab
     resumed = Resumed(options.checkpoint)
     if resumed.is_on(landmark_map):
         return resumed
-    say(f"{options.checkpoint}: not resumed: the state belongs to another map than {options.map_file}", "WARNING")
+    files = ", ".join(map(str, options.map_files))
+    say(f"{options.checkpoint}: not resumed: the state belongs to another map than {files}", "WARNING")
     return None
 
 
@@ -197,13 +199,19 @@ def start_recording(options: LiveOptions, failed: Callable[[str], None]) -> Reco
     recording = Recording(options.record, failed, latched | {topics["transforms"], LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC})
     texts = {
         LOG_TOPIC: live_label_text(options.record.stem, _changed_settings(options.config), topics),
-        MAP_TOPIC: read_text(options.map_file),
+        MAP_TOPIC: _maps_text(options.map_files),
     }
     if options.camera is not None:
         texts[CAMERA_TOPIC] = read_text(options.camera)
     for topic, text in texts.items():
         recording.tell(topic, text)
     return recording
+
+
+def _maps_text(files: Sequence[Path]) -> str:
+    """Return the text of a map's file, or that of all maps written out where it is not all in one file."""
+    maps = read_maps(files)
+    return map_text(maps) if len(maps.maps) > 1 else read_text(files[0])
 
 
 def _changed_settings(config: Config) -> dict[str, Any]:
@@ -233,7 +241,7 @@ def warm_up(landmark_map: LandmarkMap, config: Config) -> None:
     file = encode_image(np.tile(stripes, (_CAMERA.height, 1)), ".jpg", JPEG_QUALITY)
     localiser = Localiser(landmark_map, _CAMERA, config)
     localiser.warm_up()
-    localiser.start([*landmark_map.points.mean(axis=0), 0.0], np.eye(3))
+    localiser.start([*landmark_map.maps[0].points.mean(axis=0), 0.0], np.eye(3))
     for number, t_ns in enumerate((1, 100_000_000, 200_000_000)):
         localiser.odometry(t_ns, [0.0, -0.1 * number, 0.0])
         localiser.image(t_ns, file, by_wheels=number < 2)

@@ -11,12 +11,13 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.filter import Start
+from localiser.geometry import Array
 from localiser.live.clock import LATE_NS, Clocks, SimulatedTime
 from localiser.live.inbox import Arrival, Inbox, message_of
 from localiser.live.outputs import Outputs
 from localiser.live.timeline import Frame
 from localiser.live.tracker import Tracker
-from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, service_bytes, service_message
+from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, map_frames, service_bytes, service_message
 from localiser.storage import read_map
 from localiser.storage.bags import MAP, clock_decision, floor_pose, plain_frame, stamp_of, start_of_message
 
@@ -170,7 +171,7 @@ class LiveRun:
 
     def _take_moving_transforms(self, arrival: Arrival, message: Any) -> None:
         """Take transforms of the robot that change; our own, from the map, are on the same topic."""
-        if all(plain_frame(each.header.frame_id) == plain_frame(self.map_frame) for each in message.transforms):
+        if all(plain_frame(each.header.frame_id) in self._map_names for each in message.transforms):
             return
         self.tracker.finder.take_moving(message)
         self.outputs.record(arrival)
@@ -213,8 +214,9 @@ class LiveRun:
         if arrival.content == before and arrival.at_ns - before_ns < _REPEATED_NS:
             self._stated = before, arrival.at_ns
             return
-        self._check_frame(arrival, message)
+        origin = self._origin_of_frame(arrival, message)
         mean, cov = start_of_message(message)
+        mean = mean + origin
         self._stated = arrival.content, arrival.at_ns
         self.outputs.record(arrival)
         newest_ns = self.tracker.newest_ns
@@ -222,11 +224,20 @@ class LiveRun:
         # Whoever states a pose may have another clock; then it is meant for now.
         self.tracker.state_pose(Start(t_ns if newest_ns - LATE_NS <= t_ns <= newest_ns else newest_ns, mean, cov))
 
-    def _check_frame(self, arrival: Arrival, message: Any) -> None:
-        """Raise ValueError unless a pose is in the map's frame; one that names no frame is taken to be."""
-        frame, expected = plain_frame(message.header.frame_id), plain_frame(self.map_frame)
+    @property
+    def _map_names(self) -> dict[str, str]:
+        """The name of each map by that of its frame."""
+        return map_frames(plain_frame(self.map_frame), self.tracker.landmark_map)
+
+    def _origin_of_frame(self, arrival: Arrival, message: Any) -> Array:
+        """Return where (3,) the frame of a pose lies; one that names no frame is in that of the (first) map.
+
+        Raises ValueError unless it is a map's.
+        """
+        frame, names = plain_frame(message.header.frame_id), self._map_names
         if not frame:
-            text = f"{arrival.topic}: a pose names no frame; taken to be {expected}"
+            text = f"{arrival.topic}: a pose names no frame; taken to be {next(iter(names))}"
             self.outputs.monitor.warn("pose without a frame", text)
-        elif frame != expected:
-            raise ValueError(f"expected a pose in the frame {expected}, found one in {frame}")
+        elif frame not in names:
+            raise ValueError(f"expected a pose in the frame {' or '.join(names)}, found one in {frame}")
+        return self.tracker.landmark_map.origin(names.get(frame, ""))

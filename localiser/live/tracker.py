@@ -34,14 +34,15 @@ from localiser.storage.bags import (
 
 @dataclass(slots=True, eq=False)
 class Tracker:
-    """Follows the robot. localiser_of: is called once the camera is known.
+    """Follows the robot. localiser_of: is called once the camera is known. landmark_map: the map, or several.
 
     start: given by the user, without its time; None looks for the robot everywhere. resumed: a saved state, which comes
     before it. checkpoints: saves the state, None where it is not saved.
     """
 
     finder: CameraFinder
-    localiser_of: Callable[[Camera], Localiser]
+    localiser_of: Callable[[Camera, LandmarkMap], Localiser]
+    landmark_map: LandmarkMap
     clocks: Clocks
     outputs: Outputs
     start: Start | None = None
@@ -49,7 +50,6 @@ class Tracker:
     checkpoints: Checkpoints | None = None
     localiser: Localiser | None = None
     timeline: Timeline = field(init=False)
-    _given_map: LandmarkMap | None = None
     _truth: deque[tuple[int, Array]] = field(default_factory=lambda: deque(maxlen=500))
     _newest_odometry: tuple[int, Array] | None = None
     _intervals_s: deque[float] = field(default_factory=lambda: deque(maxlen=50))
@@ -101,9 +101,7 @@ class Tracker:
         camera, outputs = self.finder.camera, self.outputs
         if self.localiser is not None or camera is None:
             return
-        self.localiser = self.localiser_of(camera)
-        if self._given_map is not None:
-            self.localiser = Localiser(self._given_map, camera, self.localiser.config)
+        self.localiser = self.localiser_of(camera, self.landmark_map)
         self.timeline.needs_wheels = self.localiser.needs_wheels
         outputs.monitor.inform("the camera is known")
         outputs.publisher.begin(self.localiser.landmark_map, camera, self.clocks.stamp_of(t_ns))
@@ -160,11 +158,10 @@ class Tracker:
         A recording belongs to one map and ends here. A state that is saved from here on belongs to the new map.
         """
         before, camera = self.localiser, self.finder.camera
+        self.landmark_map, self.start, self.resumed = landmark_map, None, None
         if before is None or camera is None:
-            self._given_map, self.start, self.resumed = landmark_map, None, None
             return
         self.localiser = Localiser(landmark_map, camera, before.config)
-        self.start, self.resumed = None, None
         self.outputs.end_recording("because it belongs to the map before")
         self.timeline.restart(self.clocks.robot.newest_ns + 1)  # what was seen before belongs to the map before
         for pose in before.state.odometry:
@@ -183,8 +180,10 @@ class Tracker:
         begun = replace(start, t_ns=self.timeline.restart(start.t_ns))
         self.localiser.start(begun.mean, begun.cov, begun.t_ns)
         self.outputs.decide(start_decision(begun))
-        x, z, heading = begun.mean
-        text = f"started at x = {x:.2f} m, z = {z:.2f} m, heading = {np.rad2deg(heading):.1f}°"
+        name = self.landmark_map.map_at(begun.mean)
+        x, z, heading = begun.mean - self.landmark_map.origin(name)
+        on = f" on {name}" if name else ""
+        text = f"started at x = {x:.2f} m, z = {z:.2f} m, heading = {np.rad2deg(heading):.1f}°{on}"
         self.outputs.monitor.inform(text)
 
     # -- images -------------------------------------------------------------------------------------------------------
@@ -251,6 +250,7 @@ class Tracker:
             self.clocks.stamp_of(now_ns),
             compose(located.estimate.pose, between(located.odometry, odometry_now)),
             self.clocks.latency_ms(frame.stamp_ns),
+            found.map_name,
             None if truth is None else float(np.hypot(*(located.estimate.pose - truth)[:2])),
         )
 

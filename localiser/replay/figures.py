@@ -19,6 +19,7 @@ from localiser.edges import DARK_GREY, WASHED_OUT, Edges, Light
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame, Sighting, Start
 from localiser.geometry import Array, Trajectory
+from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser
 from localiser.replay.frames import KeptFrames
 from localiser.storage import Log, fingerprint, jump_text
@@ -38,8 +39,9 @@ WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on tha
 class Summary:
     """What is wanted of all T images of a run at once.
 
-    warnings, reasons, wheels_are_wrong, edges_known: (T,) as the filter had them, and whether an edge's landmark was
-    known. landmark_use: (L, 2) in how many images each landmark of the map was in view, and in how many matched.
+    track: of poses in the frame of all maps. warnings, reasons, wheels_are_wrong, edges_known: (T,) as the filter had
+    them, and whether an edge's landmark was known. landmark_use: (L, 2) in how many images each landmark of the map was
+    in view, and in how many matched.
     """
 
     track: Track
@@ -50,9 +52,9 @@ class Summary:
     landmark_use: Array
 
     @classmethod
-    def of(cls, frames: Sequence[LocatedFrame], landmarks: int) -> Summary:
-        """Return the summary of images, which are gone through once. landmarks: L."""
-        count, use = len(frames), np.zeros((landmarks, 2))
+    def of(cls, frames: Sequence[LocatedFrame], landmark_map: LandmarkMap) -> Summary:
+        """Return the summary of images, which are gone through once. landmark_map: of L landmarks."""
+        count, use = len(frames), np.zeros((len(landmark_map), 2))
         t_ns, known, wrong, found = np.empty(count, np.int64), *np.empty((3, count), bool)
         poses, covs, odometry = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
         numbers, residuals = np.empty((count, 3)), np.empty((count, 3))
@@ -61,7 +63,8 @@ class Summary:
             located, landmark = frame.located, frame.matches.landmark
             use[:, 0] += frame.matches.visible
             use[np.unique(landmark[landmark >= 0]), 1] += 1
-            t_ns[i], poses[i], covs[i] = located.t_ns, located.estimate.pose, frame.pose_cov
+            t_ns[i], covs[i] = located.t_ns, frame.pose_cov
+            poses[i] = located.estimate.pose + landmark_map.origin(frame.map_name)
             found[i] = frame.is_found
             odometry[i], residuals[i] = located.odometry, evaluate.residual_sums(frame.matches)
             numbers[i] = len(located.edges), (landmark >= 0).sum(), located.p_correct
@@ -82,15 +85,15 @@ class Summary:
 class Results:
     """A log that is replayed, and what was located until now.
 
-    localiser: as it was made for this run; it has the map, which was read from `map_file` where that is not None, and
-    the settings. start: None where nothing is said of it. frames: without images and particles, in a temporary file
+    localiser: as it was made for this run; it has the map, which was read from `map_files` where there are any, and the
+    settings. start: None where nothing is said of it. frames: without images and particles, in a temporary file
     where there are many. light: how every fifth image is exposed. timing: what each of them took (ms), by stage.
     """
 
     log: Log
     localiser: Localiser
     start: Start | None
-    map_file: Path | None = None
+    map_files: Sequence[Path] = ()
     frames: KeptFrames = field(default_factory=KeptFrames)
     light: list[Light] = field(default_factory=list)
     _summaries: dict[int, Summary] = field(default_factory=dict)
@@ -113,7 +116,7 @@ class Results:
         """What is wanted of all images so far at once."""
         if len(self.frames) not in self._summaries:
             self._summaries.clear()
-            self._summaries[len(self.frames)] = Summary.of(self.frames, len(self.localiser.landmark_map))
+            self._summaries[len(self.frames)] = Summary.of(self.frames, self.localiser.landmark_map)
         return self._summaries[len(self.frames)]
 
     @property
@@ -346,7 +349,7 @@ def described(run: Results) -> str:
         "log": {"name": log.name, "path": str(log.path), "fingerprint": identity["log"]},
         "map": {
             "name": landmark_map.name,
-            "path": str(run.map_file or log.path),
+            "path": ", ".join(map(str, run.map_files)) or str(log.path),
             "landmarks": len(landmark_map),
             "fingerprint": identity["map"],
         },

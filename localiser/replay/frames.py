@@ -32,6 +32,7 @@ class _Kept:
     truth: Array | None
     stage_ms: dict[str, float]
     wide_cov: Array | None
+    map_name: str
 
 
 def _without_bulk(frame: LocatedFrame) -> LocatedFrame:
@@ -57,7 +58,7 @@ class KeptFrames(Sequence[LocatedFrame]):
     def append(self, frame: LocatedFrame) -> None:
         """Keep one more, without what grows with pixels or particles."""
         frame = _without_bulk(frame)
-        kept = _Kept(frame.located, frame.matches, frame.truth, dict(frame.stage_ms), frame.wide_cov)
+        kept = _Kept(frame.located, frame.matches, frame.truth, dict(frame.stage_ms), frame.wide_cov, frame.map_name)
         try:
             self._file.seek(self._begin(len(self)))
             self._file.write(encode(kept))
@@ -84,7 +85,7 @@ class KeptFrames(Sequence[LocatedFrame]):
             return self._last
         self._file.seek(self._begin(index))
         kept: _Kept = decode(_Kept, self._file.read(self._ends[index] - self._begin(index)))
-        return LocatedFrame(kept.located, kept.matches, None, kept.truth, kept.stage_ms, kept.wide_cov)
+        return LocatedFrame(kept.located, kept.matches, None, kept.truth, kept.stage_ms, kept.wide_cov, kept.map_name)
 
     def _begin(self, index: int) -> int:
         return self._ends[index - 1] if index else 0

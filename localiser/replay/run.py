@@ -30,7 +30,7 @@ from localiser.storage import (
     camera_error,
     checkpoint_of,
     open_log,
-    read_map,
+    read_maps,
     require_odometry,
 )
 
@@ -125,6 +125,8 @@ class Replay(Results):
             before = self.frames[-1].located.odometry if self.frames else np.zeros(3)
             located = replace(located, odometry=compose(before, located.increment.mean))
         true_pose = truth.at(located.t_ns) if truth is not None and truth.covers(located.t_ns) else None
+        if true_pose is not None:
+            true_pose = true_pose - self.localiser.landmark_map.origin(frame.map_name)
         return replace(frame, located=located, truth=true_pose)
 
     def _hand_over(self, frame: LocatedFrame, sinks: Sequence[Sink]) -> None:
@@ -159,16 +161,17 @@ def prepare(
     start: str | Start | None = None,
     *,
     landmark_map: LandmarkMap | None = None,
-    map_file: Path | None = None,
+    map_files: Sequence[Path] = (),
     **own: Any,
 ) -> Replay:
     """Return a replay of `log` that is ready to run.
 
-    start: see `start_of`. landmark_map, or that in map_file, takes the place of the log's own. own: observation, motion
-    and detector, see `Localiser`. Raises InputError when the map is missing, or settings, camera and log do not fit.
+    start: see `start_of`. landmark_map, or that in map_files, takes the place of the log's own; of several the first is
+    the one that the log's start and truth are on. own: observation, motion and detector, see `Localiser`. Raises
+    InputError when the map is missing, or settings, camera and log do not fit.
     """
     if landmark_map is None:
-        landmark_map = read_map(map_file) if map_file else log.landmark_map
+        landmark_map = read_maps(map_files) if map_files else log.landmark_map
     if landmark_map is None:
         raise InputError(
             f"the log has no map; expected --map MAP. `localiser map build {log.path} -o map.yaml` makes "
@@ -191,7 +194,7 @@ def prepare(
     if config.observation.association == "known" and landmark_map is not log.landmark_map:
         log = log.identified_on(landmark_map)
     localiser = Localiser(landmark_map, log.camera, config, **own)
-    return Replay(log, localiser, start_of(log, start, localiser.rng, landmark_map), map_file)
+    return Replay(log, localiser, start_of(log, start, localiser.rng, landmark_map), map_files)
 
 
 def _placed(error: InputError, log: Log) -> InputError:
@@ -216,10 +219,10 @@ def replay_log(
     """Replay a log and return what was located: `frames`, `track` and `metrics`. Writes nothing itself.
 
     log: as `open_log` gives it, or its path. config: settings in place of the defaults and of what the log asks for.
-    landmark_map: in place of the log's own. start: where the robot starts, or `x,z,heading_deg`, `truth` or `global` as
-    on the command line; by default as the log states, or a map that was built from it, else anywhere. seed: in place of
-    the configuration's. sinks: get every located image, and are closed. observation, motion, detector: see `Localiser`.
-    Raises InputError.
+    landmark_map: in place of the log's own, or several laid apart (`Site.beside`). start: where the robot starts, or
+    `x,z,heading_deg`, `truth` or `global` as on the command line; by default as the log states, or a map that was built
+    from it, else anywhere. seed: in place of the configuration's. sinks: get every located image, and are closed.
+    observation, motion, detector: see `Localiser`. Raises InputError.
     """
     log = log if isinstance(log, Log) else open_log(log)
     config = read_config(None, (), log.settings) if config is None else config

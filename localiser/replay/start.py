@@ -40,7 +40,7 @@ def start_of(
     if option is None:
         return _own_start(log, landmark_map)
     first_ns = log.frames[0].t_ns
-    return stated_start(_near_truth(log, first_ns, rng) if option == TRUTH else option, first_ns)
+    return stated_start(_near_truth(log, first_ns, rng) if option == TRUTH else option, first_ns, landmark_map)
 
 
 def has_start(log: Log, option: str | Start | None, landmark_map: LandmarkMap) -> bool:
@@ -49,8 +49,12 @@ def has_start(log: Log, option: str | Start | None, landmark_map: LandmarkMap) -
 
 
 def _own_start(log: Log, landmark_map: LandmarkMap | None) -> Start | None:
-    began = start_on_map(landmark_map, log) if log.start is None and landmark_map is not None else None
-    return log.start if began is None else stated_start(began, log.frames[0].t_ns)
+    if log.start is not None or landmark_map is None:
+        return log.start
+    for one in landmark_map.maps:
+        if (began := start_on_map(one, log)) is not None:
+            return stated_start(began + landmark_map.origin(one.name), log.frames[0].t_ns)
+    return None
 
 
 def _near_truth(log: Log, first_ns: int, rng: np.random.Generator) -> np.ndarray:
@@ -66,9 +70,17 @@ def _near_truth(log: Log, first_ns: int, rng: np.random.Generator) -> np.ndarray
     return np.asarray(pose)
 
 
-def stated_start(pose: str | np.ndarray, t_ns: int = 0) -> Start:
-    """Return a start at a pose (3,), or at that of `x,z,heading_deg`, to `START_SIGMA`. Raises InputError."""
-    return Start(t_ns, given_pose(pose) if isinstance(pose, str) else pose, np.diag(START_SIGMA**2))
+def stated_start(pose: str | np.ndarray, t_ns: int = 0, landmark_map: LandmarkMap | None = None) -> Start:
+    """Return a start at a pose (3,), or at that of `x,z,heading_deg`, to `START_SIGMA`. Raises InputError.
+
+    landmark_map: where that may follow the name of one of several maps and a colon.
+    """
+    if isinstance(pose, str):
+        name, _, numbers = pose.rpartition(":")
+        if name and (landmark_map is None or len(landmark_map.maps) < 2):
+            raise InputError(f"expected no name of a map where there is one map, found {pose!r}", field="--start")
+        pose = given_pose(numbers) + (np.zeros(3) if landmark_map is None else landmark_map.origin(name))
+    return Start(t_ns, pose, np.diag(START_SIGMA**2))
 
 
 def given_pose(option: str) -> np.ndarray:

@@ -14,4 +14,4 @@ from localiser.ros.interfaces import (
     service_message,
     topic_in,
 )
-from localiser.ros.outgoing import Frames, Message, Outgoing
+from localiser.ros.outgoing import Frames, Message, Outgoing, map_frames

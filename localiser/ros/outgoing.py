@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -182,6 +183,14 @@ class Frames:
     camera: str = OPTICAL
 
 
+def map_frames(frame: str, landmark_map: LandmarkMap) -> dict[str, str]:
+    """Return the name of each of several maps by that of its frame: `frame`, _ and the map's, as frames are called."""
+    maps = landmark_map.maps
+    if len(maps) == 1:
+        return {frame: ""}
+    return {f"{frame}_{re.sub('[^A-Za-z0-9_]', '_', one.name)}": one.name for one in maps}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
     """A message to send or to write. kind: one of OUTPUTS. stamp_ns: in its header. content: CDR, as ROS 2 has it."""
@@ -194,6 +203,8 @@ class Message:
 @dataclass(slots=True, eq=False)
 class Outgoing:
     """Makes messages of what was located. It knows the path so far, so there is one for each run.
+
+    Of several maps, landmarks, path and poses are those of the map that the robot was last located on, in its frame.
 
     tolerance_ns: by how much the transform's stamp lies ahead of the pose of the wheels that it is for. kinds: what is
     made at all.
@@ -208,9 +219,21 @@ class Outgoing:
     _path: DrivenPath = field(default_factory=DrivenPath)
     _located: Located | None = None
     _ends: Array = field(init=False)
+    _map_name: str = field(init=False)
 
     def __post_init__(self) -> None:
-        self._ends = landmark_ends(self.landmark_map, self.camera)
+        maps = self.landmark_map.maps
+        self._change_map(maps[0].name if len(maps) > 1 else "")
+
+    def _change_map(self, name: str) -> None:
+        self._map_name, self._path = name, DrivenPath()
+        self._ends = landmark_ends(self.landmark_map.seen_on(name), self.camera)
+
+    @property
+    def map_frame(self) -> str:
+        """The name of the frame of the map that is believed."""
+        frames = map_frames(self.frames.map, self.landmark_map)
+        return next(frame for frame, name in frames.items() if name == self._map_name)
 
     def map(self, stamp_ns: int) -> list[Message]:
         """Return the map as the text of its file, which is latched. To be sent when a run begins or its map changes."""
@@ -222,7 +245,8 @@ class Outgoing:
         """Return the map's landmarks to draw, which are latched like the map."""
         if "landmarks" not in self.kinds:
             return []
-        markers = landmark_markers(self._make, self._ends, stamp_ns, self.frames.map)
+        here = self.landmark_map.is_on(self._map_name, self._ends[:, 0, [0, 2]])
+        markers = landmark_markers(self._make, self._ends[here], stamp_ns, self.map_frame)
         return [self._message("landmarks", stamp_ns, markers)]
 
     def image(
@@ -238,18 +262,22 @@ class Outgoing:
         as warnings of a live run. The transform is not among them: it goes out with the wheels, see `transform`.
         """
         self._located = frame.located
+        changed = frame.map_name != self._map_name
+        if changed:
+            self._change_map(frame.map_name)
         makers: dict[str, Callable[[], Any]] = {
             "pose": lambda: self._pose(frame, stamp_ns),
             "particles": lambda: self._particles(frame.located, stamp_ns),
-            "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.map),
-            "path": lambda: self._path.message(self._make, stamp_ns, self.frames.map),
+            "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.map_frame),
+            "path": lambda: self._path.message(self._make, stamp_ns, self.map_frame),
             "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.camera),
             "diagnostics": lambda: diagnostics(self._make, frame, stamp_ns, facts or {}),
         }
         if not frame.is_found or not self._path.grows(stamp_ns, frame.located.estimate.pose):
             del makers["path"]
         made = ((kind, make()) for kind, make in makers.items() if kind in self.kinds and wanted(kind))
-        return [self._message(kind, stamp_ns, message) for kind, message in made if message is not None]
+        messages = [self._message(kind, stamp_ns, message) for kind, message in made if message is not None]
+        return [*(self.landmarks(stamp_ns) if changed else []), *messages]
 
     def transform(self, stamp_ns: int) -> list[Message]:
         """Return the transform from the map to the odometry's frame for a pose of the wheels with this stamp.
@@ -260,7 +288,7 @@ class Outgoing:
         if located is None or located.p_correct < LEAST_SURE or "tf" not in self.kinds:
             return []
         stamp_ns += self.tolerance_ns
-        frames = (self.frames.map, self.frames.odom)
+        frames = (self.map_frame, self.frames.odom)
         message = self._make.map_from_odometry(stamp_ns, located.estimate.pose, located.odometry, frames)
         return [self._message("tf", stamp_ns, message)]
 
@@ -282,12 +310,13 @@ class Outgoing:
 
     def _pose(self, frame: LocatedFrame, stamp_ns: int) -> Any:
         pose = frame.located.estimate.pose
-        return self._make.pose_in_map(stamp_ns, pose, frame.pose_cov, self.frames.map)
+        return self._make.pose_in_map(stamp_ns, pose, frame.pose_cov, self.map_frame)
 
     def _particles(self, located: Located, stamp_ns: int) -> Any:
         """Return a geometry_msgs/PoseArray of at most MOST_PARTICLES, each as likely as its weight."""
-        poses = self._make.poses(spread_out(located))
-        return self._make.make(POSES, header=header(stamp_ns, self.frames.map), poses=poses)
+        poses = spread_out(located)
+        here = self._make.poses(poses[self.landmark_map.is_on(self._map_name, poses)])
+        return self._make.make(POSES, header=header(stamp_ns, self.map_frame), poses=here)
 
 
 def spread_out(located: Located) -> Array:

@@ -45,6 +45,7 @@ def require_new_file(path: Path) -> None:
 CAMERA, MAP, PLAN = "a camera file", "a landmark map", "a floor plan"
 _TEXTS = (
     ("format: localiser-map/", MAP),
+    ("format: localiser-site/", f"{MAP} list"),
     ("format: localiser-log/", "the log.yaml of a log, which is named by its folder"),
     ("format: localiser-world/", "a world, of which `localiser simulate` makes a log"),
     ("image_width:", CAMERA),

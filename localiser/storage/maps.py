@@ -1,9 +1,14 @@
-"""Read and write landmark maps as YAML. Keys that a newer version added to a file are kept and written back."""
+"""Read and write landmark maps as YAML. Keys that a newer version added to a file are kept and written back.
+
+A site is a list of maps, each in a file beside it or written out in the list itself.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,13 +16,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_validator
 
-from localiser.documents import Document, dump, is_name, parse, read_text, shown, validate, write_text
+from localiser.documents import Document, dump, is_name, parse, plain_name, read_text, shown, validate, write_text
+from localiser.errors import InputError
 from localiser.geometry import Array, private_folder, read_kept, write_kept
 from localiser.landmarks import FRAME, LandmarkMap, Quality
 from localiser.storage.checkpoint import decode, encode, form_of
-from localiser.storage.files import MAP, refuse_other
+from localiser.storage.files import MAP, inside, refuse_other
+from localiser.storage.site import Site
 
 FORMAT = "localiser-map/1"
+SITE_FORMAT = "localiser-site/1"
+MOST_MAPS = 100  # of a site
 MOST_BYTES = 64 * 2**20
 MOST_LANDMARKS = 100_000  # as many as are measured in docs/results.md
 LARGE_BYTES = 50_000  # from which on a map is kept as it was read
@@ -97,16 +106,44 @@ class MapFile(BaseModel):
     drive: DriveFile | None = None
 
 
+class SiteFile(BaseModel):
+    """The file of a site: its maps, as names of files beside it or written out."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["localiser-site/1"]
+    maps: Annotated[list[Annotated[str, is_name] | dict[str, Any]], Field(min_length=1, max_length=MOST_MAPS)]
+    name: Annotated[str, is_name] = ""
+
+
+def read_maps(paths: Sequence[Path]) -> LandmarkMap:
+    """Return the map of a file, or several laid apart in one, each named as its file is. Raises InputError."""
+    if len(paths) == 1:
+        return read_map(paths[0])
+    return Site.beside([_map_of_site(path) for path in paths])
+
+
+def _map_of_site(path: Path) -> LandmarkMap:
+    return replace(_read(path, is_part=True), name=plain_name(path.stem))
+
+
 def read_map(path: Path | str) -> LandmarkMap:
-    """Return the map that a file describes. Raises InputError.
+    """Return the map that a file describes, or the maps of a site laid apart in one. Raises InputError.
 
     A large map is kept between runs as it was read, by the content of its file, because reading its text takes long.
     """
-    path = Path(path)
+    return _read(Path(path), is_part=False)
+
+
+def _read(path: Path, *, is_part: bool) -> LandmarkMap:
+    """Return the map of a file. is_part: whether a site's is refused, as a list in a list."""
     refuse_other(path, MAP)
     text = read_text(path, MOST_BYTES)
-    if len(text) < LARGE_BYTES:
-        return map_from_document(parse(text, str(path)))
+    if len(text) < LARGE_BYTES or f"format: {SITE_FORMAT}" in text:
+        document = parse(text, str(path))
+        if is_part and _is_site(document):
+            raise document.error(("format",), f"expected {FORMAT!r}, found a list of maps")
+        return map_from_document(document, path.parent)
     kept = _kept_path(text)
     found = kept and read_kept(kept)
     if found:
@@ -125,8 +162,10 @@ def _kept_path(text: str) -> Path | None:
     return where and where / f"map-{digest[:40]}"
 
 
-def map_from_document(document: Document) -> LandmarkMap:
-    """Return the map that a document describes. Raises InputError."""
+def map_from_document(document: Document, folder: Path | None = None) -> LandmarkMap:
+    """Return the map that a document describes, or those of a site. folder: where its files are. Raises InputError."""
+    if _is_site(document):
+        return _site_of(document, folder)
     file = validate(document, MapFile)
     _check_frame(document, file.frame)
     _check_landmarks(document, file.landmarks)
@@ -145,6 +184,34 @@ def map_from_document(document: Document) -> LandmarkMap:
         header=dict(file.model_extra or {}) | ({"drive": file.drive.model_dump()} if file.drive else {}),
         quality=_quality(landmarks),
     )
+
+
+def _is_site(document: Document) -> bool:
+    return isinstance(document.value, dict) and document.value.get("format") == SITE_FORMAT
+
+
+def _site_of(document: Document, folder: Path | None) -> Site:
+    """Return the maps that a site's document lists, laid apart."""
+    file, maps = validate(document, SiteFile), []
+    for number, one in enumerate(file.maps):
+        key = ("maps", number)
+        if isinstance(one, dict):
+            places = {rest[2:]: place for rest, place in document.places.items() if rest[:2] == key}
+            part = Document(one, places)
+            if _is_site(part):
+                raise document.error((*key, "format"), f"expected {FORMAT!r}, found a list of maps")
+            maps.append(map_from_document(part))
+            continue
+        try:
+            if folder is None:
+                raise ValueError("expected a map that is written out")
+            maps.append(_map_of_site(inside(folder, one)))
+        except ValueError as error:
+            raise document.error(key, f"{error}, found {shown(one)}") from None
+    try:
+        return Site.beside(maps, file.name)
+    except InputError as error:
+        raise document.error(("maps",), error.problem) from None
 
 
 def _column(landmarks: list[LandmarkFile], name: str) -> Array:
@@ -201,7 +268,9 @@ def map_text(landmark_map: LandmarkMap) -> str:
 
 
 def map_data(landmark_map: LandmarkMap) -> dict[str, Any]:
-    """Return the map as plain data, as its file has it; what is unknown is left out."""
+    """Return the map as plain data, as its file has it; what is unknown is left out. Maps of a site are written out."""
+    if isinstance(landmark_map, Site):
+        return {"format": SITE_FORMAT, "name": landmark_map.name, "maps": [map_data(one) for one in landmark_map.maps]}
     return {
         "format": FORMAT,
         "name": landmark_map.name,

@@ -219,7 +219,7 @@ class TrackWriter:
 
     The CSV holds our frame, the TUM files the ROS frame. p_correct: probability of being within 0.5 m and 10°; reason:
     why it is low; places: where the robot may be. Columns of constant errors follow the listed ones, each with its
-    sigma. Raises OutputError.
+    sigma; of several maps the name of the one that a pose is on is last. Raises OutputError.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -231,7 +231,7 @@ class TrackWriter:
         """Write what the filter knows after one image."""
         located, estimate = frame.located, frame.located.estimate
         constants = estimate.names[3:]
-        self._begin_csv(constants)
+        self._begin_csv(constants, with_map=bool(frame.map_name))
         cells = [str(located.t_ns)]
         cells += [f"{value:.9f}" for value in estimate.pose]
         cells += [f"{value:.9e}" for value in frame.pose_cov[_UPPER]]
@@ -241,6 +241,7 @@ class TrackWriter:
         cells += [f"{located.p_correct:.4f}", located.reason, str(places)]
         for column in range(3, 3 + len(constants)):
             cells += [f"{estimate.mean[column]:.9e}", f"{np.sqrt(estimate.cov[column, column]):.9e}"]
+        cells += [frame.map_name.replace(",", "_")] if frame.map_name else []
         self._write(TRAJECTORY_CSV, ",".join(cells) + "\n")
         if frame.is_found:
             self._write(TRAJECTORY_TUM, tum_line(located.t_ns, estimate.pose))
@@ -254,12 +255,12 @@ class TrackWriter:
             with output_errors(self._folder / name):
                 file.close()
 
-    def _begin_csv(self, constants: tuple[str, ...]) -> None:
+    def _begin_csv(self, constants: tuple[str, ...], *, with_map: bool = False) -> None:
         if TRAJECTORY_CSV not in self._files:
             names = [column.name for column in COLUMNS] + [
                 f"{name}{end}" for name in constants for end in ("", "_sigma")
             ]
-            self._write(TRAJECTORY_CSV, ",".join(names) + "\n")
+            self._write(TRAJECTORY_CSV, ",".join(names + ["map"] * with_map) + "\n")
 
     def _write(self, name: str, text: str) -> None:
         """Append to a file, made when it is first written; all of the text is handed to the system, or none."""

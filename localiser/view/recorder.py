@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from itertools import cycle, islice
 from typing import Any
@@ -17,6 +17,7 @@ from localiser.edges import Edges
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, predicted_lines
+from localiser.particles import only
 from localiser.view import draw, palette, paths
 from localiser.view.mapping import LANDMARKS, SIGMA, TRACKS, Finished, Growing
 from localiser.view.paths import Context
@@ -59,7 +60,8 @@ class Recorder:
     def __init__(self, stream: rr.RecordingStream, context: Context) -> None:
         self._stream = stream
         self._context = context
-        self._ends = context.landmark_ends
+        self._map_name = ""  # of several maps the one that is shown
+        self._ends, self._points = context.landmark_ends, context.landmark_map.points
         self._number, self._t_ns = 0, 0
         self._near: Array | None = None  # where the robot was when what is near was last drawn
         self._trails: dict[str, Array] = {}
@@ -72,6 +74,8 @@ class Recorder:
         """Log one frame, the `number`th of its run."""
         self._number = number
         self._set_time(frame.located.t_ns)
+        if frame.map_name != self._map_name:
+            self._change_map(frame.map_name)
         self._log_map(frame)
         self._log_poses(frame)
         if self._context.images:
@@ -95,6 +99,26 @@ class Recorder:
         self._t_ns = t_ns
         set_time(self._stream, self._number, t_ns)
 
+    def _change_map(self, name: str) -> None:
+        """Show another of several maps: the one that the robot is believed to be on."""
+        shown = self._context.landmark_map.seen_on(name)
+        self._map_name, self._points = name, shown.points
+        self._ends = replace(self._context, landmark_map=shown).landmark_ends
+        self._near, self._map_from_odometry = None, None
+        self._trails.clear()
+        for path in (paths.LANDMARKS, paths.FAR, *paths.TRAILS):
+            self._stream.log(path, rr.Clear(recursive=False))
+        self._log_landmarks(static=False)
+        self.message(self._t_ns, f"the map is {name}")
+
+    def _log_landmarks(self, *, static: bool) -> None:
+        """Draw the landmarks of the map that is believed, of many of them only where they are."""
+        here = self._context.landmark_map.is_on(self._map_name, self._points)
+        if len(self._ends) <= MOST_LANDMARKS:
+            self._stream.log(paths.LANDMARKS, draw.landmarks(self._ends[here], palette.UNSEEN, 2.4), static=static)
+        else:
+            self._stream.log(paths.FAR, draw.coarse(self._points[here], palette.UNSEEN), static=static)
+
     def _log_map(self, frame: LocatedFrame) -> None:
         landmark, pose = frame.matches.landmark, frame.located.estimate.pose
         self._log_near(pose[:2])
@@ -103,12 +127,12 @@ class Recorder:
         expected[matched] = False
         self._stream.log(paths.VISIBLE, draw.landmarks(self._ends[expected], palette.VISIBLE, 3.5))
         self._stream.log(paths.MATCHED, draw.landmarks(self._ends[matched], palette.MATCHED, 4.5))
-        points = self._context.landmark_map.points[matched]
+        points = self._points[matched]
         self._stream.log(paths.SIGHTS, draw.sights(self._context.camera.at(frame.located.edges.mount), pose, points))
 
     def _log_near(self, position: Array) -> None:
         """Draw the landmarks around the robot anew when it has gone some way on a large map."""
-        points = self._context.landmark_map.points
+        points = self._points
         is_small = len(points) <= MOST_LANDMARKS
         if is_small or (self._near is not None and np.hypot(*(position - self._near)) < NEAR_M / 3):
             return
@@ -120,7 +144,9 @@ class Recorder:
         located, truth = frame.located, frame.truth
         estimate = located.estimate
         if len(located.particles):  # not of a frame that was located before the run was resumed
-            self._stream.log(paths.PARTICLES, draw.particles(located.particles))
+            here = self._context.landmark_map.is_on(self._map_name, located.particles.poses)
+            shown = located.particles if here.all() else only(located.particles, here)
+            self._stream.log(paths.PARTICLES, draw.particles(shown))
         self._stream.log(paths.ELLIPSE, draw.ellipse(estimate))
         self._stream.log(
             paths.ESTIMATE, draw.arrow(estimate.pose, palette.ESTIMATE if frame.is_found else palette.NOT_FOUND, 5.0)
@@ -147,12 +173,13 @@ class Recorder:
         if located.warning != self._warning:
             self._warning = located.warning
             self.message(located.t_ns, self._warning or "the map fits again", "WARNING" if self._warning else "INFO")
-        places = located.clusters
-        if places is None or (places.weight >= SHOWN).sum() < 2:  # the estimate's own ellipse says it all
+        places = located.clusters and located.clusters.heaviest(SHOWN)
+        here = self._context.landmark_map.is_on(self._map_name, places.mean) if places else np.zeros(0, dtype=bool)
+        if places is None or len(places) < 2 or not here.any():  # the estimate's own ellipse says it all
             for path in (paths.PLACES, paths.PLACE_ARROWS):
                 self._stream.log(path, rr.Clear(recursive=False))
             return
-        shown = places.heaviest(SHOWN)
+        shown = replace(places, weight=places.weight[here], mean=places.mean[here], cov=places.cov[here])
         self._stream.log(paths.PLACES, draw.place_ellipses(shown))
         self._stream.log(paths.PLACE_ARROWS, draw.place_arrows(shown))
 
@@ -208,10 +235,8 @@ class Recorder:
     def _log_static(self) -> None:
         log, context = self._stream.log, self._context
         log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-        if len(self._ends) <= MOST_LANDMARKS:
-            log(paths.LANDMARKS, draw.landmarks(self._ends, palette.UNSEEN, 2.4), static=True)
-        else:
-            log(paths.FAR, draw.coarse(context.landmark_map.points, palette.UNSEEN), static=True)
+        if len(context.landmark_map.maps) == 1:
+            self._log_landmarks(static=True)
         log(paths.CAMERA, draw.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         if context.truth is not None:
             log(paths.TRUTH_PATH, draw.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)

@@ -137,7 +137,7 @@ def test_a_state_belongs_to_the_map_that_was_loaded(tmp_path: Path) -> None:
     feed(drive(3, first=4))
     feed.tracker.checkpoints.close(feed.tracker.localiser, 0)
 
-    options = LiveOptions(loaded, feed.config, checkpoint=tmp_path / "state")
+    options = LiveOptions([loaded], feed.config, checkpoint=tmp_path / "state")
     said: list[str] = []
     resumed = state_to_resume(options, shifted, lambda text, level: said.append(text))
     on = RobotLocaliser(shifted, LOG.camera, feed.config)

@@ -49,7 +49,7 @@ def test_nothing_alarming_while_the_first_message_is_awaited(monitor: Monitor, s
 
 def test_what_is_silent_from_the_begin_is_told_with_what_to_do() -> None:
     settings = read_config(None, ["live.topics.image=/cam", "live.dds=7"])
-    options, topics = LiveOptions(CORRIDOR / "map.yaml", settings), {"image": "/cam", "odometry": "/odom"}
+    options, topics = LiveOptions([CORRIDOR / "map.yaml"], settings), {"image": "/cam", "odometry": "/odom"}
     text = advice(options, topics, ["image", "odometry"], joined=True)
     assert "getting ready" in advice(replace(options, stand_in=True), topics, ["image"], joined=True)
     assert text.startswith(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from short_log import CORRIDOR
 from localiser.camera import Camera
 from localiser.config import Config, read_config
 from localiser.filter import mcl
+from localiser.landmarks import LandmarkMap
 from localiser.live import TOPICS, LiveOptions
 from localiser.live.clock import Clocks
 from localiser.live.inbox import Arrival, Inbox
@@ -24,7 +25,7 @@ from localiser.live.run import LiveRun
 from localiser.live.state import Resumed
 from localiser.live.tracker import Tracker
 from localiser.localiser import Localiser
-from localiser.storage import ImageEvent, open_log, read_track
+from localiser.storage import ImageEvent, open_log, read_maps, read_track
 from localiser.storage.bags import ODOM, CameraFinder, Messages
 
 MAKE = Messages()
@@ -76,13 +77,13 @@ class Feed:
     published: list[Published] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     now_ns: int = 0
+    map_files: Sequence[Path] = (CORRIDOR / "map.yaml",)
 
     def __post_init__(self) -> None:
-        def localiser_of(camera: Camera) -> Localiser:
-            assert LOG.landmark_map is not None
-            return Localiser(LOG.landmark_map, camera, self.config)
+        def localiser_of(camera: Camera, landmark_map: LandmarkMap) -> Localiser:
+            return Localiser(landmark_map, camera, self.config)
 
-        options = LiveOptions(CORRIDOR / "map.yaml", self.config, record=self.record)
+        options = LiveOptions(self.map_files, self.config, record=self.record)
         self.recording = start_recording(options, self.said.append)
         clocks = Clocks(machine_ns=lambda: self.now_ns)
         monitor = Monitor(lambda text, level: self.said.append(text))
@@ -90,7 +91,8 @@ class Feed:
             monitor, Publisher(KeepingTransport(), {}), recording=self.recording, publish=[self.published.append]
         )
         finder = CameraFinder(None, TOPICS["image"], moving_kept=2000)
-        self.tracker = Tracker(finder, localiser_of, clocks, outputs, self.start, self.resumed)
+        landmark_map = read_maps(self.map_files)
+        self.tracker = Tracker(finder, localiser_of, landmark_map, clocks, outputs, self.start, self.resumed)
         self.run = LiveRun(Inbox(), self.tracker, clocks, outputs, CORRIDOR)
 
     def __call__(self, arrivals: Iterable[Arrival], each: Callable[[], None] = lambda: None) -> Feed:
