@@ -172,7 +172,6 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     warnings.showwarning = _shown_by(warnings.showwarning)
     try:
-        _check_limits(arguments)
         _check_options(arguments)
         _run([*of_all, *arguments])
     except Exception as error:
@@ -195,25 +194,6 @@ def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
             usual(message, *where, **how)
 
     return show
-
-
-_LEAST_MB, _LEAST_FILES = 1200, 64
-"""Of addresses (a replay reserves 1150 MB, of which it uses a third), and of open files."""
-
-
-def _check_limits(arguments: list[str]) -> None:
-    """Raise LocaliserError where the libraries would end in a segmentation fault or a panic, or wait for ever."""
-    if sys.platform == "win32" or {"--help", "--version"} & set(arguments):
-        return
-    import resource
-
-    for option, what, least, unit in (
-        ("-v", resource.RLIMIT_AS, _LEAST_MB * 10**6, "bytes"),
-        ("-n", resource.RLIMIT_NOFILE, _LEAST_FILES, "open files"),
-    ):
-        limit, _ = resource.getrlimit(what)
-        if limit != resource.RLIM_INFINITY and limit < least:
-            raise LocaliserError(f"`ulimit {option}`: expected at least {least} {unit}, found {limit}")
 
 
 def _run(arguments: list[str]) -> None:

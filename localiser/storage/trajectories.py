@@ -1,4 +1,4 @@
-"""Read and write trajectories: CSV in our frame or the ROS frame; TUM, EuRoC and KITTI as other programs have them."""
+"""Read and write trajectories: CSV in our frame or the ROS frame; TUM and EuRoC as other programs have them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _UPRIGHT, _FLAT, _LEAST_PATH_M = 0.7, 0.2, 1.0  # cosine of an axis that points 
 
 _FORMS = (
     "expected the header t_ns,x,z,heading (our frame), or t,x,y,yaw or t_ns,x,y,yaw (ROS: x forward, y left, yaw "
-    "anticlockwise), or lines of TUM (t x y z qx qy qz qw), EuRoC (t_ns,x,y,z,qw,qx,qy,qz) or KITTI (12 numbers)"
+    "anticlockwise), or lines of TUM (t x y z qx qy qz qw) or EuRoC (t_ns,x,y,z,qw,qx,qy,qz)"
 )
 _FORMULA = "from axes as ROS has them, our x = x, z = -y, heading = yaw - π/2; metres, radians"
 
@@ -46,10 +46,10 @@ _FORMULA = "from axes as ROS has them, our x = x, z = -y, heading = yaw - π/2; 
 def read_poses(path: Path) -> Trajectory:
     """Return the poses in our frame of a file, at least one; its first lines say which form it has.
 
-    CSV `t_ns,x,z,heading` in our frame; CSV `t,x,y,yaw` or `t_ns,x,y,yaw` in the ROS frame; TUM; EuRoC; KITTI, with
-    the times in a file `times.txt` beside it. Times are seconds, or whole nanoseconds from 10¹² on. Of poses with the
-    same time the first is kept; poses that are nan or empty are left out, up to a tenth; both are told, and so are
-    poses in a camera's axes, which are turned. Raises InputError.
+    CSV `t_ns,x,z,heading` in our frame; CSV `t,x,y,yaw` or `t_ns,x,y,yaw` in the ROS frame; TUM; EuRoC. Times are
+    seconds, or whole nanoseconds from 10¹² on. Of poses with the same time the first is kept; poses that are nan or
+    empty are left out, up to a tenth; both are told, and so are poses in a camera's axes, which are turned. Raises
+    InputError.
     """
     lines = [line.strip() for line in read_text(path, MAX_TABLE_BYTES).splitlines() if line.strip()]
     row = next((line for line in lines if not line.startswith("#")), "")
@@ -57,8 +57,6 @@ def read_poses(path: Path) -> Trajectory:
     names = {name.strip() for name in row.split(",")}
     if "," in row and cells[0].isdigit():
         return _read_quaternions(path, _EUROC, ",")
-    if "," not in row and len(cells) == len(_KITTI):
-        return _read_kitti(path)
     if "," not in row and (len(cells) == len(_TUM) or (lines and lines[0].startswith("#"))):
         return _read_quaternions(path, _TUM)
     time = "t" if "t" in names else "t_ns"
@@ -102,18 +100,6 @@ def _read_quaternions(path: Path, columns: tuple[Column, ...], separator: str | 
         problem = "expected a robot whose z axis points up, found one that lies down, and stands with qw put first"
         raise table.error(0, "qx qy qz qw", f"{problem}: is the order of columns qw qx qy qz? Put qw last")
     return _trajectory(table, _on_floor(path, table.numbers("x", "y", "z"), _axes(q)), "t")
-
-
-def _read_kitti(path: Path) -> Trajectory:
-    table, beside = read_columns(path, _KITTI), path.with_name("times.txt")
-    if not beside.exists():
-        raise InputError("expected the times of KITTI's poses in times.txt beside them, found no such file", path=path)
-    times = read_columns(beside, _TUM[:1])
-    if len(times) != len(table):
-        raise InputError(f"expected {len(table)} times, one for each pose, found {len(times)}", path=beside)
-    matrix = table.numbers(*table.columns).reshape(-1, 3, 4)
-    poses = _on_floor(path, matrix[:, :, 3], matrix[:, :, :3])
-    return _trajectory(Table(path, times.columns | table.columns, table.lines), poses, "t")
 
 
 def _axes(q: Array) -> Array:
@@ -191,7 +177,6 @@ def nanoseconds(text: str) -> int:
 _FLOATS = {name: Column(name, number_or_lost) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")}
 _TUM = (Column("t", _time), *_FLOATS.values())
 _EUROC = (Column("t", _time), *(_FLOATS[name] for name in ("x", "y", "z", "qw", "qx", "qy", "qz")))
-_KITTI = tuple(Column(f"{row}{column}", number_or_lost) for row in "xyz" for column in range(4))
 
 
 # -- what a run located, image by image; one that breaks off leaves what it did ---------------------------------------

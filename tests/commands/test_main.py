@@ -476,15 +476,6 @@ program.main()
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="ulimit -v")
-@pytest.mark.parametrize("limit", ["-v 300000", "-n 20"])
-def test_a_limit_below_what_the_libraries_need_is_told_before_they_are_loaded(limit: str) -> None:
-    """They would end in a segmentation fault or a panic, or never."""
-    limited = ["sh", "-c", f'ulimit {limit}; exec "$0" -m localiser replay logs/corridor', sys.executable]
-    done = subprocess.run(limited, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and done.stderr.startswith(f"Error: `ulimit {limit[:2]}`: expected at least")
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 def test_a_second_signal_does_not_interrupt_what_the_first_has_removed() -> None:
     code = """
