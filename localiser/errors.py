@@ -65,9 +65,13 @@ class InputWarning(UserWarning):
     """Something in a file that was passed over or taken otherwise than it is written; the command line prints it."""
 
 
-def warn(problem: str, *, path: Path | str, line: int | None = None) -> None:
-    """Tell once of something in a file that is no error, as an `InputWarning`."""
-    warnings.warn(InputWarning(str(InputError(problem, path=path, line=line))), stacklevel=3)
+class InputNote(InputWarning):
+    """What was chosen of a file where it could have been otherwise; not printed with --quiet."""
+
+
+def warn(problem: str, *, path: Path | str, line: int | None = None, kind: type[InputWarning] = InputWarning) -> None:
+    """Tell once of something in a file that is no error."""
+    warnings.warn(kind(str(InputError(problem, path=path, line=line))), stacklevel=3)
 
 
 class OutputError(LocaliserError):

@@ -21,9 +21,17 @@ from localiser.commands.camera import camera_app
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
-from localiser.commands.options import ConfigFile, Overrides, be_quiet
+from localiser.commands.options import ConfigFile, Overrides, be_quiet, is_quiet
 from localiser.commands.pose import pose_app
-from localiser.errors import InputError, InputWarning, LocaliserError, is_lack_of_memory, one_paragraph, reason_of
+from localiser.errors import (
+    InputError,
+    InputNote,
+    InputWarning,
+    LocaliserError,
+    is_lack_of_memory,
+    one_paragraph,
+    reason_of,
+)
 
 app = typer.Typer(
     name="localiser",
@@ -188,6 +196,8 @@ def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
     """Return what prints warnings about files as one line, and others as before."""
 
     def show(message: Warning | str, *where: Any, **how: Any) -> None:
+        if isinstance(message, InputNote) and is_quiet():
+            return
         if isinstance(message, InputWarning):
             typer.secho(one_paragraph(str(message)), fg="yellow", err=True)
         else:

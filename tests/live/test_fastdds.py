@@ -14,7 +14,8 @@ from live_processes import free_domain, wait_until
 from localiser.config import LiveParameters
 from localiser.live import open_transport
 from localiser.live.transport import Topic
-from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, stated_size, typestore
+from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, typestore
+from localiser.storage.bags.messages import stated_size
 
 IMAGES, RATE_HZ = 60, 20.0
 PATIENCE_S = 120.0

@@ -13,7 +13,7 @@ from live_feed import BEGIN_NS, MAKE, Feed, arrival, camera, drive, image, odome
 
 from localiser.live.clock import RobotClock
 from localiser.live.inbox import TOPICS, Arrival, message_of
-from localiser.storage.bags.recorded import Decisions
+from localiser.storage.bags.write import Decisions
 
 DAMAGED = 10_000
 

@@ -13,7 +13,8 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 
 from localiser.geometry import compose
 from localiser.storage import open_log, read_track
-from localiser.storage.bags import FrameTree, floor_pose, stamp_of, typestore
+from localiser.storage.bags import floor_pose, stamp_of, typestore
+from localiser.storage.bags.frames import FrameTree
 
 OUTPUTS = ("pose", "particles", "matches", "image/compressed")
 

@@ -8,18 +8,18 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from localiser.documents import open_regular, parse, read_text, require_regular
+from localiser.documents import nearest, open_regular, parse, read_text, require_regular
 from localiser.errors import InputError, LocaliserError
 from localiser.storage.bags.database import BESIDE, MAGIC, Database, beside, restored
 from localiser.storage.bags.frames import stamp_of
+from localiser.storage.bags.messages import CAMERA_INFO, COMPRESSED, IMAGE, IMU, ODOMETRY, POSE, TEXT, typestore
 from localiser.storage.bags.records import (
     TRANSFORMS,
     Allowance,
@@ -31,23 +31,6 @@ from localiser.storage.bags.records import (
     zstd,
 )
 from localiser.storage.files import inside
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
-
-from collections.abc import Callable, Mapping, Sequence
-
-from localiser.documents import nearest
-
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
-IMU = "sensor_msgs/msg/Imu"
-TEXT = "std_msgs/msg/String"
-POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
-CLOCK = "rosgraph_msgs/msg/Clock"
-MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 4 * 2**20
@@ -251,17 +234,6 @@ def bag_errors(path: Path, field: str | None = None) -> Iterator[None]:
         raise InputError(f"expected a {what} that can be read: {reason}", path=path, field=field) from None
 
 
-@cache
-def typestore(*, ros1: bool) -> Typestore:
-    """Return the message definitions of ROS 1 Noetic or ROS 2 Humble; the messages read here are the same in all."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if TRANSFORMS not in store.fielddefs:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
-    return store
-
-
 LOG_TOPIC, MAP_TOPIC = "/localiser/log", "/localiser/map"
 CAMERA_TOPIC, DECISIONS_TOPIC = "/localiser/camera", "/localiser/decisions"
 STATE_TOPIC, IMU_TOPIC = "/localiser/state", "/localiser/imu"
@@ -280,7 +252,6 @@ IMAGE_KINDS = ("image_raw", "image_rect")
 """Images by what was done to them: their lens distortion is as the camera took them, or undone."""
 TIMES = "times"
 """A choice that is no topic: `times=recorded` takes when messages were recorded, not the stamps in their headers."""
-TRUTH_FRAME = "truth of a frame"
 _TRUTH = re.compile(r"ground_?truth|(?:^|[/_])(?:gt|truth|mocap|vicon|optitrack|qualisys)(?:[/_]|$)", re.IGNORECASE)
 _MOST_LISTED = 12
 

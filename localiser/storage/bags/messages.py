@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -12,12 +13,35 @@ import numpy as np
 from localiser.camera import Camera, MountSigma
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
 from localiser.image_files import eight_bits, measure
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMU, ODOMETRY, POSE, TEXT, TRANSFORMS, typestore
 from localiser.storage.bags.frames import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
+from localiser.storage.bags.records import TRANSFORMS
 from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image, suffix_of
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
+TEXT = "std_msgs/msg/String"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
+CLOCK = "rosgraph_msgs/msg/Clock"
+MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 BASE, OPTICAL, ODOM, MAP = "base_link", "camera_optical_frame", "odom", "map"
 _NS = 1_000_000_000
+
+
+@cache
+def typestore(*, ros1: bool) -> Typestore:
+    """Return the message definitions of ROS 1 Noetic or ROS 2 Humble; the messages read here are the same in all."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if TRANSFORMS not in store.fielddefs:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+    return store
 
 
 class Messages:

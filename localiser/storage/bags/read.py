@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera, Mount
 from localiser.documents import Document, plain_name, validate
-from localiser.errors import InputError, warn
+from localiser.errors import InputError, InputNote, warn
 from localiser.filter import Start
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
@@ -40,7 +40,7 @@ from localiser.storage.bags.bag import (
 from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.frames import LostPoseError, floor_pose, plain_frame, stamp_of
 from localiser.storage.bags.messages import image_file, shows_light
-from localiser.storage.bags.recorded import FORMAT, Decisions, Label, document_of, labelled, with_sigma
+from localiser.storage.bags.write import FORMAT, Decisions, Label, document_of, labelled, with_sigma
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.images import ImageEvent, check_size, check_whole, image_event
@@ -91,7 +91,7 @@ class BagReader:
             log = _log(content, image, given)
             if content.label is None:
                 floor = content.finder.floor if given is None else "the floor, by the camera file"
-                warn(f"{choice_text(roles, bag.topics)}; heights above {floor}", path=path)
+                warn(f"{choice_text(roles, bag.topics)}; heights above {floor}", path=path, kind=InputNote)
         return log
 
 

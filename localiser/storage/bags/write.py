@@ -1,35 +1,34 @@
-"""Write a log as a ROS bag of any of the three kinds, or record one while messages come; `read` reads it back."""
+"""Write a log as a ROS bag of any of the three kinds, with what it says of itself; `read` reads it back."""
 
 from __future__ import annotations
 
 import glob
 import heapq
+import json
 import sqlite3
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any, Literal
 
-from localiser.documents import drafted, output_errors, remove
+import numpy as np
+from pydantic import BaseModel, Field
+
+from localiser.camera import Camera, Mount, MountSigma
+from localiser.documents import MAX_DOCUMENT_BYTES, Document, drafted, dump, is_name, parse, remove
 from localiser.errors import InputError, OutputError
-from localiser.filter import Odometry
-from localiser.storage.bags.bag import (
-    IMU_TOPIC,
-    LOG_TOPIC,
-    MAP_TOPIC,
-    typestore,
-)
-from localiser.storage.bags.database import BESIDE, beside
+from localiser.filter import Anywhere, Odometry, Start
+from localiser.storage.bags.bag import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
+from localiser.storage.bags.database import latched_quality
+from localiser.storage.bags.frames import check_start
 from localiser.storage.bags.messages import MAP, ODOM, Messages
-from localiser.storage.bags.recorded import label_text
+from localiser.storage.cameras import FileModel, ShutterFile, shutter_data, shutter_of
 from localiser.storage.files import require_new_file
+from localiser.storage.folder import StartFile, start_data
 from localiser.storage.images import ImageEvent
 from localiser.storage.log import Log, require_odometry
 from localiser.storage.maps import map_text
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Qos
-
 
 KINDS = ("mcap", "sqlite3", "ros1")
 FILE_KINDS = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
@@ -148,109 +147,182 @@ def _measured(log: Log, make: Messages) -> Iterator[tuple[str, int, Any]]:
             yield _IMAGE, t_ns, make.compressed(t_ns, event.encoded())
 
 
-SUFFIX = ".db3"
+# -- what a log or a live run says of itself in a bag, as texts: ROS has no message for it -----------------------------
+#
+# A label (name, start, settings) is YAML. A decision is a line of JSON, recorded after the message that it is about, so
+# that a replay of the recording uses the same messages as the run. Messages are named by their number: how many of
+# their topic were recorded before them.
 
-_TABLES = """
-CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
-CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
-CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
-  offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
-CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
-  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
-CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
-  data BLOB NOT NULL);
-CREATE INDEX timestamp_idx ON messages (timestamp ASC);
-INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'humble');
-"""
+FORMAT: Literal["localiser-bag/1"] = "localiser-bag/1"
 
 
-def latched_quality() -> Qos:
-    """Return the quality of service of a topic that keeps its last message for late subscribers, and is reliable."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+class Label(BaseModel):
+    """Name and settings of a log in a bag; see `LogFile`."""
 
-    keep, reliable, latched = QosHistory.KEEP_LAST, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
-    never = QosTime(9_223_372_036, 854_775_807)  # what ROS 2 writes for a duration without end
-    return Qos(keep, 1, reliable, latched, never, never, QosLiveliness.AUTOMATIC, never, False)
+    model_config = FileModel
+
+    format: Literal["localiser-bag/1"]
+    name: Annotated[str, Field(min_length=1), is_name]
+    camera_name: Annotated[str, is_name] = ""
+    start: StartFile | None = None
+    motion: dict[str, Any] | None = None
+    rolling_shutter: ShutterFile | None = None
+    mount_sigma: dict[Literal["yaw_rad", "height_m", "right_m", "back_m"], float] | None = None
+    settings: dict[str, Any] | None = None  # everything that a live run was set to, by names such as `mcl.particles`
+    topics: dict[str, str] | None = None  # what a live run listened to, by what it is for, such as `image`
 
 
-class BagRecorder:
-    """Writes a ROS 2 bag of SQLite, message by message as they came.
+def document_of(text: str, source: str) -> Document:
+    """Return the YAML document that a message holds. Raises InputError; ValueError when it is too long."""
+    if len(text) > MAX_DOCUMENT_BYTES:
+        raise ValueError(f"expected at most {MAX_DOCUMENT_BYTES} characters, found {len(text)}")
+    return parse(text, source)
 
-    Nothing is lost that `commit` was called for, also when the power fails: that is what a database promises, and what
-    MCAP, whose index is written at the end, does not.
+
+def label_text(log: Log) -> str:
+    """Return the label of a log as text."""
+    data: dict[str, Any] = {"format": FORMAT, "name": log.name, "camera_name": log.camera.name}
+    if log.start is not None:
+        data["start"] = start_data(log.start)
+    if motion := motion_settings(log):
+        data["motion"] = motion
+    if log.camera.shutter is not None:
+        data["rolling_shutter"] = shutter_data(log.camera.shutter)
+    if sigma := _mount_sigma(log):
+        data["mount_sigma"] = sigma
+    return dump(data)
+
+
+def _mount_sigma(log: Log) -> dict[str, float]:
+    """Return the sigmas of the mount that no message of ROS can state. Raises InputError unless all images share them.
+
+    Those of tilt and roll stand beside the orientation of an inertial sensor.
+    """
+    found = {}
+    mounts = [image.mount for image in log.images]
+    for name in ("yaw_rad", "height_m", "right_m", "back_m"):
+        stated: set[float | None] = {getattr(mount.sigma, name) if mount and mount.sigma else None for mount in mounts}
+        if len(stated) > 1:
+            problem = f"expected one sigma of the mount's {name} for all images, which is what a bag can hold"
+            raise InputError(f"{problem}, found {len(stated)}", path=log.path, field="images")
+        if (sigma := stated.pop() if stated else None) is not None:
+            found[name] = float(sigma)
+    return found
+
+
+def with_sigma(mounts: Sequence[Mount | None], label: Label) -> Sequence[Mount | None]:
+    """Return the mounts with the sigmas that the label states."""
+    sigmas: dict[str, Any] = {str(name): sigma for name, sigma in (label.mount_sigma or {}).items()}
+    if not sigmas:
+        return mounts
+    return [mount and replace(mount, sigma=replace(mount.sigma or MountSigma(), **sigmas)) for mount in mounts]
+
+
+def labelled(camera: Camera, label: Label) -> Camera:
+    """Return the camera with what no message of ROS says of it: its name, and how its shutter rolls."""
+    stated = label.rolling_shutter
+    if stated is not None and stated.stamp_row > camera.height - 1:
+        raise InputError(
+            f"expected a row of the image, 0 to {camera.height - 1}, found {stated.stamp_row:g}",
+            field="rolling_shutter.stamp_row",
+        )
+    shutter = shutter_of(stated.row_time_us, stated.stamp_row) if stated and stated.row_time_us else camera.shutter
+    return replace(camera, name=camera.name or label.camera_name, shutter=shutter)
+
+
+def live_label_text(name: str, settings: Mapping[str, Any], topics: Mapping[str, str]) -> str:
+    """Return the label of a live run as text: it starts where its decisions say, with these settings.
+
+    topics: what it listens to, by what that is for.
+    """
+    return dump({"format": FORMAT, "name": name, "settings": dict(settings), "topics": dict(topics)})
+
+
+def motion_settings(log: Log) -> dict[str, Any]:
+    """Return what a log says of its robot's odometry, as a log folder names it."""
+    return {name.removeprefix("motion."): value for name, value in log.settings.items() if name.startswith("motion.")}
+
+
+_LATEST_NS = 2**62
+_MOST = 10**8  # messages of a topic; larger numbers could be chosen to fall into one place of a set
+
+
+def image_decision(number: int, t_ns: int, unused: str = "", *, by_wheels: bool = True) -> str:
+    """Return that an image was weighed, or why not. t_ns: its time, by which people find it.
+
+    by_wheels: whether the wheels told how the robot came there, or its edges had to, because the wheels were silent.
+    """
+    data: dict[str, Any] = {"image": number, "t_ns": t_ns, "used": not unused}
+    data |= {"why": unused} if unused else {}
+    return json.dumps(data | ({} if by_wheels else {"by_wheels": False}))
+
+
+def odometry_decision(number: int, t_ns: int, why: str) -> str:
+    """Return why a pose of the wheels was not used; all others were."""
+    return json.dumps({"odometry": number, "t_ns": t_ns, "used": False, "why": why})
+
+
+def clock_decision(offset_ns: int) -> str:
+    """Return what is added to all stamps from here on, because the robot's clock has jumped."""
+    return json.dumps({"clock": offset_ns})
+
+
+def start_decision(start: Start) -> str:
+    """Return that the filter was started, exactly as it was."""
+    return json.dumps({"start": start.t_ns, "mean": start.mean.tolist(), "cov": start.cov.tolist()})
+
+
+def anywhere_decision(t_ns: int | None = None) -> str:
+    """Return that the robot was looked for on the whole map: at the beginning, or from a later time on."""
+    return json.dumps({"start": None} if t_ns is None else {"anywhere": t_ns})
+
+
+@dataclass(slots=True, eq=False)
+class Decisions:
+    """The decisions of a recording, taken in their order.
+
+    images, unused_odometry: by number. blind: images that were weighed without wheels. starts: the first is None where
+    the robot was looked for. offset_ns: what to add to the stamps that are read now. any: whether
+    there is any decision at all.
     """
 
-    def __init__(self, path: Path, latched: Collection[str] = ()) -> None:
-        """Make the file. latched: topics whose last message players of bags keep for those who subscribe later.
+    images: set[int] = field(default_factory=set)
+    blind: set[int] = field(default_factory=set)
+    unused_odometry: set[int] = field(default_factory=set)
+    starts: list[Start | Anywhere | None] = field(default_factory=list)
+    offset_ns: int = 0
+    any: bool = False
 
-        Raises InputError for a path that does not end in .db3, OutputError.
-        """
-        if path.suffix != SUFFIX:
-            raise InputError(
-                f"expected a path that ends in {SUFFIX} (`localiser convert` makes other kinds of it), found {path}",
-                field="--record",
-            )
-        for place in (path, *(beside(path, ending) for ending in BESIDE)):
-            if place.exists():  # also what SQLite would delete
-                raise OutputError(f"{place}: expected a path where nothing is, found something there")
-        self._path, self._latched, self._store = path, frozenset(latched), typestore(ros1=False)
-        self._topics: dict[tuple[str, str], int] = {}
-        self._last_ns = 0
-        with self._errors():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-            self._database.executescript(f"BEGIN;{_TABLES}COMMIT;BEGIN;")
-
-    def write(self, topic: str, msgtype: str, t_ns: int, content: bytes) -> None:
-        """Add a message as it came at `t_ns`; recorded times increase, so that a reader has the order of calls.
-
-        Raises OutputError.
-        """
-        self._last_ns = max(t_ns, self._last_ns + 1)
-        with self._errors():
-            self._insert("messages", topic_id=self._topic(topic, msgtype), timestamp=self._last_ns, data=content)
-
-    def commit(self) -> None:
-        """Make sure of all that was written. Raises OutputError."""
-        with self._errors():
-            self._database.execute("COMMIT")
-            self._database.execute("BEGIN")
-
-    def close(self) -> None:
-        """End the file; what could not be committed is taken back. Raises OutputError."""
+    def take(self, text: str) -> None:
+        """Take one decision. Raises ValueError."""
+        self.any = True
         try:
-            with self._errors():
-                if self._database.in_transaction:
-                    self._database.execute("COMMIT")
-        finally:
-            self._database.close()
+            data = json.loads(text)
+        except RecursionError as error:
+            raise ValueError("expected a decision") from error
+        match data:
+            case {"image": int(number), "used": bool(used)} if 0 <= number < _MOST:
+                if used:
+                    self.images.add(number)
+                if data.get("by_wheels") is False:
+                    self.blind.add(number)
+            case {"odometry": int(number), "used": False} if 0 <= number < _MOST:
+                self.unused_odometry.add(number)
+            case {"clock": int(offset_ns)} if abs(offset_ns) < _LATEST_NS:
+                self.offset_ns = offset_ns
+            case {"start": int(t_ns)} if 0 <= t_ns < _LATEST_NS:
+                self.starts.append(_start(t_ns, data))
+            case {"anywhere": int(t_ns)} if 0 <= t_ns < _LATEST_NS and self.starts:
+                self.starts.append(Anywhere(t_ns))
+            case {"start": None} if not self.starts:
+                self.starts.append(None)
+            case _:
+                raise ValueError("expected a decision on an image, odometry, the clock or a start")
 
-    def _topic(self, topic: str, msgtype: str) -> int:
-        key = topic, msgtype
-        if key not in self._topics:
-            from rosbags.rosbag2.metadata import dump_qos_v8
 
-            digest = self._store.hash_rihs01(msgtype)
-            text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
-            hashed: dict[str, Any] = {"type_description_hash": digest}
-            definition = {"topic_type": msgtype, "encoding": "ros2msg", "encoded_message_definition": text}
-            self._insert("message_definitions", **definition, **hashed)
-            # As numbers: Humble reads no names, later versions read both.
-            profiles = dump_qos_v8([latched_quality()]) if topic in self._latched else ""
-            row = {"name": topic, "type": msgtype, "serialization_format": "cdr", "offered_qos_profiles": profiles}
-            self._topics[key] = self._insert("topics", **row, **hashed)
-        return self._topics[key]
-
-    def _insert(self, table: str, **row: Any) -> int:
-        """Add a row to a table; returns its number."""
-        places = ", ".join("?" * len(row))
-        query = f"INSERT INTO {table}({', '.join(row)}) VALUES({places})"
-        return int(self._database.execute(query, list(row.values())).lastrowid or 0)
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
-        try:
-            with output_errors(self._path):
-                yield
-        except sqlite3.Error as error:
-            raise OutputError(f"{self._path}: cannot be written: {error}") from None
+def _start(t_ns: int, data: Mapping[str, Any]) -> Start:
+    mean, cov = (np.array(data.get(name), dtype=np.float64) for name in ("mean", "cov"))
+    if mean.shape != (3,) or cov.shape != (3, 3) or not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+        raise ValueError("expected a start of a pose and its covariance")
+    check_start(mean, cov)
+    return Start(t_ns, mean, cov)

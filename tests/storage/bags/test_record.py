@@ -13,8 +13,8 @@ from small_log import CAMERA, MAP, image
 from localiser.errors import InputError, OutputError
 from localiser.storage import open_log
 from localiser.storage.bags import live_label_text
-from localiser.storage.bags.recorded import image_decision, odometry_decision
-from localiser.storage.bags.write import BagRecorder
+from localiser.storage.bags.database import BagRecorder
+from localiser.storage.bags.write import image_decision, odometry_decision
 from localiser.storage.images import encode_image
 
 PATIENCE_S = 60.0
@@ -41,7 +41,7 @@ def test_nothing_is_overwritten_and_other_kinds_are_refused(tmp_path: Path) -> N
 KILLED = """
 import os, sys
 from pathlib import Path
-from localiser.storage.bags.write import BagRecorder
+from localiser.storage.bags.database import BagRecorder
 recorder = BagRecorder(Path(sys.argv[1]))
 for k in range(5):
     recorder.write("/a", "std_msgs/msg/String", k, bytes.fromhex(sys.argv[2]))

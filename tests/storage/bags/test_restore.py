@@ -19,7 +19,7 @@ from small_bag import Recorder, bag
 
 from localiser.errors import InputError, OutputError
 from localiser.storage import open_log
-from localiser.storage.bags.write import BagRecorder
+from localiser.storage.bags.database import BagRecorder
 
 PATIENCE_S = 60.0
 TEXT = "std_msgs/msg/String"
