@@ -40,14 +40,6 @@ def _all(*patches: Patch) -> Patch:
     return patch
 
 
-def _unchecked(mcl: Any, state: Any, _: Any, drive: Any, rng: Any) -> Any:
-    if state.particles is None:
-        return drive, None
-    from localiser.filter import mcl as module
-
-    return drive, mcl.moved(module.thinned(state.particles, module.FEW), drive.moves, rng)
-
-
 def _never_carried() -> None:
     from localiser.filter.scene import Scene
 
@@ -70,7 +62,7 @@ MECHANISMS: dict[str, Patch] = {
     "height-with-poses": _set("filter.mcl:_tells_height_with_poses", lambda *_: False),
     "near-landmarks": _set("observation.near_landmarks:NearLandmarks.after", _same),
     "visibility": _set("observation.visibility:Visibility.after", _same),
-    "wheels-check": _set("filter.mcl:_checked", _unchecked),
+    "wheels-check": _set("filter.mcl:_contradicted", lambda *_: None),
     "jump": _never_carried,
     "persistent-clutter": _set("observation.edge_observation:EdgeObservation.persistent_clutter", lambda *_: None),
     "scene-clutter": _set(
@@ -86,7 +78,10 @@ MECHANISMS: dict[str, Patch] = {
     "omega": _set("relocalisation.global_localisation:POWER", 1.0),
     "as-tracked": _set("relocalisation.global_localisation:Clues.as_tracked", lambda self, particles: None),
     "attitude": _set("filter.attitude:Level.levelled", lambda self, attitude, edges, *_: (edges, attitude)),
-    "optimal-proposal": _set("filter.mcl:_proposed", lambda *_: None),
+    "optimal-proposal": _set(
+        "filter.optimal_proposal:OptimalProposal.moved",
+        lambda self, cloud, increment, motion, rng: motion.predict(cloud, increment, rng),
+    ),
     "tempering-stages": _all(_set("filter.tempering:MOST_STAGES", 1), _set("filter.optimal_proposal:MOST_STAGES", 0)),
 }
 

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from localiser import particles
 from localiser.errors import InputError
-from localiser.filter.attitude import Attitude, Level, measured_for_image
+from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief, Move
 from localiser.filter.confidence import SURE
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
@@ -54,6 +54,7 @@ from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer
 
 FEW = 512  # particles that tell where odometry alone expects all of them
+FEW_TOLD = 64  # particles that tell how well a motion predicts an image
 FIRST_THREADS = 4  # at most, that share the first image
 
 
@@ -179,22 +180,32 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
-    if mcl.odometer is not None and state.is_begun and is_silent(state.odometry, state.at_ns, sighting.t_ns):
-        mcl = mcl.by_edges()
+    has_ends = bool(np.isfinite(sighting.edges.ends_px).all())  # bearings alone do not tell how far the robot went
+    if mcl.odometer is not None and state.is_begun and has_ends:
+        if is_silent(state.odometry, state.at_ns, sighting.t_ns):
+            mcl = mcl.by_edges()
     measured = replace(sighting, map_scale=state.map_error.scale)
     sighting = _from_height(mcl, state, measured)
-    # Drive: how did the robot move, by odometry, unless the edges contradict it? A few particles move blindly.
-    drive, few = _checked(mcl, state, sighting, _driven(mcl, state, sighting), rng)
+    # Drive: how did the robot move, by odometry? A few particles move blindly.
+    drive = _driven(mcl, state, sighting)
+    few = None if state.particles is None else mcl.moved(thinned(state.particles, FEW), drive.moves, rng)
     if few is not None and _tells_height_with_poses(mcl, state, measured):
         state.height = _height_with_poses(mcl, state, few, measured)
         sighting = _from_height(mcl, state, measured)
-    image = _received(mcl, state, sighting, drive)
-    found = None
+    image, found = _received(mcl, state, sighting, drive), None
     if state.particles is not None and few is not None:
         # Predict: every particle moves by its own draw of the motion, at best where the edges say.
-        moved = _proposed(mcl, state, state.particles, few, image, rng)
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
-        found = _weighed(mcl, state, state.particles, moved, image, rng)
+        found = _weighed(mcl, state, state.particles, few, image, rng)
+        # Do edges and map contradict the wheels? Then the robot moved as the edges say.
+        motion = _contradicted(mcl, state, sighting, image, found, rng)
+        if motion is not None:
+            drive = replace(drive, moves=[motion], increment=motion)
+            image = _received(mcl, state, sighting, drive)
+            few = mcl.moved(thinned(state.particles, FEW), drive.moves, rng)
+            found = _weighed(mcl, state, state.particles, few, image, rng)
+        state.inliers = found.inliers
+    state.scene, state.attitude = image.scene, image.attitude
     # Compare: is the robot at another place, or not on this map at all?
     weighed = _compared(mcl, state, found, image, rng)
     # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
@@ -230,19 +241,16 @@ class _Drive:
 class _Image:
     """What is known with an image before particles are weighed by it.
 
-    moves: the motion since the last image, in parts; increment: all of it. odometry: odometry's pose (3,) now; jumped:
-    whether it did since the last image.
-    sighting: its edges corrected by the attitude, with the density of persistent clutter. novelty: 0 … 1, of the errors
-    of its edges. jump: how new what it shows is.
+    drive: the motion since the last image. sighting: its edges corrected by the attitude, with the density of clutter.
+    novelty: 0 … 1, of the errors of its edges. jump: how new what it shows is. scene, attitude: with this image.
     """
 
-    moves: list[Increment]
-    increment: Increment
-    odometry: Array
-    jumped: bool
+    drive: _Drive
     sighting: Sighting
     novelty: float
     jump: Jump
+    scene: Scene
+    attitude: Attitude | None
 
 
 def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
@@ -265,106 +273,88 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
     return _Drive(moves, increment, odometry_pose, jumped)
 
 
-def _checked(
-    mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive, rng: np.random.Generator
-) -> tuple[_Drive, Particles | None]:
-    """Return how the robot moved, unlike the wheels say where the edges contradict them, and a few particles after it.
-
-    None where no particles are tracked.
-    """
-    if state.particles is None:
-        return drive, None
-    few = thinned(state.particles, FEW)
-    driven, seen, seconds = mcl.moved(few, drive.moves, rng), state.seen, (sighting.t_ns - state.at_ns) / 1e9
-    odometer, observation = mcl.odometer, mcl.edges
-    if observation is None or odometer is None or odometer.follows_edges or not state.weighed or seen is None:
-        return drive, driven
-    if not 0 < seconds <= odometer.parameters.pace_s:  # later the robot may go on at any pace: nothing can be judged
-        return drive, driven
-    if not len(sighting.edges) or not len(seen.edges):
-        return drive, driven
-    edges, camera = sighting.edges, odometer.camera
-    if state.attitude is not None and not measured_for_image(camera.at(edges.mount).mount):
-        edges = state.attitude.levelled(edges, camera)
-    level, parts = replace(sighting, edges=edges), (seen, sighting)
-
-    def fit(cloud: Particles) -> Array:
-        return state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
-
-    earlier, now = (replace(one, edges=one.edges.longest(MOST_EDGES)) for one in parts)
-
-    def continued(motion: Increment) -> float:
-        before = EarlierImage(earlier, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
-        return float(np.log(observation.scene_clutter(now, [before])[0]).sum())
-
-    state.wheels, other = state.wheels.after(
-        Evidence(odometer, earlier.edges, now.edges, fit, continued),
-        drive.increment,
-        covariance_of(mcl.motion, drive.increment),
-        driven,
-        lambda increment: mcl.moved(few, [increment], rng),
-        odometer.parameters,
-        seconds,
-    )
-    if other is None:
-        return drive, driven
-    increment, moved = other
-    return _Drive([increment], increment, drive.odometry, drive.jumped), moved
-
-
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
     """Return what the motion and earlier images tell of an image."""
     motion, seen, increment = mcl.motion, state.seen, drive.increment
     novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
-    jump, scene, persistent = Jump(novelty), None, None
-    if mcl.edges is not None and mcl.search is not None:
-        state.scene, scene, jump = state.scene.followed(mcl.edges, motion, sighting, increment)
-    if mcl.edges is not None and seen is not None and novelty < 1.0:
-        turn_var = float(covariance_of(motion, increment)[2, 2])
-        persistent = mcl.edges.persistent_clutter(sighting.edges, seen.edges, increment, turn_var)
-    sighting = replace(sighting, persistent=persistent, scene=scene)
+    jump, scene, attitude = Jump(novelty), state.scene, state.attitude
+    if mcl.edges is not None:
+        scene, density, jump = scene.followed(mcl.edges, motion, sighting, increment)
+        sighting = replace(sighting, scene=density)
+        if seen is not None and novelty < 1.0:
+            turn_var = float(covariance_of(motion, increment)[2, 2])
+            persistent = mcl.edges.persistent_clutter(sighting.edges, seen.edges, increment, turn_var)
+            sighting = replace(sighting, persistent=persistent)
     if mcl.level is not None:
-        edges, state.attitude = mcl.level.levelled(state.attitude, sighting.edges, increment.path_m, novelty)
+        edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
-    return _Image(drive.moves, increment, drive.odometry, drive.jumped, sighting, novelty, jump)
-
-
-def _proposed(
-    mcl: Mcl, state: FilterState, cloud: Particles, few: Particles, image: _Image, rng: np.random.Generator
-) -> Particles | None:
-    """Return the particles drawn from the optimal proposal; None at a start, and where nothing guides the steps."""
-    observation, motion, parameters = mcl.edges, mcl.motion, mcl.parameters
-    if observation is None or not isinstance(motion, LinearisedMotion):
-        return None
-    if not state.weighed or not len(image.sighting.edges) or image.novelty <= 0:
-        return None
-    rate = state.inliers.after(image.novelty).mean
-    targets = observation.associate_prior(few, image.sighting, mcl.landmark_map).targets(rate)
-    camera = observation.camera.at(image.sighting.edges.mount)
-    proposal = OptimalProposal(camera, targets, image.novelty, parameters.stage_below, parameters.resample_below)
-    *earlier, last = image.moves
-    return proposal.moved(mcl.moved(cloud, earlier, rng), last, motion, rng)
+    return _Image(drive, sighting, novelty, jump, scene, attitude)
 
 
 def _weighed(
-    mcl: Mcl,
-    state: FilterState,
-    cloud: Particles,
-    proposed: Particles | None,
-    image: _Image,
-    rng: np.random.Generator,
+    mcl: Mcl, state: FilterState, cloud: Particles, few: Particles, image: _Image, rng: np.random.Generator
 ) -> Weighed:
-    """Return weighed particles: those proposed, else `cloud` moved by odometry alone and weighed in stages."""
-    inliers, observation = state.inliers.after(image.novelty), mcl.observation
-    if isinstance(observation, EdgeObservation) and not state.weighed:  # many particles, many times: all wait for it
-        observation = observation.on_processors(FIRST_THREADS)
+    """Return particles that moved, by the optimal proposal where edges guide them, and are weighed.
+
+    few: some of them, moved by odometry alone.
+    """
+    inliers, observation, parameters, moved = state.inliers.after(image.novelty), mcl.observation, mcl.parameters, None
+    if isinstance(observation, EdgeObservation):
+        if not state.weighed:  # many particles, many times: all wait for it
+            observation = observation.on_processors(FIRST_THREADS)
+        elif isinstance(mcl.motion, LinearisedMotion) and len(image.sighting.edges) and image.novelty > 0:
+            targets = observation.associate_prior(few, image.sighting, mcl.landmark_map).targets(inliers.mean)
+            proposal = OptimalProposal(
+                observation.camera.at(image.sighting.edges.mount),
+                targets,
+                image.novelty,
+                parameters.stage_below,
+                parameters.resample_below,
+            )
+            *earlier, last = image.drive.moves
+            moved = proposal.moved(mcl.moved(cloud, earlier, rng), last, mcl.motion, rng)
+    if moved is None:
+        moved = mcl.moved(cloud, image.drive.moves, rng)
     visible = None if mcl.search is None else state.belief.visibility.of_all(len(mcl.landmark_map))
-    stage_below = mcl.parameters.stage_below
-    tempering = Tempering(observation, mcl.landmark_map, image.sighting, inliers, image.novelty, stage_below, visible)
-    moved = mcl.moved(cloud, image.moves, rng) if proposed is None else proposed
-    found = tempering.weighed(moved, not state.weighed, rng)
-    state.inliers = found.inliers
-    return found
+    tempering = Tempering(
+        observation, mcl.landmark_map, image.sighting, inliers, image.novelty, parameters.stage_below, visible
+    )
+    return tempering.weighed(moved, not state.weighed, rng)
+
+
+def _contradicted(
+    mcl: Mcl, state: FilterState, sighting: Sighting, image: _Image, found: Weighed, rng: np.random.Generator
+) -> Increment | None:
+    """Return how the robot moved as the edges say, where they and the map contradict the wheels; None where not."""
+    seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
+    odometer, observation = mcl.odometer, mcl.edges
+    if observation is None or odometer is None or odometer.follows_edges or not state.weighed or seen is None:
+        return None
+    if not 0 < seconds <= odometer.parameters.pace_s:  # later the robot may go on at any pace: nothing can be judged
+        return None
+    if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
+        return None
+    few, level = thinned(state.particles, FEW_TOLD), replace(image.sighting, persistent=None)
+
+    def by_map(motion: Increment) -> float:
+        cloud = mcl.moved(few, [motion], rng)
+        fit = state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
+        return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
+
+    def by_last_image(motion: Increment) -> float:
+        last = EarlierImage(seen, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
+        return float(np.log(observation.scene_clutter(sighting, [last])[0]).sum())
+
+    before, after = (one.edges.longest(MOST_EDGES) for one in (seen, sighting))
+    state.wheels, motion = state.wheels.after(
+        Evidence(odometer, before, after, by_map, by_last_image),
+        increment,
+        covariance_of(mcl.motion, increment),
+        (by_map(increment), image.jump.log_density),
+        odometer.parameters,
+        seconds,
+    )
+    return motion
 
 
 def _compared(
@@ -374,7 +364,7 @@ def _compared(
     weighed = None if found is None else found.particles
     if mcl.search is None:
         return weighed
-    move = Move(image.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.moves, rng))
+    move = Move(image.drive.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.drive.moves, rng))
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
     belief = state.belief.after(mcl.search, found, like, image.sighting, image.jump, move, rng)
     if weighed is not None:
@@ -413,13 +403,13 @@ def _located(
         particles=cloud,
         ess=particles.effective_sample_size(cloud.weight),
         edges=measured.edges,
-        increment=image.increment,
-        odometry=image.odometry,
+        increment=image.drive.increment,
+        odometry=image.drive.odometry,
         p_correct=p_correct,
         reason=belief.reason(p_correct, measured),
         warning=belief.warning,
         wheels_are_wrong=state.wheels.are_wrong,
-        odometry_jumped=image.jumped,
+        odometry_jumped=image.drive.jumped,
         clusters=clusters,
         attitude=state.attitude,
         height=state.height,

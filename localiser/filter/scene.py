@@ -49,12 +49,13 @@ class Jump:
     """How new an image is, and whether the robot was carried since the last one.
 
     novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges | carried) / p(edges | not carried).
-    path_m: driven since the last image.
+    path_m: driven since the last image. log_density: of the edges, as those of the last image predict them.
     """
 
     novelty: float
     log_ratio: float = 0.0
     path_m: float = 0.0
+    log_density: float = 0.0
 
     def carried(self, chance: float) -> float:
         """Return the probability of having been carried, whose prior `chance` is that between two scenes."""
@@ -91,11 +92,13 @@ class Scene:
         density, _ = clutter(images[max(reference, 1) - 1 :: -1] if images else [])
         jump, usual = Jump(1.0), self.usual
         if images:
-            log_ratio = 0.0
+            log_ratio, log_density = 0.0, 0.0
             if len(sighting.edges):
-                log_ratio, fraction = _log_carried(clutter(images[-1:])[1], usual)
+                by_last, continuing = clutter(images[-1:])
+                log_density = float(np.log(by_last).sum())
+                log_ratio, fraction = _log_carried(continuing, usual)
                 usual = MEMORY * usual + (1.0 - MEMORY) * fraction
-            jump = Jump(min(_scenes(increment), 1.0), log_ratio, float(increment.path_m))
+            jump = Jump(min(_scenes(increment), 1.0), log_ratio, float(increment.path_m), log_density)
         if len(images) > 1 and _scenes(images[-2].since) < APART:
             images = images[:-1]
         if jump.log_ratio > WHOLLY_NEW:

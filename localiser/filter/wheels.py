@@ -25,7 +25,7 @@ import numpy as np
 
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between
-from localiser.particles import Estimate, Particles, log_sum, thinned
+from localiser.particles import Estimate
 from localiser.visual_odometry import (
     Frames,
     Gaussian,
@@ -42,7 +42,6 @@ STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still 
 UNUSUAL = 0.7
 MEMORY = 0.9  # part of what is usual that an image leaves
 MOST_EDGES = 48  # that are followed: the work grows with the square of their number
-FEW = 64  # particles that tell how well the wheels predict an image
 TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
 MOST_TOLD = 4.0  # log-ratio of one image: a person who walks by moves most of its edges, whatever the wheels do
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
@@ -56,27 +55,16 @@ LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that edges are compa
 class Evidence:
     """What an image says of how the robot moved.
 
-    odometer: follows edges from one image to the next. before, after: longest edges of the last image and of this. fit:
-    returns the log-likelihood (N,) of the image at particles. continued: returns the log-density of its edges, as those
-    of the last image predict them after a motion.
+    odometer: follows edges from one image to the next. before, after: longest edges of the last image and of this.
+    by_map: returns the logarithm of the mean likelihood of the image over particles after a motion. by_last_image:
+    returns the log-density of its edges, as those of the last image predict them after a motion.
     """
 
     odometer: Odometer
     before: Edges
     after: Edges
-    fit: Callable[[Particles], Array]
-    continued: Callable[[Increment], float]
-
-    def by_map(self, cloud: Particles) -> float:
-        """Return the logarithm of the mean likelihood of the image over particles."""
-        return float(log_sum(cloud.log_weight + self.fit(cloud)) - log_sum(cloud.log_weight))
-
-    def by_last_image(self, increment: Increment) -> float:
-        """Return the log-density of the edges after a motion.
-
-        Some images follow from none (`CROSSED`): a person walks by, or comes between.
-        """
-        return float(np.logaddexp(np.log1p(-CROSSED) + self.continued(increment), np.log(CROSSED)))
+    by_map: Callable[[Increment], float]
+    by_last_image: Callable[[Increment], float]
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
@@ -91,17 +79,16 @@ class Evidence:
         log_ratio = min(0.5 * float(np.log(kept) - miss_rad**2 / var), 0.0)
         return seen_increment(motion_gaussian(twist)), log_ratio
 
-    def weighed(
-        self, pace: Gaussian, wheels: Gaussian, move: Callable[[Increment], Particles], by_map: float, by_last: float
-    ) -> float:
+    def weighed(self, pace: Gaussian, wheels: Gaussian, by_map: float, by_last: float) -> float:
         """Return log p(image | it went on at its pace) / p(image | the wheels are right), to the power `POWER`.
 
         pace, wheels: twists. by_map, by_last: of the motion of the wheels. Both motions turn as the edges tell, so that
         none wins because it knows less of its turn.
         """
         (paced, log_paced), (held, log_held) = self.turned(pace), self.turned(wheels)
-        last = self.by_last_image(paced) + log_paced - max(self.by_last_image(held) + log_held, by_last)
-        return min(POWER * (self.by_map(move(paced)) - by_map + last), MOST_TOLD)
+        last = crossed(self.by_last_image(paced)) + log_paced
+        last -= max(crossed(self.by_last_image(held)) + log_held, by_last)
+        return min(POWER * (self.by_map(paced) - by_map + last), MOST_TOLD)
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
         """Return the motion by edges alone, of a robot that had this twist per second."""
@@ -134,25 +121,22 @@ class Wheels:
         evidence: Evidence,
         increment: Increment,
         cov: Array,
-        driven: Particles,
-        move: Callable[[Increment], Particles],
+        fit: tuple[float, float],
         parameters: VisualOdometryParameters,
         seconds: float,
-    ) -> tuple[Wheels, tuple[Increment, Particles] | None]:
+    ) -> tuple[Wheels, Increment | None]:
         """Return what is known after an image, and how the robot moved if the wheels are wrong.
 
-        increment, cov: what the wheels say, and its covariance (3, 3); driven: some particles moved by it. move: moves
-        the same particles by another motion. seconds: since the last image. The motion comes with particles moved by
-        it.
+        increment, cov: what the wheels say, and its covariance (3, 3); fit: what `evidence` says of it, by the map and
+        by the last image. seconds: since the last image.
         """
-        by_map = evidence.by_map(thinned(driven, FEW))
-        right = np.array([by_map, evidence.by_last_image(increment)])
+        right = np.array([fit[0], crossed(fit[1])])
         fits = (right >= UNUSUAL * self.usual).all()
         usual = MEMORY * self.usual + (1.0 - MEMORY) * right
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
         expected = parameters.twist(self.pace, seconds)
-        log_ratio, seen = evidence.weighed(expected, twist_of_wheels(increment, cov), move, by_map, right[1]), None
+        log_ratio, seen = evidence.weighed(expected, twist_of_wheels(increment, cov), *right.tolist()), None
         if log_ratio > SUSPECT or self.are_wrong:
             seen = with_scale(evidence.followed(self.pace, seconds), walks=False)
             log_ratio += contradicts(increment.mean, cov, seen, parameters.twist(None, seconds).cov)
@@ -160,8 +144,7 @@ class Wheels:
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
         wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
         if wheels.wrong > DOUBTED and seen is not None:
-            motion = seen_increment(Gaussian(increment.mean, cov).mixed(seen, wheels.wrong))
-            return wheels, (motion, move(motion))
+            return wheels, seen_increment(Gaussian(increment.mean, cov).mixed(seen, wheels.wrong))
         if wheels.fit:
             return replace(wheels, usual=usual), None
         pace = Gaussian(expected.mean / seconds, expected.cov / seconds**2)
@@ -175,6 +158,11 @@ class Wheels:
             return replace(self, pose=estimate.pose)
         twist = between(self.pose, estimate.pose) / seconds
         return replace(self, pose=estimate.pose, pace=Gaussian(twist, estimate.pose_cov / seconds**2))
+
+
+def crossed(log_density: float) -> float:
+    """Return the log-density of edges by the last image, as some follow from none: a person walks by, or between."""
+    return float(np.logaddexp(np.log1p(-CROSSED) + log_density, np.log(CROSSED)))
 
 
 def contradicts(wheels: Array, cov: Array, seen: Gaussian, any_cov: Array) -> float:

@@ -45,7 +45,7 @@ _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
 _LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
 _MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
-_LANES = 8  # rates of a view, at most
+_LANES, _STATEMENTS = 8, 2  # rates of a view, and which landmarks are hidden, at most: `likelihood_kernel`
 _BINS = 512  # of the compared angle
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 _PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
@@ -157,6 +157,10 @@ def by_views(
     farthest_m, reach = sight.far.range_max_m, reach_of(landmark_map, sight.far.range_max_m)
     # What all views share: which landmarks show, by distinct statements, and tables of rates and of clutter.
     hidden = {id(view.visibility): view.visibility for view in views}
+    if len(hidden) > _STATEMENTS:
+        raise ValueError(
+            f"expected at most {_STATEMENTS} statements of which landmarks are hidden, found {len(hidden)}"
+        )
     visibility = np.stack([np.ones(len(landmark_map)) if one is None else one for one in hidden.values()])
     each = [(list(hidden).index(id(view.visibility)), len(view.rates), view.of_edges) for view in views]
     odds = np.zeros((len(views), _LANES))

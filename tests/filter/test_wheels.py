@@ -21,7 +21,7 @@ from localiser.filter import LocatedFrame, Odometry, Start
 from localiser.filter.moves import is_silent
 from localiser.filter.wheels import ASTRAY, Evidence, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
-from localiser.particles import POSE, Estimate, Particles
+from localiser.particles import POSE, Estimate
 from localiser.replay.start import start_of
 from localiser.storage import Log
 from localiser.visual_odometry import Gaussian, Odometer, VisualOdometryParameters, with_scale
@@ -95,14 +95,11 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     """Wheels that count double move the estimate a little at first; that must not become the expected pace."""
     parameters, pace = VisualOdometryParameters(), Gaussian(np.array([0.0, -0.4, 0.0]), 1e-4 * np.eye(3))
     camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
-    poor = Evidence(
-        Odometer(camera, parameters), Edges.none(), Edges.none(), lambda cloud: np.full(len(cloud), 2.0), lambda _: 0.0
-    )
+    poor = Evidence(Odometer(camera, parameters), Edges.none(), Edges.none(), lambda _: 2.0, lambda _: 0.0)
     known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
-    cloud = Particles(POSE, np.zeros((3, 64)), np.zeros(64))
     double = Increment.from_mean(np.array([0.0, -0.16, 0.0]))
 
-    told, other = known.after(poor, double, 1e-4 * np.eye(3), cloud, lambda _: cloud, parameters, 0.2)
+    told, other = known.after(poor, double, 1e-4 * np.eye(3), (2.0, 0.0), parameters, 0.2)
     assert other is None
     assert told.pace is not None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
