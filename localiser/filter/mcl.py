@@ -180,10 +180,10 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     Raises ValueError when no start has been given and there is no global localisation, or when one is later than the
     image.
     """
-    has_ends = bool(np.isfinite(sighting.edges.ends_px).all())  # bearings alone do not tell how far the robot went
-    if mcl.odometer is not None and state.is_begun and has_ends:
-        if is_silent(state.odometry, state.at_ns, sighting.t_ns):
-            mcl = mcl.by_edges()
+    silent = is_silent(state.odometry, state.at_ns, sighting.t_ns)
+    # Bearings without ends do not tell how far the robot went.
+    if silent and mcl.odometer is not None and state.is_begun and np.isfinite(sighting.edges.ends_px).all():
+        mcl = mcl.by_edges()
     measured = replace(sighting, map_scale=state.map_error.scale)
     sighting = _from_height(mcl, state, measured)
     # Drive: how did the robot move, by odometry? A few particles move blindly.
