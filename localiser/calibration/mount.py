@@ -359,14 +359,15 @@ def spread(count: int, most: int) -> list[int]:
 # -- the check of a run -----------------------------------------------------------------------------------------------
 
 
-def check_mount(frames: Sequence[Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> LogMount:
+def check_mount(edges_of: Callable[[int], Edges], poses: Array, camera: Camera, stated_sigma_rad: Array) -> LogMount:
     """Return what the edges of F images, taken at poses (F, 3) of the odometry, say about the mount of `camera`.
 
-    stated_sigma_rad: (2,) how certain the stated tilt and roll are taken to be.
+    edges_of: gives the edges of an image by its index. stated_sigma_rad: (2,) how certain the stated tilt and roll are
+    taken to be.
     """
     stated = np.array([camera.mount.tilt_rad, camera.mount.roll_rad])
-    used = spread(len(frames), _MOST_CHECKED) if frames else []
-    lines = Lines.together([lines_of(frames[image], camera, index) for index, image in enumerate(used)])
+    used = spread(len(poses), _MOST_CHECKED) if len(poses) else []
+    lines = Lines.together([lines_of(edges_of(image), camera, index) for index, image in enumerate(used)])
     found = mount_of_lines(lines, poses[used], camera, stated)
     off = found.mount - stated
     sure = off @ np.linalg.solve(found.cov, off) > _SURE

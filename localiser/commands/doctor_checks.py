@@ -223,7 +223,7 @@ def edge_checks(
         return
     yield Finding("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
     poses = track.sampled([times[k] for k in chosen]).poses
-    check = check_mount(frames, poses, camera, config.edges.mount_sigma_rad)
+    check = check_mount(frames.__getitem__, poses, camera, config.edges.mount_sigma_rad)
     stated, found, sigma = (np.rad2deg(values).round(2) + 0.0 for values in (check.stated, check.mount, check.sigma))
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"

@@ -305,7 +305,7 @@ def _mount_warning(found: list[Edges], camera: Camera, settings: Config) -> str 
     from localiser.calibration import check_mount
 
     believed_rad = settings.edges.mount_sigma_rad
-    check = check_mount(found, np.zeros((len(found), 3)), camera, believed_rad)
+    check = check_mount(found.__getitem__, np.zeros((len(found), 3)), camera, believed_rad)
     off, cov = check.mount - check.stated, check.cov + np.diag(believed_rad**2)
     if not check.disagrees or off @ np.linalg.solve(cov, off) <= 9.2:
         return None

@@ -106,6 +106,10 @@ class Results:
         frames = [frame if isinstance(frame, Sighting) else frame.t_ns for frame in log.frames]
         return self.localiser.identity | {"log": fingerprint((log.name, log.odometry, log.groundtruth, frames))}
 
+    def edges_of(self, index: int) -> Edges:
+        """Return the edges of an image by its index."""
+        return self.frames[index].located.edges
+
     @property
     def track(self) -> Track:
         """The run so far."""
@@ -125,24 +129,9 @@ class Results:
         return run_metrics(self, bound_of(self))
 
 
-class _EdgesOf(Sequence[Edges]):
-    """The edges of images, each read when it is asked for."""
-
-    def __init__(self, frames: Sequence[LocatedFrame]) -> None:
-        self._frames = frames
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            raise TypeError("expected the index of an image")
-        return self._frames[index].located.edges
-
-
 def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
     """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
-    edges, summary, last = _EdgesOf(run.frames), run.summary, run.frames[-1].located.estimate
+    summary, last = run.summary, run.frames[-1].located.estimate
     figures = evaluate.metrics(
         summary.track,
         truth_of(run),
@@ -153,17 +142,17 @@ def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
         reasons=summary.reasons,
         distance_scale=float(last.mean[last.names.index("distance_scale")]) if "distance_scale" in last.names else 0.0,
     )
-    mount, warnings = _mount(run, edges)
+    mount, warnings = _mount(run)
     height, height_warnings = _height(run)
-    clock, clock_warnings = _clock(run, edges)
-    light, light_warnings = _light(run)
-    warnings += clock_warnings + light_warnings + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
+    clock, clock_warnings = _clock(run)
+    warnings += (
+        clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
+    )
     if run.localiser.config.increments.source != "vision" and (jumped := jump_text(run.log)):
         warnings.append(jumped)
-    scale = {"map_sigma_factor": round(run.frames[-1].located.map_error.scale, 6)}
-    figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height | scale
-    figures |= clock | light
     in_view, matched = (summary.landmark_use > 0).T
+    figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height
+    figures |= {"map_sigma_factor": round(run.frames[-1].located.map_error.scale, 6)} | clock
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}
 
@@ -249,18 +238,10 @@ def _silence_warnings(run: Results) -> list[str]:
     ]
 
 
-def _light(run: Results) -> tuple[dict[str, Any], list[str]]:
-    """Return how the images were exposed, and that many are too dark or washed out; nothing where there are none."""
+def _light_warnings(run: Results) -> list[str]:
+    """Return that many images are too dark or washed out, as texts for people."""
     light = run.light
-    if not light:
-        return {}, []
     dark, washed_out = [one for one in light if one.is_dark], [one for one in light if one.is_washed_out]
-    figures = {
-        "bright_grey_median": round(float(np.median([one.bright_grey for one in light])), 1),
-        "saturated_median": round(float(np.median([one.saturated for one in light])), 4),
-        "dark": round(len(dark) / len(light), 6),
-        "washed_out": round(len(washed_out) / len(light), 6),
-    }
     texts, fewest = [], max(BADLY_LIT * len(light), WRONG_IMAGES)
     if len(dark) >= fewest:
         grey = np.median([one.bright_grey for one in dark])
@@ -275,7 +256,7 @@ def _light(run: Results) -> tuple[dict[str, Any], list[str]]:
             f"{len(washed_out)} of {len(light)} images looked at are washed out: {share:.0%} of their pixels are white "
             f"(median; expected below {WASHED_OUT:.0%}). Give the camera less light or a shorter exposure."
         )
-    return {"light": figures}, texts
+    return texts
 
 
 def _height(run: Results) -> tuple[dict[str, float], list[str]]:
@@ -292,18 +273,18 @@ def _height(run: Results) -> tuple[dict[str, float], list[str]]:
     }, warnings
 
 
-def _clock(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
+def _clock(run: Results) -> tuple[dict[str, Any], list[str]]:
     """Return by how much images are stamped later than wheels, and a warning where that matters; see `ClockOffset`."""
     log, config = run.log, run.localiser.config
     if not log.has_images or config.increments.source == "vision":
         return {}, []
-    found = clock_offset(run.track.t_ns, edges.__getitem__, log.odometry, log.camera, most=CLOCK_PAIRS)
+    found = clock_offset(run.track.t_ns, run.edges_of, log.odometry, log.camera, most=CLOCK_PAIRS)
     warning = found.warning(log.path, config.motion.bias.delay_sigma_s)
     figures = {"clock_offset_s": round(found.offset_s, 6), "clock_offset_sigma_s": round(found.sigma_s, 6)}
     return figures, [] if warning is None else [warning]
 
 
-def _mount(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[str]]:
+def _mount(run: Results) -> tuple[dict[str, Any], list[str]]:
     """Return what the edges of all images together say about tilt and roll, and when that contradicts what is stated.
 
     See `check_mount`.
@@ -311,7 +292,7 @@ def _mount(run: Results, edges: Sequence[Edges]) -> tuple[dict[str, Any], list[s
     log, parameters = run.log, run.localiser.config.edges
     if not log.has_images:
         return {}, []
-    check = check_mount(edges, run.track.odometry, log.camera, parameters.mount_sigma_rad)
+    check = check_mount(run.edges_of, run.track.odometry, log.camera, parameters.mount_sigma_rad)
     warning, (found, sigma) = check.warning(log.path), np.rad2deg([check.mount, check.sigma])
     figures: dict[str, Any] = {}
     for name, value, one in zip(("tilt", "roll"), found, sigma, strict=True):
@@ -355,13 +336,11 @@ def described(run: Results) -> str:
         },
         "camera": {"name": log.camera.name, "fingerprint": identity["camera"]},
         "odometry": run.localiser.config.increments.source,
-        "start": "anywhere" if run.start is None else _described_start(run.start),
+        "start": "anywhere",
     }
+    if (start := run.start) is not None:
+        to_degrees = np.array([1.0, 1.0, np.rad2deg(1.0)])
+        values = np.concatenate([start.mean * to_degrees, np.sqrt(np.diag(start.cov)) * to_degrees]).tolist()
+        names = ("x", "z", "heading_deg", "sigma_x_m", "sigma_z_m", "sigma_heading_deg")
+        data["start"] = {"t_ns": int(start.t_ns), **dict(zip(names, values, strict=True))}
     return dump(data)
-
-
-def _described_start(start: Start) -> dict[str, Any]:
-    to_degrees = np.array([1.0, 1.0, np.rad2deg(1.0)])
-    values = np.concatenate([start.mean * to_degrees, np.sqrt(np.diag(start.cov)) * to_degrees])
-    names = ("x", "z", "heading_deg", "sigma_x_m", "sigma_z_m", "sigma_heading_deg")
-    return {"t_ns": int(start.t_ns), **dict(zip(names, values.tolist(), strict=True))}

@@ -1,21 +1,41 @@
-"""A replay whose results go into a folder: which sinks there are, and what is written in the end."""
+"""A replay whose results go into a folder: its sinks, its bag, how it is stopped, and what is written in the end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any, Literal
+
+import numpy as np
 
 from localiser import evaluate
 from localiser.config import in_force, to_yaml
-from localiser.errors import LocaliserError, OutputError, RunEndedEarlyError
+from localiser.errors import InputError, LocaliserError, OutputError, RunEndedEarlyError
 from localiser.evaluate import WorstMoments, write_report
-from localiser.replay.bag import ReplayBag
+from localiser.filter import LocatedFrame
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap
 from localiser.replay.figures import bound_of, described, run_metrics, truth_of
 from localiser.replay.run import Replay, Sink, all_of, close_all
-from localiser.replay.start import Stop, asked_to_stop
-from localiser.storage import RunFolder, TrackWriter
+from localiser.ros import OUTPUTS, Message, Outgoing
+from localiser.storage import Log, RunFolder, TrackWriter, require_new_file
+from localiser.storage.bags import (
+    FILE_KINDS,
+    TRANSFORMS,
+    WHEELS_TOPIC,
+    Messages,
+    NewBag,
+    check_times,
+    floor_pose,
+    log_messages,
+    new_bag,
+    write_message,
+)
 from localiser.view import Context, LiveView, RrdFile
 
 
@@ -43,9 +63,123 @@ SINKS: list[Callable[[Outputs, Path, Context], Sink | None]] = [
 """What makes the sinks of a replay, each from what was asked for, the run's folder and what a view must know."""
 
 
-def sinks_of(outputs: Outputs, folder: Path, context: Context) -> list[Sink]:
-    """Return the sinks that were asked for, open. Raises OutputError."""
-    return [sink for make in SINKS if (sink := make(outputs, folder, context)) is not None]
+# -- a bag of the log and what was located in it, for RViz, Foxglove, PlotJuggler and Rerun ---------------------------
+
+SUFFIXES = (".mcap", ".db3")
+
+
+class ReplayBag:
+    """A sink that writes a bag: everything that the log has, and the topics of `localiser.ros` beside it.
+
+    Everything has the time of the log. The transform from the map to the odometry's frame is written for every pose of
+    the wheels and for every image, with its own stamp; the one from there to the robot too, which a robot sends itself.
+    A run that ends early leaves a bag until there.
+    """
+
+    def __init__(self, path: Path, log: Log, landmark_map: LandmarkMap, *, by_wheels: bool = True) -> None:
+        """Prepare; the bag is made with the first image. Raises InputError, OutputError for a path that is taken.
+
+        by_wheels: whether the wheels are the odometry of the run, and not its images.
+        """
+        if path.suffix not in SUFFIXES:
+            raise InputError(f"expected a path that ends in {' or '.join(SUFFIXES)}, found {path}", field="--bag")
+        require_new_file(path)
+        check_times(log)
+        self._path, self._log, self._by_wheels = path, log, by_wheels
+        self._make = Messages()
+        self._outgoing = Outgoing(landmark_map, log.camera, tolerance_ns=0)
+        self._stack = ExitStack()
+        self._bag: NewBag | None = None
+        self._messages: Iterator[tuple[str, int, Any]] = iter(())
+        self._next: tuple[str, int, Any] | None = None
+
+    def frame(self, frame: LocatedFrame) -> None:
+        """Write what the log has until an image, and what was located in it. Raises OutputError."""
+        bag = self._bag or self._begun()
+        t_ns = frame.located.t_ns
+        self._write_log(bag, t_ns)
+        off_m = None if frame.truth is None else np.hypot(*(frame.located.estimate.pose - frame.truth)[:2])
+        for message in self._outgoing.image(frame, t_ns, facts={} if off_m is None else {"error_m": f"{off_m:.4f}"}):
+            self._write(bag, message)
+        self._write_transforms(bag, t_ns, None if self._by_wheels else frame.located.odometry)
+
+    def close(self, complete: bool) -> None:
+        """Write the rest of the log, if the run came to its end, and end the bag. Raises OutputError."""
+        with self._stack:
+            if complete and self._bag is not None:
+                self._write_log(self._bag, None)
+
+    def _begun(self) -> NewBag:
+        bag = self._bag = self._stack.enter_context(new_bag(self._path, FILE_KINDS[self._path.suffix]))
+        self._messages = log_messages(self._log, self._make)
+        self._next = next(self._messages, None)
+        for message in self._outgoing.landmarks(self._log.start_ns):
+            self._write(bag, message)
+        return bag
+
+    def _write_log(self, bag: NewBag, until_ns: int | None) -> None:
+        """Write what the log has until a time, or all of it."""
+        while self._next is not None and (until_ns is None or self._next[1] <= until_ns):
+            topic, t_ns, message = self._next
+            write_message(bag, topic, t_ns, message)
+            if topic == WHEELS_TOPIC and self._by_wheels:
+                self._write_transforms(bag, t_ns, np.array(floor_pose(message)))
+            self._next = next(self._messages, None)
+
+    def _write_transforms(self, bag: NewBag, t_ns: int, odometry: Array | None) -> None:
+        """Write map → odom, and odom → robot where a pose (3,) of the odometry is given, both for this time."""
+        for message in self._outgoing.transform(t_ns):
+            self._write(bag, message)
+        if odometry is not None:
+            driven = self._make.encode(self._make.robot_in_odometry(t_ns, odometry))
+            bag.write(OUTPUTS["tf"].topic, TRANSFORMS, t_ns, driven)
+
+    def _write(self, bag: NewBag, message: Message) -> None:
+        output = OUTPUTS[message.kind]
+        bag.write(output.topic, output.msgtype, message.stamp_ns, message.content, latched=output.latched)
+
+
+# -- stopping between two images --------------------------------------------------------------------------------------
+
+_SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+
+
+class Stop(threading.Event):
+    """Is set once the user, or the system, asks a run to stop. exit_code: how the program then ends, as shells do."""
+
+    exit_code = 128 + signal.SIGINT
+
+
+@contextmanager
+def asked_to_stop() -> Iterator[Stop]:
+    """Hold Ctrl-C, SIGTERM and SIGHUP back; yields an event that they set. A second one is not held back.
+
+    A signal that is ignored, as SIGHUP under `nohup`, stays so. In other threads than the main one, which get no
+    signals, nothing is changed.
+    """
+    asked = Stop()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        asked.exit_code = 128 + number
+        asked.set()
+        restore()
+
+    held = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, ask) for number in held}
+    try:
+        yield asked
+    finally:
+        restore()
+
+
+# -- the run ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +204,8 @@ class FolderRun:
         is_new = folder is None
         folder = folder or RunFolder.create(outputs.results, log.name)
         context = Context(log.name, log.camera, landmark_map, truth=log.groundtruth, images=log.has_images)
-        return cls(replay, folder, [*sinks_of(outputs, folder.path, context), *bags], outputs.report, is_new)
+        sinks = [sink for make in SINKS if (sink := make(outputs, folder.path, context)) is not None]
+        return cls(replay, folder, [*sinks, *bags], outputs.report, is_new)
 
     @property
     def viewer(self) -> LiveView | None:

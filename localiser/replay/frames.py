@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from tempfile import SpooledTemporaryFile
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,15 +35,6 @@ class _Kept:
     map_name: str
 
 
-def _without_bulk(frame: LocatedFrame) -> LocatedFrame:
-    """Return a frame without what grows with pixels or particles."""
-    located = frame.located
-    none = np.zeros(0, dtype=np.int64)
-    clusters = located.clusters and replace(located.clusters, label=none)
-    light = replace(located, particles=particles.take(located.particles, none), clusters=clusters, sighting=None)
-    return replace(frame, located=light, image=None)
-
-
 class KeptFrames(Sequence[LocatedFrame]):
     """Located images in order, without the images. Each is read again when it is asked for, as a new object.
 
@@ -57,7 +48,10 @@ class KeptFrames(Sequence[LocatedFrame]):
 
     def append(self, frame: LocatedFrame) -> None:
         """Keep one more, without what grows with pixels or particles."""
-        frame = _without_bulk(frame)
+        located, none = frame.located, np.zeros(0, dtype=np.int64)
+        clusters = located.clusters and replace(located.clusters, label=none)
+        few = particles.take(located.particles, none)
+        frame = replace(frame, located=replace(located, particles=few, clusters=clusters, sighting=None), image=None)
         kept = _Kept(frame.located, frame.matches, frame.truth, dict(frame.stage_ms), frame.wide_cov, frame.map_name)
         try:
             self._file.seek(self._begin(len(self)))
@@ -70,13 +64,7 @@ class KeptFrames(Sequence[LocatedFrame]):
     def __len__(self) -> int:
         return len(self._ends)
 
-    @overload
-    def __getitem__(self, index: int) -> LocatedFrame: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[LocatedFrame]: ...
-
-    def __getitem__(self, index: int | slice) -> LocatedFrame | list[LocatedFrame]:
+    def __getitem__(self, index: Any) -> Any:
         chosen = range(len(self))[index]
         return self._at(chosen) if isinstance(chosen, int) else [self._at(each) for each in chosen]
 

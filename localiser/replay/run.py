@@ -16,14 +16,14 @@ from localiser.config import Config, read_config, with_seed
 from localiser.edges import Detector, light_of
 from localiser.errors import InputError
 from localiser.filter import Anywhere, LocatedFrame, Odometry, Sighting, Start
-from localiser.geometry import compose
+from localiser.geometry import compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser, MeasuredImage, check_settings
+from localiser.mapping import start_on_map
 from localiser.motion import MotionModel
 from localiser.observation import Observation
 from localiser.replay.figures import STAGES, Results
 from localiser.replay.frames import in_order
-from localiser.replay.start import has_start, start_of
 from localiser.storage import (
     ImageEvent,
     Log,
@@ -64,10 +64,6 @@ def all_of(steps: Iterable[Callable[[], object]]) -> None:
         raise failures[0]
 
 
-def _is_image(event: object) -> bool:
-    return isinstance(event, ImageEvent)
-
-
 class Replay(Results):
     """A log that is replayed; `Results` has what was located until now."""
 
@@ -86,7 +82,7 @@ class Replay(Results):
         events = self.log.events(self.start, anywhere=self.start is None)
         events = islice(events, self._resumed(), None)
         threads = localiser.config.observation.threads
-        for event, measured in in_order(events, self._measured, _is_image, threads):
+        for event, measured in in_order(events, self._measured, lambda event: isinstance(event, ImageEvent), threads):
             match event:
                 case Start():
                     yield localiser.start(event.mean, event.cov, event.t_ns)
@@ -155,6 +151,79 @@ class Replay(Results):
         return 1
 
 
+# -- where it starts --------------------------------------------------------------------------------------------------
+
+START_SIGMA = np.array([0.1, 0.1, np.deg2rad(3.0)])
+"""How far a start that is given on the command line may be off: x, z (m), heading (rad), one sigma."""
+
+FARTHEST = np.array([1e8, 1e8, 2 * np.pi])
+"""The largest x, z (m) and heading (rad) that can be given, as in a log's start."""
+
+TRUTH, GLOBAL = "truth", "global"
+
+
+def start_of(
+    log: Log, option: str | Start | None, rng: np.random.Generator, landmark_map: LandmarkMap | None = None
+) -> Start | None:
+    """Return the start of a replay at its first image; None for anywhere on the map.
+
+    option: a start, `x,z,heading_deg`, `global` for anywhere, `truth` for the true pose plus a draw from
+    N(0, `START_SIGMA`²), or None: as the log states, else where it began on a landmark map that was built from it.
+    Raises InputError.
+    """
+    if isinstance(option, Start) or option == GLOBAL:
+        return option if isinstance(option, Start) else None
+    first_ns = log.frames[0].t_ns
+    if option is None:
+        maps = () if log.start is not None or landmark_map is None else landmark_map.maps
+        for one in maps:
+            if landmark_map is not None and (began := start_on_map(one, log)) is not None:
+                return stated_start(began + landmark_map.origin(one.name), first_ns)
+        return log.start
+    if option != TRUTH:
+        return stated_start(option, first_ns, landmark_map)
+    if log.groundtruth is None or not log.groundtruth.covers(first_ns):
+        raise InputError(
+            "--start truth needs the true pose at the first image, which the log does not have; "
+            "say where the robot starts with --start x,z,heading_deg, or have it looked for with --start global",
+            path=log.path,
+            field="start",
+        )
+    pose = log.groundtruth.at(first_ns) + START_SIGMA * rng.standard_normal(3)
+    pose[2] = wrap_angle(pose[2])
+    return stated_start(np.asarray(pose), first_ns)
+
+
+def stated_start(pose: str | np.ndarray, t_ns: int = 0, landmark_map: LandmarkMap | None = None) -> Start:
+    """Return a start at a pose (3,), or at that of `x,z,heading_deg`, to `START_SIGMA`. Raises InputError.
+
+    landmark_map: where that may follow the name of one of several maps and a colon.
+    """
+    if isinstance(pose, str):
+        name, _, numbers = pose.rpartition(":")
+        if name and (landmark_map is None or len(landmark_map.maps) < 2):
+            raise InputError(f"expected no name of a map where there is one map, found {pose!r}", field="--start")
+        pose = given_pose(numbers) + (np.zeros(3) if landmark_map is None else landmark_map.origin(name))
+    return Start(t_ns, pose, np.diag(START_SIGMA**2))
+
+
+def given_pose(option: str) -> np.ndarray:
+    """Return the pose (3,) of `x,z,heading_deg`. Raises InputError."""
+    problem = f"expected x,z,heading_deg (metres and degrees, such as 1.5,-2,90), global or truth, found {option!r}"
+    try:
+        x, z, heading_deg = (float(part) for part in option.split(","))
+    except ValueError:
+        raise InputError(problem, field="--start") from None
+    pose = np.array([x, z, np.deg2rad(heading_deg)])
+    if not (np.abs(pose) <= FARTHEST).all():
+        raise InputError(problem, field="--start")
+    pose[2] = wrap_angle(pose[2])
+    return pose
+
+
+# -- the whole way -----------------------------------------------------------------------------------------------------
+
+
 def prepare(
     log: Log,
     config: Config,
@@ -181,12 +250,13 @@ def prepare(
         )
     if config.increments.source != "vision":
         require_odometry(log, f"`increments.source: {config.increments.source}`")
+    has_start = start == TRUTH or start_of(log, start, np.random.default_rng(0), landmark_map) is not None
     try:
         check_settings(
             config,
             log.camera,
             images=log.has_images,
-            has_start=has_start(log, start, landmark_map),
+            has_start=has_start,
             own_observation=own.get("observation") is not None,
         )
     except InputError as error:

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import timedelta
 from itertools import cycle, islice
 from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from localiser import geometry
-from localiser.edges import Edges
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, predicted_lines
 from localiser.particles import only
 from localiser.view import draw, palette, paths
-from localiser.view.mapping import LANDMARKS, SIGMA, TRACKS, Finished, Growing
+from localiser.view.file import LANDMARKS, SIGMA, Finished, Growing
 from localiser.view.paths import Context
 
 CHUNK_BYTES = 1 << 20
@@ -271,46 +269,22 @@ def series(names: Sequence[str], colours: Sequence[palette.Colour]) -> rr.Series
 
 PLACES, ELLIPSES = f"{paths.WORLD}/building/landmarks", f"{paths.WORLD}/building/ellipses"
 BEFORE, AFTER = f"{paths.WORLD}/trails/before_loops", f"{paths.WORLD}/trails/after_loops"
-TAILS = f"{paths.OVERLAY}/tracks"
 _LARGEST_M = 1.0  # an ellipse beyond this would cover everything and say nothing
-_TAIL = 15  # images that a track is drawn through
 _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 33)), np.sin(np.linspace(0, 2 * np.pi, 33))], axis=-1)
-
-
-@dataclass(slots=True, eq=False)
-class _Tails:
-    """Where the edges of each track were in the last images: feature to lines of two ends (u, v)."""
-
-    lines: dict[int, list[Array]] = field(default_factory=dict)
-
-    def add(self, edges: Edges, feature: NDArray[np.int64]) -> list[Array]:
-        """Take in one image; return how far the tracks that it shows came, each (2 to `_TAIL`, 2) in one pixel row."""
-        seen = {int(f): ends for f, ends in zip(feature, edges.ends_px, strict=True) if np.isfinite(ends).all()}
-        self.lines = {f: [*self.lines.get(f, []), ends][-_TAIL:] for f, ends in seen.items()}
-        return [_in_one_row(np.array(lines)) for lines in self.lines.values() if len(lines) > 1]
-
-
-def _in_one_row(lines: Array) -> Array:
-    """Return where lines (K, 2, 2) cross the pixel row (K, 2) of the last one's middle: where edges end is chance."""
-    bottom, top = lines[:, 0], lines[:, 1]
-    v = lines[-1, :, 1].mean()
-    along = (v - bottom[:, 1]) / np.minimum(top[:, 1] - bottom[:, 1], -1.0)
-    return np.stack([bottom[:, 0] + along * (top - bottom)[:, 0], np.full(len(lines), v)], axis=-1)
 
 
 class MapRecorder:
     """Knows what the building of a map looks like in Rerun."""
 
     def __init__(self, stream: rr.RecordingStream, context: Context) -> None:
-        self._stream, self._context, self._tails = stream, context, _Tails()
-        self._number, self._t_ns, self._newest = -1, 0, -1
+        self._stream, self._context = stream, context
+        self._number, self._t_ns = -1, 0
         self._last: Array | None = None
         log = stream.log
         log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         log(paths.CAMERA, draw.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
         log(LANDMARKS, series(("landmarks",), (palette.VISIBLE,)), static=True)
         log(SIGMA, series(("median", "90 % below"), (palette.MATCHED, palette.UNSEEN)), static=True)
-        log(TRACKS, series(("followed", "begun"), (palette.VISIBLE, palette.JOIN)), static=True)
         log(paths.COUNTS, series(("all", "of landmarks"), (palette.UNMATCHED, palette.MATCHED)), static=True)
 
     def frame(self, frame: Growing) -> None:
@@ -325,14 +299,9 @@ class MapRecorder:
         if self._context.images:
             log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else draw.picture(frame.image))
         log(paths.EDGES, draw.vertical_edges(frame.edges, frame.is_landmark))
-        tails = self._tails.add(frame.edges, frame.feature)
-        log(TAILS, rr.LineStrips2D(tails, colors=palette.JOIN, radii=rr.Radius.ui_points(0.7)))
         self._log_landmarks(LandmarkMap.from_points(frame.points), frame.cov)
         log(paths.SIGHTS, draw.sights(self._context.camera, pose, frame.points[frame.shown]))
         log(paths.COUNTS, rr.Scalars([len(frame.edges), int(frame.is_landmark.sum())]))
-        begun = int((frame.feature > self._newest).sum())
-        log(TRACKS, rr.Scalars([len(frame.edges) - begun, begun]))
-        self._newest = int(frame.feature.max(initial=self._newest))
 
     def finish(self, finished: Finished) -> None:
         """Log the map in the end, and the path with loops closed over the one without."""

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from threading import Condition, Thread
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from localiser.documents import write_all
 from localiser.errors import InputError
@@ -28,11 +28,8 @@ from localiser.filter import LocatedFrame
 from localiser.view.paths import Context
 
 if TYPE_CHECKING:
-    import rerun as rr
-
     from localiser.view.recorder import Recorder
 
-R = TypeVar("R")
 Kind = str
 """`native`, `web`, or IP:PORT of this machine, to which viewers on others connect."""
 
@@ -60,22 +57,20 @@ _VIEWER = "from rerun_cli.__main__ import main; sys.exit(main())"  # `-m rerun_c
 _REMOTE = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9.]+|localhost):([1-9][0-9]{0,4})")
 
 
-class Feed(Generic[R]):
-    """Shows in a viewer what a recorder (R) draws, and never waits: what is too much is dropped, oldest first.
+class LiveView:
+    """Shows every frame of a run in a viewer, and never waits: what is too much is dropped, oldest first.
 
     Everything is drawn on a worker thread: the arrays handed over must not change afterwards. A viewer that is missing
     or closed ends the view, not the run.
     kind: "native" leaves its window open after the run; "web" serves a page, on this machine alone, until the process
-    ends; IP:PORT serves what viewers on other machines show, which connect to `address`. begin: makes the recorder on
-    the stream that the viewer reads, on the worker. command: what to run instead; it gets the recording on its standard
-    input. Raises InputError for another kind.
+    ends; IP:PORT serves what viewers on other machines show, which connect to `address`. command: what to run instead;
+    it gets the recording on its standard input. Raises InputError for another kind.
     """
 
     def __init__(
         self,
         kind: Kind,
         context: Context,
-        begin: Callable[[rr.RecordingStream], R],
         *,
         command: Sequence[str] | None = None,
         queue_frames: int = QUEUE_FRAMES,
@@ -83,8 +78,8 @@ class Feed(Generic[R]):
         self.address: str | None = None
         if command is None:
             command, self.address = viewer_command(kind)
-        self._context, self._begin = context, begin
-        self._queue: deque[Callable[[R], None] | None] = deque(maxlen=queue_frames)
+        self._context, self._frames = context, 0
+        self._queue: deque[Callable[[Recorder], None] | None] = deque(maxlen=queue_frames)
         self._changed = Condition()
         self._viewer = _start(command)
         if kind != "native" and self._viewer is not None:
@@ -92,15 +87,20 @@ class Feed(Generic[R]):
         self._worker = Thread(target=self._work, name="live view", daemon=True)
         self._worker.start()
 
-    def draw(self, item: Callable[[R], None] | None) -> None:
-        """Have something drawn, when its turn comes; None ends the stream."""
-        with self._changed:
-            self._queue.append(item)
-            self._changed.notify()
+    def frame(self, frame: LocatedFrame) -> None:
+        """Show what the filter knows after one image; see `Recorder.frame`."""
+        number = self._frames
+        self._frames += 1
+        self._draw(lambda recorder: recorder.frame(number, frame))
 
-    def end(self) -> None:
+    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
+        """Show a line in the text log."""
+        self._draw(lambda recorder: recorder.message(t_ns, text, level))
+
+    def close(self, complete: bool) -> None:
         """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
-        self.draw(None)
+        self._draw(lambda recorder: recorder.end(complete))
+        self._draw(None)
         self._worker.join(CLOSE_WAIT_S)
 
     def wait(self) -> None:
@@ -113,9 +113,13 @@ class Feed(Generic[R]):
         """Whether there is a viewer; one that cannot start (no display, say) ends at once."""
         return self._viewer is not None and self._viewer.poll() is None
 
-    # -- the worker -------------------------------------------------------------------------------------------------
+    def _draw(self, item: Callable[[Recorder], None] | None) -> None:
+        """Have something drawn, when its turn comes; None ends the stream."""
+        with self._changed:
+            self._queue.append(item)
+            self._changed.notify()
 
-    def _next(self) -> Callable[[R], None] | None:
+    def _next(self) -> Callable[[Recorder], None] | None:
         with self._changed:
             self._changed.wait_for(lambda: self._queue)
             return self._queue.popleft()
@@ -125,11 +129,13 @@ class Feed(Generic[R]):
             return
         import rerun as rr
 
-        from localiser.view.recorder import new_stream
+        from localiser.view.layout import blueprint
+        from localiser.view.recorder import Recorder, new_stream
 
         stream = new_stream(self._context)
         encoded = rr.binary_stream(stream)
-        recorder = self._begin(stream)
+        stream.send_blueprint(blueprint(self._context))
+        recorder = Recorder(stream, self._context)
         try:
             while log := self._next():
                 log(recorder)
@@ -138,37 +144,6 @@ class Feed(Generic[R]):
         except OSError:
             # The viewer was closed: nobody looks any more, and the queue drops what comes.
             return
-
-
-class LiveView(Feed["Recorder"]):
-    """Shows every frame of a run in a viewer; see `Feed`."""
-
-    def __init__(self, kind: Kind, context: Context, **how: Any) -> None:
-        self._frames = 0
-        super().__init__(kind, context, lambda stream: _begun(stream, context), **how)
-
-    def frame(self, frame: LocatedFrame) -> None:
-        """Show what the filter knows after one image; see `Recorder.frame`."""
-        number = self._frames
-        self._frames += 1
-        self.draw(lambda recorder: recorder.frame(number, frame))
-
-    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
-        """Show a line in the text log."""
-        self.draw(lambda recorder: recorder.message(t_ns, text, level))
-
-    def close(self, complete: bool) -> None:
-        """End the stream; waits a moment for a viewer that is behind, and leaves it running."""
-        self.draw(lambda recorder: recorder.end(complete))
-        self.end()
-
-
-def _begun(stream: rr.RecordingStream, context: Context) -> Recorder:
-    from localiser.view.layout import blueprint
-    from localiser.view.recorder import Recorder
-
-    stream.send_blueprint(blueprint(context))
-    return Recorder(stream, context)
 
 
 def check_kind(kind: Kind) -> None:
@@ -256,7 +231,7 @@ def stop_viewer(viewer: subprocess.Popen[bytes]) -> None:
 class RecordingViewer:
     """The viewer of a recording (.rrd), a process of its own.
 
-    kind: "native" or "web", see `Feed`. address: of the page, for the web. Raises OSError when it cannot start.
+    kind: "native" or "web", see `LiveView`. address: of the page, for the web. Raises OSError when it cannot start.
     """
 
     def __init__(self, recording: Path, kind: Kind) -> None:

@@ -15,7 +15,7 @@ from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
 from localiser.filter.height import OFFSETS_M, Height
 from localiser.observation import EndOffsets
-from localiser.replay.start import start_of
+from localiser.replay.run import start_of
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(20.0), 1.0))
 

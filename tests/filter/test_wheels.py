@@ -22,7 +22,7 @@ from localiser.filter.moves import is_silent
 from localiser.filter.wheels import ASTRAY, Evidence, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate
-from localiser.replay.start import start_of
+from localiser.replay.run import start_of
 from localiser.storage import Log
 from localiser.visual_odometry import Gaussian, Odometer, VisualOdometryParameters, with_scale
 

@@ -15,7 +15,7 @@ from localiser.evaluate import bias_figures, fit_wheels
 from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
 from localiser.observation import observation_of
-from localiser.replay.start import start_of
+from localiser.replay.run import start_of
 from localiser.storage.log import ReadOptions
 
 KNOWN = ["observation.association=known", "motion.bias.delay_sigma_s=0.2"]

@@ -28,14 +28,13 @@ def test_bad_light_is_told(localiser: Localiser, log: Path, tmp_path: Path, gain
     figures = figures_of(localiser, log, tmp_path / "out")
     (warning,) = [text for text in figures["warnings"] if said in text]
     assert warning.startswith("3 of 3 images looked at"), "every fifth"
-    assert figures["light"]["dark" if gain < 1 else "washed_out"] == 1.0
 
 
 def test_silent_odometry_is_told_and_a_plain_log_has_no_warning(
     localiser: Localiser, log: Path, tmp_path: Path
 ) -> None:
     plain = figures_of(localiser, log, tmp_path / "plain")
-    assert plain["warnings"] == [] and plain["light"]["dark"] == plain["light"]["washed_out"] == 0.0
+    assert plain["warnings"] == []
     header, *rows = (log / "odometry.csv").read_text().splitlines()
     kept = [row for row in rows if not 400_000_000 < int(row.split(",")[0]) < 1_900_000_000]
     (log / "odometry.csv").write_text("\n".join([header, *kept]) + "\n")

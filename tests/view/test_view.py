@@ -132,6 +132,13 @@ def read(path: Path) -> dict[str, dict[str, list[Any]]]:
     return {entity: dict(columns) for entity, columns in content.items()}
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Located], dict[str, dict[str, list[Any]]]]:
+    """Return what was located, and what the recording of it holds."""
+    path = tmp_path_factory.mktemp("whole") / "run.rrd"
+    return record(path), read(path)
+
+
 def rerun(*arguments: object) -> list[str]:
     code = "import sys, rerun_cli.__main__ as cli; sys.exit(cli.main())"
     return [sys.executable, "-c", code, *map(str, arguments)]
@@ -153,9 +160,8 @@ EACH_FRAME = {
 ONCE = {paths.WORLD, paths.LANDMARKS, paths.TRUTH_PATH}
 
 
-def test_every_entity_has_one_row_a_frame_on_both_time_lines(tmp_path: Path) -> None:
-    record(tmp_path / "run.rrd")
-    content = read(tmp_path / "run.rrd")
+def test_every_entity_has_one_row_a_frame_on_both_time_lines(whole: Any) -> None:
+    _, content = whole
     assert set(content) == EACH_FRAME | ONCE | {paths.TEXT, "__properties"}
     for entity in EACH_FRAME:
         assert content[entity][paths.FRAME] == list(range(FRAMES)), entity
@@ -174,9 +180,8 @@ def test_times_since_the_epoch_are_dates(tmp_path: Path) -> None:
     assert time.value == epoch_ns and time.year == 2023
 
 
-def test_plots_hold_error_and_three_sigma_ess_counts_and_stages(tmp_path: Path) -> None:
-    recorded = record(tmp_path / "run.rrd")
-    content = read(tmp_path / "run.rrd")
+def test_plots_hold_error_and_three_sigma_ess_counts_and_stages(whole: Any) -> None:
+    recorded, content = whole
     errors = np.array(content[paths.ERROR]["Scalars:scalars"])
     for located, pose, (error, three_sigma) in zip(recorded, truth().poses, errors, strict=True):
         assert error == pytest.approx(np.linalg.norm(located.estimate.pose[:2] - pose[:2]))
@@ -206,9 +211,8 @@ def test_particles_are_all_there_or_evenly_thinned(tmp_path: Path) -> None:
     assert len(many) <= MOST_PARTICLES
 
 
-def test_landmarks_are_matched_expected_or_neither(tmp_path: Path) -> None:
-    record(tmp_path / "run.rrd")
-    content = read(tmp_path / "run.rrd")
+def test_landmarks_are_matched_expected_or_neither(whole: Any) -> None:
+    _, content = whole
     (unseen,) = content[paths.LANDMARKS]["LineStrips3D:strips"]
     assert len(unseen) == len(MAP)
     matched = np.array(content[paths.MATCHED]["LineStrips3D:strips"][0])
@@ -260,9 +264,8 @@ def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Pa
     assert image["Clear:is_recursive"] == [[False]], "an old image must not stay under new edges"
 
 
-def test_edges_are_coloured_by_match_and_joined_to_what_was_expected(tmp_path: Path) -> None:
-    recorded = record(tmp_path / "run.rrd")
-    content = read(tmp_path / "run.rrd")
+def test_edges_are_coloured_by_match_and_joined_to_what_was_expected(whole: Any) -> None:
+    recorded, content = whole
     edges = content[paths.EDGES]
     np.testing.assert_allclose(edges["LineStrips2D:strips"][0], recorded[0].edges.ends_px, atol=1e-3)
     rgba = [int.from_bytes(bytes(colour), "big") for colour in (palette.MATCHED, palette.UNMATCHED)]
@@ -272,9 +275,8 @@ def test_edges_are_coloured_by_match_and_joined_to_what_was_expected(tmp_path: P
     assert [len(lines) for lines in content[paths.REJECTED]["LineStrips2D:strips"]] == [1] * FRAMES
 
 
-def test_trails_continue_where_the_last_frame_ended(tmp_path: Path) -> None:
-    recorded = record(tmp_path / "run.rrd")
-    content = read(tmp_path / "run.rrd")
+def test_trails_continue_where_the_last_frame_ended(whole: Any) -> None:
+    recorded, content = whole
     positions = np.array([located.estimate.pose[:2] for located in recorded])
     pieces = np.array(content[paths.ESTIMATE_TRAIL]["LineStrips3D:strips"])[:, 0][:, :, [0, 2]]
     np.testing.assert_allclose(pieces[:, 1], positions, atol=1e-6)
@@ -503,9 +505,9 @@ def test_the_address_of_the_page_cannot_be_guessed_by_pages_elsewhere() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes as Linux lists them")
 def test_a_viewer_does_not_outlive_a_run_that_is_killed() -> None:
-    code = "from localiser.view.viewer import Feed; feed = Feed('web', None, print); print(feed._viewer.pid); input()"
-    pipe = subprocess.PIPE
-    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True) as run:
+    code = "import test_view as t; view = t.LiveView('web', t.context()); print(view._viewer.pid); input()"
+    pipe, here = subprocess.PIPE, Path(__file__).parent
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True, cwd=here) as run:
         assert run.stdout is not None
         group = int(run.stdout.readline())
         while len(processes_of(group)) < 2:  # the viewer, and what started it

@@ -108,7 +108,7 @@ def _mount_warning(log: Log, config: Config, built: MapBuilt) -> str | None:
     from localiser.calibration import check_mount
 
     poses = built.trajectory.sampled([frame.t_ns for frame in log.frames]).poses
-    return check_mount(built.edges[0], poses, log.camera, config.edges.mount_sigma_rad).warning(log.path)
+    return check_mount(built.edges[0].__getitem__, poses, log.camera, config.edges.mount_sigma_rad).warning(log.path)
 
 
 # -- how a map came about: for every image its edges, and the landmarks that have been seen until then ----------------
@@ -119,19 +119,14 @@ def record_growth(log: Log, built: MapBuilt, path: Path) -> None:
     import numpy as np
 
     from localiser.geometry import Trajectory
-    from localiser.view import Finished, MapFile, building_context
+    from localiser.view import Finished, record_map
 
     made, slam = built.landmark_map, built.slam
     sigma_cm = 100 * np.sqrt(np.trace(made.cov, axis1=1, axis2=2) / 2)
     text = f"{len(made)} landmarks, good to {np.median(sigma_cm):.2f} cm (median)"
     before = Trajectory(built.trajectory.t_ns, slam.before) if slam else None
-    recording = MapFile(path, building_context(log.name, log.camera, built.trajectory, images=log.has_images))
-    try:
-        for growing in _growth(log, built):
-            recording.frame(growing)
-        recording.finish(Finished(made, built.trajectory, before, text))
-    finally:
-        recording.close()
+    finished = Finished(made, built.trajectory, before, text)
+    record_map(path, log.name, log.camera, _growth(log, built), finished, images=log.has_images)
 
 
 def _growth(log: Log, built: MapBuilt) -> Iterator[Growing]:
@@ -141,16 +136,12 @@ def _growth(log: Log, built: MapBuilt) -> Iterator[Growing]:
     from localiser.storage import ImageEvent
     from localiser.view import Growing
 
-    sightings, of, made = built.sightings, built.built.of, built.landmark_map
+    sightings, made = built.sightings, built.landmark_map
     on_map = np.full(len(built.built) + 1, -1)
     on_map[built.kept] = np.arange(len(made))
-    landmark = on_map[of]
+    landmark = on_map[built.built.of]
     begun = np.full(len(made), sightings.frames)
     np.minimum.at(begun, landmark[landmark >= 0], sightings.frame[landmark >= 0])
-    # Numbers that grow in the order in which things were seen first; an edge of nothing is seen once.
-    thing = np.where(of >= 0, of, len(built.built) + np.arange(len(of)))
-    _, first, index = np.unique(thing, return_index=True, return_inverse=True)
-    number = np.argsort(np.argsort(first))[index]
     image_at = {frame.t_ns: place for place, frame in enumerate(log.frames)}
     for frame, (t_ns, pose) in enumerate(zip(built.trajectory.t_ns.tolist(), built.trajectory.poses, strict=True)):
         own = slice(sightings.first[frame], sightings.first[frame + 1])
@@ -159,4 +150,4 @@ def _growth(log: Log, built: MapBuilt) -> Iterator[Growing]:
         image, edges = log.frames[image_at[t_ns]], built.edges[0][image_at[t_ns]]
         encoded = image.encoded() if isinstance(image, ImageEvent) else None
         points, cov = made.points[known], made.cov[known]
-        yield Growing(t_ns, pose, encoded, edges, number[own], landmark[own] >= 0, points, cov, shown)
+        yield Growing(t_ns, pose, encoded, edges, landmark[own] >= 0, points, cov, shown)
