@@ -23,7 +23,7 @@ from board import racks
 from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log
 from localiser.mapping import build_map, edges_of_log
 from localiser.simulate import odometry_of
-from localiser.simulate.robot import OdometrySpec
+from localiser.simulate.world import OdometrySpec
 from localiser.storage import Log, write_log
 from localiser.storage.log import ReadOptions
 

@@ -21,7 +21,7 @@ from localiser import Camera, Edges, LandmarkMap, Mount, Trajectory
 from localiser.geometry import Array
 from localiser.landmarks import in_camera
 from localiser.simulate import odometry_of, truth_of
-from localiser.simulate.robot import DriveSpec, OdometrySpec, WayPoint
+from localiser.simulate.world import DriveSpec, OdometrySpec, WayPoint
 
 HZ = 5.0
 NOISE = EdgeNoise(

@@ -1,4 +1,4 @@
-"""Compare a batch with the runs of an earlier one: is a figure worse here than there, by more than chance explains?
+"""The tables of a batch, and its comparison with an earlier one: is a figure worse than chance explains?
 
 Each pair is one log with one seed. Errors are compared by their ratio, shares by their difference, so that positive is
 always worse. A figure is compared for each log over its seeds, and for all logs together over the logs' means, because
@@ -13,25 +13,133 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from localiser.batch.run import CSV
 from localiser.errors import InputError
-from localiser.evaluate import DECIMALS, new_table
+from localiser.evaluate import DECIMALS, Column, new_table
 from localiser.geometry import Array
 from localiser.storage import CHOICE, read_runs
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+CSV = "runs.csv"
 ALPHA = 0.05
 ALL_LOGS = "all logs"
 
 Row = Mapping[str, Any]
 Pair = tuple[Row, Row]
+
+# -- a row for each log and choice, with median and worst over seeds --------------------------------------------------
+
+UNKNOWN = "–"
+
+
+COLUMNS = (
+    Column("RMSE\n(m)", "position_rmse_m", ".3f"),
+    Column("head-\ning (°)", "heading_rmse_deg", ".2f"),
+    Column("not\nfound\n(%)", "confidence.not_found", ".0f", per=100.0, is_told_at_0=False),
+    Column("sure\n(%)", "confidence.sure", ".0f", per=100.0, worst=min),
+    Column("sure,\nwrong\n(%)", "confidence.sure_and_wrong", ".1f", per=100.0),
+    Column("image\n(ms)", "frame_ms_median", ".0f"),
+)
+"""Of the table in the terminal: few enough for 80 characters. "-" ends a divided word."""
+WRITTEN = (Column("odometry alone (m)", "odometry_position_rmse_m", ".3f"), *COLUMNS[:-1])
+"""Of the table as Markdown: with what the wheels alone do, without times, which differ from run to run."""
+MEDIAN_ALONE = ("frame_ms_median", "odometry_position_rmse_m")
+"""Figures of which the worst over seeds says nothing."""
+
+
+class Summary(NamedTuple):
+    """The cells of a batch's table. same: what was chosen alike for all runs. titles, rows: of its columns.
+
+    The columns are the log, as many `choices` as were varied, the number of runs, and the figures.
+    """
+
+    same: str
+    titles: list[str]
+    choices: int
+    rows: list[list[str]]
+
+
+def summary_of(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> Summary:
+    """Return the median over seeds of each log and choice, and the worst in brackets.
+
+    Figures that no run knows are left out.
+    """
+    choices = [name for name in rows[0] if name == "config" or name.startswith(CHOICE)]
+    varied = [name for name in choices if len({row[name] for row in rows}) > 1]
+    same = [f"{_titled(name)} {rows[0][name]}" for name in choices if name not in varied and rows[0][name] is not None]
+    known = [column for column in columns if any(column.is_known(column.of(row)) for row in rows)]
+
+    def group(row: Row) -> tuple[Any, ...]:
+        return (row["log"], row["log_path"], *(row[name] for name in varied))
+
+    cells = []
+    for _, members in groupby(rows, key=group):
+        runs = list(members)
+        chosen = [UNKNOWN if runs[0][name] is None else str(runs[0][name]) for name in varied]
+        cells.append([str(runs[0]["log"]), *chosen, _count(runs), *(_over_seeds(runs, column) for column in known)])
+    titles = ["log", *(_titled(name) for name in varied), "runs", *(column.title for column in known)]
+    return Summary(", ".join(same), titles, len(varied), cells)
+
+
+def summary_table(rows: Sequence[Row]) -> Table:
+    """Return the table of a batch for a terminal; see `summary_of`."""
+    summary = summary_of(rows)
+    title = "\n".join(["Median over seeds (worst, where it differs)", *filter(None, [summary.same])])
+    told = 1 + summary.choices
+    titles = [name.replace(".", ".\n") for name in summary.titles[:told]]
+    table = new_table(title, *titles, *summary.titles[told:], texts=told)
+    for cells in summary.rows:
+        table.add_row(*cells)
+    return table
+
+
+def summary_markdown(rows: Sequence[Row]) -> str:
+    """Return the table of a batch as Markdown; the same batch writes the same bytes."""
+    summary = summary_of(rows, WRITTEN)
+    titles = [title.replace("-\n", "").replace("\n", " ") for title in summary.titles]
+    told = 1 + summary.choices
+    rule = [*(["---"] * told), *(["--:"] * (len(titles) - told))]
+    escaped = ([cell.replace("|", "&#124;") for cell in cells] for cells in (titles, rule, *summary.rows))
+    lines = [f"| {' | '.join(cells)} |" for cells in escaped]
+    same = [f"All runs: {summary.same}.", ""] if summary.same else []
+    return "\n".join([*same, *lines]) + "\n"
+
+
+def failures(rows: Sequence[Row]) -> list[str]:
+    """Return a text for each run that failed, with its log, choices and reason."""
+    texts = []
+    for row in rows:
+        names = [name for name in row if name.startswith(CHOICE) or name in ("config", "seed")]
+        told = ", ".join(f"{_titled(name)} {row[name]}" for name in names if row[name] is not None)
+        texts.append(f"{row['log']}{f' ({told})' if told else ''}: {row['error']}")
+    return [text for text, row in zip(texts, rows, strict=True) if row["error"]]
+
+
+def _count(runs: Sequence[Row]) -> str:
+    failed = sum(run["error"] is not None for run in runs)
+    return f"{len(runs)}, {failed} failed" if failed else str(len(runs))
+
+
+def _over_seeds(runs: Sequence[Row], column: Column) -> str:
+    known = [value for run in runs if (value := column.of(run)) is not None]
+    if not known:
+        return column.text(None)
+    median, worst = column.text(float(np.median(known))), column.text(column.worst(known))
+    return median if worst == median or column.key in MEDIAN_ALONE else f"{median} ({worst})"
+
+
+def _titled(name: str) -> str:
+    return name.removeprefix(CHOICE)
+
+
+# -- comparisons -------------------------------------------------------------------------------------------------------
 
 
 class Compared(NamedTuple):
@@ -197,7 +305,11 @@ def compare_with(here: Sequence[Row], there: Sequence[Row], path: Path) -> Verdi
     was varied on one side and has a value in common with the other. Raises InputError when runs there cannot be told
     apart, or none has a counterpart.
     """
-    names = ["log_id", "seed", *_varied(here, there)]
+    # Choices that have several values in either table, and one in common.
+    choices = [name for name in here[0] if name == "config" or name.startswith(CHOICE)]
+    values = {name: ({row.get(name) for row in here}, {row.get(name) for row in there}) for name in choices}
+    varied = [name for name, (ours, theirs) in values.items() if max(len(ours), len(theirs)) > 1 and ours & theirs]
+    names = ["log_id", "seed", *varied]
     ours, theirs = (_by_key(rows, names, path) for rows in (here, there))
     common = [key for key in ours if key in theirs]
     pairs = [(ours[key], theirs[key]) for key in common]
@@ -210,13 +322,6 @@ def compare_with(here: Sequence[Row], there: Sequence[Row], path: Path) -> Verdi
         len(ours) - len(pairs),
         len(theirs) - len(pairs),
     )
-
-
-def _varied(here: Sequence[Row], there: Sequence[Row]) -> list[str]:
-    """Return the columns of choices that have several values in either table, and one in common."""
-    names = [name for name in here[0] if name == "config" or name.startswith(CHOICE)]
-    values = {name: ({row.get(name) for row in here}, {row.get(name) for row in there}) for name in names}
-    return [name for name, (ours, theirs) in values.items() if max(len(ours), len(theirs)) > 1 and ours & theirs]
 
 
 def _by_key(rows: Sequence[Row], names: Sequence[str], path: Path) -> dict[tuple[Any, ...], Row]:
@@ -241,15 +346,12 @@ def comparison_table(verdict: Verdict) -> Table:
     title = "Compared with the other runs, in pairs of log and seed; all intervals hold together with 95 %"
     table = new_table(title, "figure", "log", "pairs", "change", "interval", "", texts=2)
     for one in verdict.comparisons:
-        if one.log == ALL_LOGS or one.is_worse or one.is_better or not _has_total(one, verdict.comparisons):
+        has_total = any(other.figure == one.figure and other.log == ALL_LOGS for other in verdict.comparisons)
+        if one.log == ALL_LOGS or one.is_worse or one.is_better or not has_total:
             told, style = ("worse", "bold red") if one.is_worse else ("better", "green") if one.is_better else ("", "")
             change, interval = _change(one)
             table.add_row(one.figure.title, one.log, str(one.pairs), change, interval, told, style=style)
     return table
-
-
-def _has_total(one: Comparison, comparisons: Sequence[Comparison]) -> bool:
-    return any(other.figure == one.figure and other.log == ALL_LOGS for other in comparisons)
 
 
 def _change(one: Comparison) -> tuple[str, str]:

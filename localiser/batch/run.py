@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from localiser import __version__
 from localiser.batch.choices import Choice, Contents, Opening, contents_of, map_id, run_id
-from localiser.batch.summary import summary_markdown
+from localiser.batch.compare import CSV, summary_markdown
 from localiser.config import Config
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 from localiser.evaluate import flat_figures, is_time
@@ -54,22 +54,18 @@ def replayed(task: Task) -> Outcome:
     """Replay, and return the metrics or the reason why not: a task that fails leaves the others alone."""
     try:
         with _one_thread():
-            return Outcome(task.number, _metrics(task))
+            opening, folder = task.opening, task.folder
+            log = opening.open(task.log, task.config)
+            run = prepare(log, task.config, opening.start, map_files=[opening.map_file] if opening.map_file else ())
+            run.localiser.warm_up(images=log.has_images)
+            with output_errors(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+            outputs = Outputs(folder.parent, rrd=False, report=False)
+            return Outcome(task.number, FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None))
     except LocaliserError as error:
         return Outcome(task.number, error=str(error))
     except Exception as error:
         return Outcome(task.number, error=f"{type(error).__name__}: {error}")
-
-
-def _metrics(task: Task) -> dict[str, Any]:
-    opening, folder = task.opening, task.folder
-    log = opening.open(task.log, task.config)
-    run = prepare(log, task.config, opening.start, map_files=[opening.map_file] if opening.map_file else ())
-    run.localiser.warm_up(images=log.has_images)
-    with output_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    outputs = Outputs(folder.parent, rrd=False, report=False)
-    return FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None)
 
 
 @contextmanager
@@ -157,7 +153,7 @@ def _dask(address: str) -> Iterator[None]:
 # -- the batch --------------------------------------------------------------------------------------------------------
 
 Row = dict[str, Any]
-CSV, SUMMARY, ROW = "runs.csv", "table.md", "row.json"
+SUMMARY, ROW = "table.md", "row.json"
 SIGINT_EXIT_CODE = 130
 FIRST_FIGURES = (
     "frames", "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
@@ -208,11 +204,24 @@ def run_batch(
     own_map = map_id(read_map(batch.opening.map_file)) if batch.opening.map_file else ""
     logs = list(dict.fromkeys(batch.logs))
     with workers.ready():
-        contents = _contents(batch, logs)
+        opening = _absolute_opening(batch.opening)
+        read = each(_contents_at, [(number, log.absolute(), opening) for number, log in enumerate(logs)])
+        contents = {logs[number]: found for number, found in read}
         runs = [_run_of(batch, log, contents[log], own_map, choice) for log in logs for choice in batch.choices]
-        _require_distinct(runs)
+        distinct: dict[str, _Run] = {}
+        for run in runs:  # else it would count twice
+            if run.error is None and (first := distinct.setdefault(run.folder, run)) is not run:
+                one, other = (f"{same.log} ({_told(same.about)})" for same in (first, run))
+                problem = f"expected every run once, found the same content and settings twice: {one} and {other}"
+                raise InputError(problem)
         rows = _rows_done(batch.folder, runs)
-        tasks = _tasks(batch, runs, rows)
+        # Long logs first, so that no worker is left alone with one at the end.
+        waiting = sorted((k for k in range(len(runs)) if k not in rows), key=lambda k: -runs[k].contents.frames)
+        tasks = [
+            Task(number, run.log.absolute(), opening, run.config, (batch.folder / run.folder).absolute())
+            for number in waiting
+            if (run := runs[number]).config is not None
+        ]
         advance = begun(sum(row["error"] is None for row in rows.values()), len(tasks))
         try:
             for outcome in each(replayed, [(task,) for task in tasks]):
@@ -223,14 +232,10 @@ def run_batch(
             told = f"stopped after {len(rows)} of {len(runs)} runs; the same command goes on from there"
             raise RunEndedEarlyError(f"{told}. Results in {batch.folder}", SIGINT_EXIT_CODE) from None
         finally:
-            _write_tables(batch.folder, rows)
-    return [rows[number] for number in sorted(rows)]
-
-
-def _contents(batch: Batch, logs: Sequence[Path]) -> dict[Path, Contents]:
-    opening = _absolute_opening(batch.opening)
-    found = each(_contents_at, [(number, log.absolute(), opening) for number, log in enumerate(logs)])
-    return {logs[number]: contents for number, contents in found}
+            if ordered := [rows[number] for number in sorted(rows)]:
+                write_text(batch.folder / CSV, csv_text(ordered))
+                write_text(batch.folder / SUMMARY, summary_markdown(ordered))
+    return ordered
 
 
 def _contents_at(number: int, log: Path, opening: Opening) -> tuple[int, Contents]:
@@ -259,15 +264,6 @@ def _run_of(batch: Batch, log: Path, contents: Contents, own_map: str, choice: C
     return _Run(contents, about, log, config, error)
 
 
-def _require_distinct(runs: Sequence[_Run]) -> None:
-    """Raise InputError when two combinations are the same run, which would count twice."""
-    seen: dict[str, _Run] = {}
-    for run in runs:
-        if run.error is None and (first := seen.setdefault(run.folder, run)) is not run:
-            one, other = (f"{same.log} ({_told(same.about)})" for same in (first, run))
-            raise InputError(f"expected every run once, found the same content and settings twice: {one} and {other}")
-
-
 def _told(about: Row) -> str:
     chosen = [f"{name.removeprefix(CHOICE)}={value}" for name, value in about.items() if name.startswith(CHOICE)]
     config = [] if about["config"] is None else [str(about["config"])]
@@ -276,27 +272,14 @@ def _told(about: Row) -> str:
 
 def _rows_done(folder: Path, runs: Sequence[_Run]) -> dict[int, Row]:
     """Return the rows of the runs that need no replay, by their numbers."""
-    return {number: row for number, run in enumerate(runs) if (row := _done(folder, run)) is not None}
-
-
-def _done(folder: Path, run: _Run) -> Row | None:
-    """Return the row of a run that needs no replay: because it is done, or because it cannot be begun."""
-    if run.error is not None:
-        return run.about
-    path = folder / run.folder / ROW
-    return _row(run, read_figures(path)) if path.is_file() else None
-
-
-def _tasks(batch: Batch, runs: Sequence[_Run], done: dict[int, Row]) -> list[Task]:
-    """Return what is to be run, long logs first, so that no worker is left alone with one at the end."""
-    opening = _absolute_opening(batch.opening)
-    waiting = [number for number in range(len(runs)) if number not in done]
-    waiting.sort(key=lambda number: -runs[number].contents.frames)
-    return [
-        Task(number, run.log.absolute(), opening, run.config, (batch.folder / run.folder).absolute())
-        for number in waiting
-        if (run := runs[number]).config is not None
-    ]
+    rows = {}
+    for number, run in enumerate(runs):
+        path = folder / run.folder / ROW
+        if run.error is not None:  # it cannot be begun
+            rows[number] = run.about
+        elif path.is_file():
+            rows[number] = _row(run, read_figures(path))
+    return rows
 
 
 def _finished(folder: Path, run: _Run, outcome: Outcome) -> Row:
@@ -312,13 +295,6 @@ def _row(run: _Run, figures: Row) -> Row:
     first = [name for name in FIRST_FIGURES if name in figures]
     others = sorted(figures.keys() - set(first) - run.about.keys(), key=lambda name: (is_time(name), name))
     return run.about | {name: figures[name] for name in [*first, *others]}
-
-
-def _write_tables(folder: Path, rows: dict[int, Row]) -> None:
-    ordered = [rows[number] for number in sorted(rows)]
-    if ordered:
-        write_text(folder / CSV, csv_text(ordered))
-        write_text(folder / SUMMARY, summary_markdown(ordered))
 
 
 def _absolute_opening(opening: Opening) -> Opening:

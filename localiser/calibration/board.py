@@ -59,10 +59,8 @@ class Board:
             raise InputError(f"expected 3 to 100 squares each way, found {self.size}", field="--squares")
         if not 1e-4 <= self.square_m <= 10:
             raise InputError(f"expected 0.0001 to 10 m, found {self.square_m:g}", field="--square-m")
-        if self.kind == "charuco":
-            self._check_markers()
-
-    def _check_markers(self) -> None:
+        if self.kind == "chessboard":
+            return
         if not 0 < self.marker_m < self.square_m:
             problem = f"expected more than 0 and less than a square's {self.square_m:g} m, found {self.marker_m:g}"
             raise InputError(problem, field="--marker-m")
@@ -222,8 +220,15 @@ def _calibrated(
     fx, fy, cx, cy, *found = (float(value) for value in values)
     missing = len(_COEFFICIENTS[lens]) - len(found)
     camera = Camera(*size, fx, fy, cx, cy, Mount(tilt_rad=0.0, height_m=1.0), lens, (*found, *[0.0] * missing))
-    squares = np.array([_squared_error(camera, view, pose) for view, pose in zip(views, poses, strict=True)])
+    squares = np.empty(len(views))
+    for index, (view, pose) in enumerate(zip(views, poses, strict=True)):
+        points = view.corners_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
+        off_px = camera.pixels_from_image(points[:, :2] / points[:, 2:] * [1.0, -1.0]) - view.corners_px
+        squares[index] = (off_px**2).sum(axis=1).mean()
     corners = np.array([len(view.corners_px) for view in views])
+    centre = np.array([camera.cx, camera.cy])
+    rim = np.array([[u, v] for u in (0, camera.width - 1) for v in (0, camera.height - 1)])
+    seen = max(float(np.linalg.norm(view.corners_px - centre, axis=1).max()) for view in views)
     return Intrinsics(
         camera=camera,
         views=views,
@@ -234,7 +239,7 @@ def _calibrated(
         pose_sigma=pose_sigma,
         rms_px=float(np.sqrt(squares @ corners / corners.sum())),
         view_rms_px=np.sqrt(squares),
-        reach=_reach(views, camera),
+        reach=seen / float(np.linalg.norm(rim - centre, axis=1).max()),
     )
 
 
@@ -268,20 +273,6 @@ def _minimised(
 def _fisheye_flag(name: str) -> int:
     # OpenCV 5 has one set of flags, 4 another one for cv2.fisheye.
     return int(getattr(cv2.fisheye, name, None) or getattr(cv2, name))
-
-
-def _squared_error(camera: Camera, view: BoardView, pose: Array) -> float:
-    """Return the mean square (px²) by which `camera` sees the corners of a board at `pose` (6,) elsewhere."""
-    points = view.corners_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
-    error = camera.pixels_from_image(points[:, :2] / points[:, 2:] * [1.0, -1.0]) - view.corners_px
-    return float((error**2).sum(axis=1).mean())
-
-
-def _reach(views: tuple[BoardView, ...], camera: Camera) -> float:
-    centre = np.array([camera.cx, camera.cy])
-    corners = np.array([[u, v] for u in (0, camera.width - 1) for v in (0, camera.height - 1)])
-    seen = max(float(np.linalg.norm(view.corners_px - centre, axis=1).max()) for view in views)
-    return seen / float(np.linalg.norm(corners - centre, axis=1).max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -144,8 +144,11 @@ def telling_pairs(t_ns: NDArray[np.int64], odometry: Trajectory, most: int = MOS
 
     The odometry covers them for every offset that is looked for.
     """
-    kept = _apart(t_ns)
-    pairs: NDArray[np.int64] = np.stack([kept[:-1], kept[1:]], axis=-1)
+    kept: list[int] = []
+    for index, time_ns in enumerate(t_ns):
+        if not kept or time_ns - t_ns[kept[-1]] >= _SHORTEST_S * 1e9:
+            kept.append(index)
+    pairs: NDArray[np.int64] = np.stack([kept[:-1], kept[1:]], axis=-1).astype(np.int64)
     if len(odometry) < 2 or not len(pairs):
         return np.zeros((0, 2), dtype=np.int64)
     reach_ns, times = int(REACH_S * 1e9), t_ns[pairs]
@@ -155,15 +158,6 @@ def telling_pairs(t_ns: NDArray[np.int64], odometry: Trajectory, most: int = MOS
         return pairs
     changes = wheel_turns(t_ns[pairs], unwrapped(odometry), np.linspace(-REACH_S, REACH_S, _FEW)).std(axis=1)
     return np.asarray(pairs[np.sort(np.argsort(-changes, kind="stable")[:most])])
-
-
-def _apart(t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the indices of images, each at least `_SHORTEST_S` after the one before."""
-    kept: list[int] = []
-    for index, time_ns in enumerate(t_ns):
-        if not kept or time_ns - t_ns[kept[-1]] >= _SHORTEST_S * 1e9:
-            kept.append(index)
-    return np.array(kept, dtype=np.int64)
 
 
 def offset_of_turns(times: NDArray[np.int64], turns: Array, odometry: Trajectory) -> ClockOffset:
@@ -279,15 +273,6 @@ def wheel_turns(times: NDArray[np.int64], wheels: Trajectory, offsets_s: Array) 
     return np.asarray(heading[:, 1] - heading[:, 0])
 
 
-def _ways(times: NDArray[np.int64], odometry: Trajectory) -> Array:
-    """Return the ways (P, O) driven backward, by the wheels, between times (P, 2), each earlier by a few offsets."""
-    found = []
-    for offset_s in np.linspace(-REACH_S, REACH_S, _FEW):
-        first, second = (odometry.sampled(times[:, k] - int(offset_s * 1e9)).poses for k in (0, 1))
-        found.append(between(first, second)[:, 1])
-    return np.stack(found, axis=-1)
-
-
 def _turns_of(
     pairs: NDArray[np.int64],
     times: NDArray[np.int64],
@@ -299,8 +284,11 @@ def _turns_of(
     """Return the turn (P, 2) of each pair by its edges, value and sigma, rad; the wheels say about how far it drove."""
     turn_sigma = np.deg2rad(VisualOdometryParameters().turn_deg_s)
     known: dict[int, Edges] = {}
-    found = np.zeros((len(pairs), 2))
-    for row, (pair, ways_m) in enumerate(zip(pairs.tolist(), _ways(times, odometry), strict=True)):
+    found, ways = np.zeros((len(pairs), 2)), []
+    for offset_s in np.linspace(-REACH_S, REACH_S, _FEW):  # driven backward, earlier by a few offsets
+        first, second = (odometry.sampled(times[:, k] - int(offset_s * 1e9)).poses for k in (0, 1))
+        ways.append(between(first, second)[:, 1])
+    for row, (pair, ways_m) in enumerate(zip(pairs.tolist(), np.stack(ways, axis=-1), strict=True)):
         known = {image: known[image] if image in known else edges_of(image) for image in pair}
         frames = Frames.of(known[pair[0]], known[pair[1]], camera)
         way_m = ways_m.mean()

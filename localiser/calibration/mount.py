@@ -70,8 +70,11 @@ class Lines:
 
         A vertical edge lies in a plane that holds the direction of down: normal · down = 0.
         """
-        down = down_in_camera(mount)
-        return self.normal @ down, self.normal @ _down_per_mount(mount), self.sigma * np.abs(self.per_turn @ down)
+        tilt, roll = np.asarray(mount, dtype=np.float64)
+        by_tilt = [-np.sin(tilt) * np.sin(roll), np.sin(tilt) * np.cos(roll), -np.cos(tilt)]
+        by_roll = [np.cos(tilt) * np.cos(roll), np.cos(tilt) * np.sin(roll), 0.0]
+        down, per_mount = down_in_camera(mount), np.stack([by_tilt, by_roll], axis=-1)
+        return self.normal @ down, self.normal @ per_mount, self.sigma * np.abs(self.per_turn @ down)
 
 
 def lines_of(edges: Edges, camera: Camera, frame: int = 0) -> Lines:
@@ -109,14 +112,6 @@ def mount_from_down(down: ArrayLike) -> Array:
     """Return tilt and roll (..., 2) for which the unit vector (..., 3) points down; inverse of `down_in_camera`."""
     right, up, back = np.moveaxis(np.asarray(down, dtype=np.float64), -1, 0)
     return np.stack([np.arctan2(-back, np.hypot(right, up)), np.arctan2(right, -up)], axis=-1)
-
-
-def _down_per_mount(mount: ArrayLike) -> Array:
-    """Return the derivative (3, 2) of `down_in_camera` by tilt and roll."""
-    tilt, roll = np.asarray(mount, dtype=np.float64)
-    by_tilt = [-np.sin(tilt) * np.sin(roll), np.sin(tilt) * np.cos(roll), -np.cos(tilt)]
-    by_roll = [np.cos(tilt) * np.cos(roll), np.cos(tilt) * np.sin(roll), 0.0]
-    return np.stack([by_tilt, by_roll], axis=-1)
 
 
 # -- tilt and roll -----------------------------------------------------------------------------------------------------
@@ -205,9 +200,9 @@ LoadImage = Callable[[int], NDArray[np.uint8]]
 class LogMount:
     """Tilt and roll over F images: (2,) rad each, cov: (2, 2).
 
-    lines, vertical: how many lines there were, and how many of them are vertical edges. plumb_sigma: rad, how far
-    edges are from plumb. places: number of clusters that count as independent. disagrees: that this and what is stated
-    differ is sure, and it is more than the sigma of the stated one; see `check_mount`.
+    lines, vertical: how many lines there were, and how many of them are vertical edges. places: number of clusters that
+    count as independent. disagrees: that this and what is stated differ is sure, and it is more than the sigma of the
+    stated one; see `check_mount`.
     """
 
     stated: Array
@@ -215,7 +210,6 @@ class LogMount:
     cov: Array
     lines: int
     vertical: float
-    plumb_sigma: float
     places: int
     disagrees: bool = False
 
@@ -312,7 +306,6 @@ def mount_of_lines(lines: Lines, poses: Array, camera: Camera, stated: Array) ->
         cov=cov,
         lines=len(lines),
         vertical=float(plumb.vertical.sum()),
-        plumb_sigma=plumb.plumb_sigma,
         places=int(cluster.max(initial=-1)) + 1,
     )
 

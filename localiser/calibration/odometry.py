@@ -51,8 +51,8 @@ class Drive:
     truth_cov: Array | None = None
 
 
-def clock_of_truth(drive: Drive) -> ClockOffset:
-    """Return how much later the truth is stamped than the wheels, from the turns of both."""
+def on_one_clock(drive: Drive) -> tuple[Drive, ClockOffset]:
+    """Return a drive with its truth by the clock of the wheels where these surely differ, and the offset."""
     times = drive.truth.t_ns
     every = max(round(_PAIR_NS / float(np.median(np.diff(times)))), 1) if len(times) > 1 else 1
     kept = np.arange(0, len(times), every)
@@ -64,12 +64,7 @@ def clock_of_truth(drive: Drive) -> ClockOffset:
     turns = wrap_angle(np.diff(drive.truth.poses[kept, 2]))
     near = np.diff(pairs, axis=1)[:, 0] <= _LONGEST_NS
     sigma = np.full(len(pairs), _TRUTH_SIGMA[1])
-    return offset_of_turns(pairs[near], np.stack([turns, sigma], axis=-1)[near], drive.odometry)
-
-
-def on_one_clock(drive: Drive) -> tuple[Drive, ClockOffset]:
-    """Return a drive with its truth by the clock of the wheels where these surely differ, and the offset."""
-    found = clock_of_truth(drive)
+    found = offset_of_turns(pairs[near], np.stack([turns, sigma], axis=-1)[near], drive.odometry)
     if not found.disagrees():
         return drive, found
     earlier_ns = round(found.offset_s * 1e9)
@@ -109,7 +104,10 @@ class Pieces:
         broken = np.concatenate([[0], np.cumsum(np.diff(times) > _LONGEST_NS)])
         ends = _ends(path / piece_m, turned / piece_rad, broken)
         begin, end = ends.T
-        by_wheels, by_truth = (_motions(track, times[begin], times[end]) for track in (odometry, truth))
+        by_wheels, by_truth = (
+            between(*(track.sampled(times[side]).poses for side in (begin, end))).reshape(-1, 3)
+            for track in (odometry, truth)
+        )
         ahead = _ahead(by_wheels)
         wheels, true = (
             np.stack([(motion[:, :2] * ahead).sum(axis=1), motion[:, 2]], axis=-1) for motion in (by_wheels, by_truth)
@@ -171,7 +169,9 @@ def fit_odometry(drives: Sequence[Drive], before: MotionParameters) -> OdometryF
     motion = before
     for _ in range(_TURNS):
         constants, sigmas = _constants(pieces, motion, len(drives))
-        rest = pieces.missing - _explained(pieces, constants)
+        (distance, turn), own = pieces.wheels.T, constants[pieces.drive]
+        explained = np.stack([own[:, 0] * distance, own[:, 1] * turn + own[:, 2] * distance], axis=-1)
+        rest = pieces.missing - explained
         motion, factor = _noise(pieces, rest, motion, before)
     return OdometryFit(before, _with_bias(motion, constants, sigmas), factor, constants, sigmas, pieces)
 
@@ -193,11 +193,6 @@ def _is_known(truth: Trajectory, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     after = np.searchsorted(truth.t_ns, t_ns).clip(1, len(truth) - 1)
     inside = (t_ns >= truth.t_ns[0]) & (t_ns <= truth.t_ns[-1])
     return np.asarray(inside & (truth.t_ns[after] - truth.t_ns[after - 1] <= _LONGEST_NS))
-
-
-def _motions(track: Trajectory, begin_ns: NDArray[np.int64], end_ns: NDArray[np.int64]) -> Array:
-    """Return the motions (P, 3) in the robot frame, right, backward, turn, of pieces."""
-    return between(*(track.sampled(times).poses for times in (begin_ns, end_ns))).reshape(-1, 3)
 
 
 def _ahead(motion: Array) -> Array:
@@ -230,13 +225,6 @@ def _constants(pieces: Pieces, motion: MotionParameters, drives: int) -> tuple[A
             values[drive, columns] = cov @ weighted.T @ pieces.missing[own, axis]
             sigmas[drive, columns] = np.sqrt(np.diag(cov))
     return values, sigmas
-
-
-def _explained(pieces: Pieces, constants: Array) -> Array:
-    """Return what constant errors (D, 3) make of distance and turn (P, 2)."""
-    own = constants[pieces.drive]
-    distance, turn = pieces.wheels.T
-    return np.stack([own[:, 0] * distance, own[:, 1] * turn + own[:, 2] * distance], axis=-1)
 
 
 def _noise(

@@ -6,14 +6,12 @@ from localiser.evaluate.accuracy import (
     bearing_information,
     errors_against,
     found_images,
-    fraction_inside,
     nees,
-    nees_band,
     posterior_bound,
     residual_sums,
     rms_position,
 )
-from localiser.evaluate.metrics import ABOUT, DECIMALS, bias_figures, fit_wheels, metrics, timing_metrics
+from localiser.evaluate.metrics import ABOUT, DECIMALS, metrics, timing_metrics
 from localiser.evaluate.page import WorstMoments, report_page
 from localiser.evaluate.report import picture_style, save_figure, write_report
 from localiser.evaluate.tables import (

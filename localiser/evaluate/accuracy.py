@@ -1,7 +1,7 @@
 """Errors of an estimated track against the truth at every image, and whether they are as large as the filter says.
 
-Nothing is aligned: the map fixes the frame. Consistency is told by the normalised estimation error squared (NEES) with
-its χ² bands [Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2], and without a truth by the residuals of matched edges.
+Nothing is aligned: the map fixes the frame. Consistency is told by the normalised estimation error squared, NEES
+[Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2], and without a truth by the residuals of matched edges.
 """
 
 from __future__ import annotations
@@ -49,27 +49,6 @@ def nees(error: Array, cov: Array) -> Array:
     return result
 
 
-def nees_band(runs: int = 1, dimensions: int = 3, probability: float = 0.95) -> tuple[float, float]:
-    """Return the band that the mean NEES of `runs` independent runs lies in with this probability: χ²(D·S) / S."""
-    from scipy.special import gammaincinv
-
-    half_dof = dimensions * runs / 2
-    tails = np.array([(1 - probability) / 2, (1 + probability) / 2])
-    low, high = 2 * gammaincinv(half_dof, tails) / runs
-    return float(low), float(high)
-
-
-def fraction_inside(nees_of_runs: Array, dimensions: int = 3, probability: float = 0.95) -> float:
-    """Return the fraction of frames in which the NEES, averaged over S runs (S, T), is inside its χ² band.
-
-    Frames that any run has no NEES for are left out; nan when none is left.
-    """
-    mean = np.atleast_2d(nees_of_runs).mean(axis=0)
-    mean = mean[np.isfinite(mean)]
-    low, high = nees_band(len(np.atleast_2d(nees_of_runs)), dimensions, probability)
-    return float(((mean >= low) & (mean <= high)).mean()) if len(mean) else float("nan")
-
-
 # -- errors against the truth -----------------------------------------------------------------------------------------
 
 
@@ -98,36 +77,15 @@ class Track:
         return len(self.t_ns)
 
     @classmethod
-    def from_poses(
-        cls,
-        t_ns: ArrayLike,
-        poses: ArrayLike,
-        *,
-        covs: ArrayLike | None = None,
-        odometry: ArrayLike | None = None,
-        edges: ArrayLike | None = None,
-        matched: ArrayLike | None = None,
-        p_correct: ArrayLike | None = None,
-        residuals: ArrayLike | None = None,
-        found: ArrayLike | None = None,
-    ) -> Track:
-        """Return a track with what is given; the rest is unknown."""
+    def from_poses(cls, t_ns: ArrayLike, poses: ArrayLike, **known: ArrayLike) -> Track:
+        """Return a track with what is known by the names of its columns."""
         count = len(np.asarray(t_ns))
-
-        def column(given: ArrayLike | None, *shape: int) -> Array:
-            return np.full((count, *shape), np.nan) if given is None else np.asarray(given, dtype=np.float64)
-
-        return cls(
-            np.asarray(t_ns, dtype=np.int64),
-            np.asarray(poses, dtype=np.float64).reshape(count, 3),
-            column(covs, 3, 3),
-            column(odometry, 3),
-            column(edges),
-            column(matched),
-            column(p_correct),
-            column(residuals, 3),
-            np.ones(count, dtype=bool) if found is None else np.asarray(found, dtype=bool),
-        )
+        shapes = {"covs": (3, 3), "odometry": (3,), "edges": (), "matched": (), "p_correct": (), "residuals": (3,)}
+        columns: dict[str, Any] = {name: np.full((count, *shape), np.nan) for name, shape in shapes.items()}
+        columns |= {name: np.asarray(given, dtype=np.float64) for name, given in known.items()}
+        columns["found"] = np.asarray(known.get("found", np.ones(count)), dtype=bool)
+        times, at = np.asarray(t_ns, dtype=np.int64), np.asarray(poses, dtype=np.float64).reshape(count, 3)
+        return cls(times, at, **columns)
 
     @property
     def seconds(self) -> Array:
@@ -251,7 +209,13 @@ def residual_sums(matches: Matches) -> Array:
     known = np.isfinite(residual) & (sigma > 0) & (gate > 0)
     if not known.any():
         return np.full(3, np.nan)
-    mean, variance = _moments(gate[known])
+    from scipy.special import erf
+
+    # Mean and variance of z², z standard normal and cut off at ±g.
+    g = np.clip(gate[known], _SMALLEST_GATE, _LARGEST_GATE)
+    ratio = 2 * np.exp(-0.5 * g**2) / np.sqrt(2 * np.pi) / erf(g / np.sqrt(2))
+    mean = 1 - g * ratio
+    variance = np.maximum(3 - (g**3 + 3 * g) * ratio - mean**2, 0.0)
     return np.array([np.square(residual[known] / sigma[known]).sum(), mean.sum(), variance.sum()])
 
 
@@ -270,28 +234,6 @@ def consistency_band(sums: Array, probability: float = 0.95) -> tuple[Array, Arr
     shape = sums[:, 1] ** 2 / sums[:, 2]
     low, high = (gammaincinv(shape, tail) / shape for tail in ((1 - probability) / 2, (1 + probability) / 2))
     return np.asarray(low), np.asarray(high)
-
-
-def residual_figures(sums: Array) -> dict[str, Any]:
-    """Return the consistency over all images of `residual_sums` (T, 3), and the fraction of images inside the band."""
-    known = sums[np.isfinite(sums).all(axis=1)]
-    if not len(known):
-        return {"consistency": None, "images_inside_95": None}
-    each, (low, high) = consistency(known), consistency_band(known)
-    return {
-        "consistency": round(float(known[:, 0].sum() / known[:, 1].sum()), 6),
-        "images_inside_95": round(float(((each >= low) & (each <= high)).mean()), 6),
-    }
-
-
-def _moments(gate: Array) -> tuple[Array, Array]:
-    """Return mean and variance (E,) of z², z standard normal and cut off at ±gate (E,)."""
-    from scipy.special import erf
-
-    g = np.clip(gate, _SMALLEST_GATE, _LARGEST_GATE)
-    ratio = 2 * np.exp(-0.5 * g**2) / np.sqrt(2 * np.pi) / erf(g / np.sqrt(2))
-    mean = 1 - g * ratio
-    return np.asarray(mean), np.asarray(np.maximum(3 - (g**3 + 3 * g) * ratio - mean**2, 0.0))
 
 
 # -- the limit of accuracy --------------------------------------------------------------------------------------------

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.evaluate.accuracy import Errors, Track, errors_against, fraction_inside, residual_figures, rms_position
+from localiser.evaluate.accuracy import Errors, Track, consistency, errors_against, rms_position
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
-from localiser.geometry import Array, Trajectory, between
-from localiser.particles import POSE, Estimate
+from localiser.geometry import Array, Trajectory
 
 # -- pauses without a sighting ----------------------------------------------------------------------------------------
 
@@ -61,13 +60,19 @@ def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
     drive. position_3sigma_m: three times `Track.position_sigma_m`. edges_matched: fraction of edges that matched a
     landmark.
     """
-    duration_s, distance_m = float(track.seconds[-1]), distance_m_of(track, distance_scale)
+    # By odometry: estimates move a little in each image while the robot stands, and jump when it is found elsewhere.
+    by_odometry = bool(np.isfinite(track.odometry).all())
+    driven, scale = (track.driven, 1 + distance_scale) if by_odometry else (track.poses, 1.0)
+    duration_s = float(track.seconds[-1])
+    distance_m = scale * float(np.hypot(*np.diff(driven[:, :2], axis=0).T).sum())
     found = track.since_found
+    counted = found & np.isfinite(track.matched) & np.isfinite(track.edges)
+    edges = track.edges[counted].sum()
     figures = {
         "duration_s": duration_s,
         "distance_m": distance_m,
         "speed_mean_m_s": distance_m / duration_s if duration_s > 0 else np.nan,
-        "edges_matched": _fraction(track.matched[found], track.edges[found]),
+        "edges_matched": track.matched[counted].sum() / edges if edges > 0 else np.nan,
     }
     spreads = {
         "position_3sigma_{}_m": track.position_sigma_m,
@@ -77,80 +82,9 @@ def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
         known = 3 * sigma[track.found & np.isfinite(sigma)]
         figures[name.format("median")] = float(np.median(known)) if len(known) else np.nan
         figures[name.format("max")] = float(known.max()) if len(known) else np.nan
-    rounded = {name: round(value, DECIMALS) if np.isfinite(value) else None for name, value in figures.items()}
-    return rounded | {"residuals": residual_figures(track.residuals[found])}
-
-
-def distance_m_of(track: Track, distance_scale: float = 0.0) -> float:
-    """Return the length of the path: by odometry, corrected by its learnt scale, or of the estimates without it.
-
-    Estimates move a little in each image while the robot stands, and jump when it is found elsewhere.
-    """
-    if np.isfinite(track.odometry).all():
-        return _length(track.driven) * (1 + distance_scale)
-    return _length(track.poses)
-
-
-def _length(poses: Array) -> float:
-    return float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
-
-
-def _fraction(part: Array, whole: Array) -> float:
-    known = np.isfinite(part) & np.isfinite(whole)
-    total = whole[known].sum()
-    return float(part[known].sum() / total) if total > 0 else float("nan")
-
-
-# -- constant errors of the wheels ------------------------------------------------------------------------------------
-
-PIECE_NS = 5_000_000_000
-FEWEST_PIECES = 5
-
-
-def fit_wheels(odometry: Trajectory, truth: Trajectory, from_ns: int, until_ns: int) -> dict[str, float]:
-    """Return what constants of the wheels make odometry fit the truth best between two times, shares and rad/m.
-
-    Empty where the two have less than some pieces in common, or the robot stood.
-    """
-    for track in (odometry, truth):
-        from_ns, until_ns = max(from_ns, int(track.t_ns[0])), min(until_ns, int(track.t_ns[-1]))
-    begins_ns = from_ns + PIECE_NS * np.unique((odometry.t_ns - from_ns) // PIECE_NS)
-    begins_ns = begins_ns[(begins_ns >= from_ns) & (begins_ns + PIECE_NS < until_ns)]
-    begins_ns = begins_ns[_is_covered(odometry, begins_ns) & _is_covered(truth, begins_ns)]
-    if len(begins_ns) < FEWEST_PIECES:
-        return {}
-    wheels, true = (_pieces(track, begins_ns) for track in (odometry, truth))
-    if np.linalg.matrix_rank(wheels) < 2:
-        return {}
-    distance = wheels[:, 0] @ true[:, 0] / (wheels[:, 0] @ wheels[:, 0])
-    veer, turn = np.linalg.lstsq(wheels, true[:, 1], rcond=None)[0]
-    return {"distance_scale": float(distance - 1), "turn_scale": float(turn - 1), "veer": float(veer)}
-
-
-def bias_figures(estimate: Estimate, fit: dict[str, float]) -> dict[str, Any]:
-    """Return value and sigma of every constant that is estimated, and by `least_squares` where `fit_wheels` has it."""
-    sigma = np.sqrt(np.diag(estimate.cov))
-    learnt = zip(estimate.names[len(POSE) :], estimate.mean[len(POSE) :], sigma[len(POSE) :], strict=True)
-    return {
-        name: {"value": _figure(value), "sigma": _figure(sigma)}
-        | ({"least_squares": _figure(fit[name])} if name in fit else {})
-        for name, value, sigma in learnt
-        if sigma > 1e-9  # of what can be wrong
-    }
-
-
-def _is_covered(track: Trajectory, begins_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether (P,) the poses around and inside each piece are never further apart than a piece is long."""
-    pauses = np.concatenate([[0], np.cumsum(np.diff(track.t_ns) > PIECE_NS)])
-    before = np.searchsorted(track.t_ns, begins_ns, side="right") - 1
-    after = np.searchsorted(track.t_ns, begins_ns + PIECE_NS, side="left")
-    return np.asarray(pauses[after] == pauses[before])
-
-
-def _pieces(track: Trajectory, begins_ns: NDArray[np.int64]) -> Array:
-    """Return chord, backward counted negative, and turn (P, 2) of the motions in pieces that begin at times (P,)."""
-    motion = between(*(track.sampled(times_ns).poses for times_ns in (begins_ns, begins_ns + PIECE_NS)))
-    return np.stack([-np.sign(motion[:, 1]) * np.hypot(*motion[:, :2].T), motion[:, 2]], axis=1)
+    residuals = track.residuals[found & np.isfinite(track.residuals).all(axis=1)]
+    over = consistency(residuals.sum(axis=0, keepdims=True))[0] if len(residuals) else np.nan
+    return {name: _figure(value) for name, value in figures.items()} | {"residuals": {"consistency": _figure(over)}}
 
 
 # -- all figures ------------------------------------------------------------------------------------------------------
@@ -186,7 +120,6 @@ def metrics(
         "heading_rmse_deg": _figure(np.degrees(rms(errors.heading_rad))) if errors else None,
         "odometry_position_rmse_m": _figure(rms(errors.odometry_m)) if errors else None,
         "nees_mean": _figure(mean(errors.nees)) if errors else None,
-        "nees_inside_95": _figure(fraction_inside(errors.nees)) if errors else None,
         **_limit(errors, bound),
         "edges_per_frame": _figure(mean(track.edges)),
         **own_figures(track, distance_scale),
@@ -264,8 +197,6 @@ def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> 
         wrong = (errors.position_m > CORRECT_M) | (np.abs(errors.heading_rad) > CORRECT_RAD)
     told, found = np.isfinite(track.p_correct).any(), track.first_found
     return {
-        "p_correct_mean": _figure(mean(track.p_correct)),
-        "p_correct_min": _figure(quantile(track.p_correct, 0.0)),
         "sure": _figure(sure.mean()) if told else None,
         "correct": _figure(1.0 - wrong[known].mean()) if known.any() else None,
         "sure_and_wrong": _figure((sure & wrong)[known].mean()) if known.any() else None,

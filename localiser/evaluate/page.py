@@ -14,8 +14,8 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.evaluate.accuracy import Track, residual_sums
 from localiser.evaluate.metrics import PAUSE_LONGER_THAN_S
-from localiser.evaluate.tables import OWN, TABLES, Column, figure_at, learnt_constants
-from localiser.filter import CORRECT_M, CORRECT_RAD, SURE, Image, LocatedFrame
+from localiser.evaluate.tables import OWN, TABLES, figure_at, learnt_constants
+from localiser.filter import CORRECT_M, CORRECT_RAD, SURE, LocatedFrame
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.image_files import decode
 from localiser.landmarks import LandmarkMap, landmark_ends, predicted_lines
@@ -98,8 +98,17 @@ class WorstMoments:
         for kind, score_of in SCORES.items():
             score = score_of(frame)
             if np.isfinite(score):
-                self._kept[kind] = _with(self._kept[kind], (score, self._number, frame))
+                self._keep(kind, score, frame)
         self._number += 1
+
+    def _keep(self, kind: str, score: float, frame: LocatedFrame) -> None:
+        """Keep an image, and of images close in time the worst alone."""
+        kept, t_ns = self._kept[kind], frame.located.t_ns
+        near = [one for one in kept if abs(one[2].located.t_ns - t_ns) < APART_NS]
+        if all(one[0] < score for one in near):
+            far = [one for one in kept if abs(one[2].located.t_ns - t_ns) >= APART_NS]
+            worst = sorted([*far, (score, self._number, frame)], key=lambda one: (-one[0], one[1]))
+            self._kept[kind] = worst[:MOST_OF_A_KIND]
 
     def close(self, complete: bool) -> None:
         """End; what was kept stays."""
@@ -114,15 +123,6 @@ class WorstMoments:
                 frames[number] = frame
                 reasons.setdefault(number, []).append(kind)
         return [Moment(number, frames[number], tuple(reasons[number])) for number in sorted(frames)]
-
-
-def _with(kept: Kept, one: tuple[float, int, LocatedFrame]) -> Kept:
-    """Return the worst of those kept and one more, of images close in time the worst alone."""
-    near = [other for other in kept if abs(other[2].located.t_ns - one[2].located.t_ns) < APART_NS]
-    if any(other[0] >= one[0] for other in near):
-        return kept
-    far = [other for other in kept if all(other is not close for close in near)]
-    return sorted([*far, one], key=lambda item: (-item[0], item[1]))[:MOST_OF_A_KIND]
 
 
 # -- a moment as pictures ---------------------------------------------------------------------------------------------
@@ -141,7 +141,12 @@ def image_svg(frame: LocatedFrame, camera: Camera, landmark_map: LandmarkMap) ->
     edges, matches = frame.located.edges, frame.matches
     parts = [f'<rect width="{camera.width}" height="{camera.height}" class="empty"/>']
     if frame.image is not None:
-        parts.append(f'<image width="{camera.width}" height="{camera.height}" href="{image_uri(frame.image)}"/>')
+        content = frame.image if isinstance(frame.image, bytes) else b""
+        if content[:2] != b"\xff\xd8":  # another file than a JPEG, or pixels
+            pixels: Any = decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if content else frame.image
+            content = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        uri = f"data:image/jpeg;base64,{b64encode(content).decode()}"
+        parts.append(f'<image width="{camera.width}" height="{camera.height}" href="{uri}"/>')
     ends = landmark_ends(landmark_map, camera)
     _, lines = predicted_lines(
         camera.at(frame.located.edges.mount), frame.located.estimate.pose_as_seen, ends, matches.visible
@@ -151,15 +156,6 @@ def image_svg(frame: LocatedFrame, camera: Camera, landmark_map: LandmarkMap) ->
     for ends_px, landmark in zip(edges.ends_px[known], matches.landmark[known], strict=True):
         parts.append(_line(ends_px, "matched" if landmark >= 0 else "unmatched"))
     return f'<svg viewBox="0 0 {camera.width} {camera.height}" role="img">{"".join(parts)}</svg>'
-
-
-def image_uri(image: Image) -> str:
-    """Return a JPEG as an address that holds its content; other images are encoded as one."""
-    content = image if isinstance(image, bytes) else b""
-    if content[:2] != b"\xff\xd8":
-        pixels = decode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if content else image
-        content = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()  # type: ignore[arg-type]
-    return f"data:image/jpeg;base64,{b64encode(content).decode()}"
 
 
 def map_svg(frame: LocatedFrame, landmark_map: LandmarkMap, path: Array, aspect: float = 4 / 3) -> str:
@@ -194,8 +190,12 @@ def map_svg(frame: LocatedFrame, landmark_map: LandmarkMap, path: Array, aspect:
     parts.append(_arrow(pose, 5 * dot, "estimate"))
     every = max(1, len(located.particles) // PARTICLES)
     parts += dots(located.particles.poses[::every, :2], "particle", 0.5 * dot)
+    left, level = low[0] + 0.04 * size[0], high[1] - 0.05 * size[1]
+    parts.append(_line(np.array([[left, level], [left + 1, level]]), "scale"))
+    at, font = f'x="{left:.3f}" y="{level - 0.015 * size[1]:.3f}"', f"{0.04 * size[1]:.3f}"
+    parts.append(f'<text {at} font-size="{font}">1 m</text>')
     box = f"{low[0]:.3f} {low[1]:.3f} {size[0]:.3f} {size[1]:.3f}"
-    return f'<svg viewBox="{box}" role="img">{"".join(parts)}{_scale_bar(low, high)}</svg>'
+    return f'<svg viewBox="{box}" role="img">{"".join(parts)}</svg>'
 
 
 def _frame_of(frame: LocatedFrame, points: Array, aspect: float) -> tuple[Array, Array]:
@@ -238,13 +238,6 @@ def _ellipse(mean: Array, cov: Array) -> str:
     return f'<ellipse rx="{major:.4f}" ry="{minor:.4f}" transform="{place}" class="spread"/>'
 
 
-def _scale_bar(low: Array, high: Array) -> str:
-    span = high - low
-    left, level = low[0] + 0.04 * span[0], high[1] - 0.05 * span[1]
-    bar = _line(np.array([[left, level], [left + 1, level]]), "scale")
-    return f'{bar}<text x="{left:.3f}" y="{level - 0.015 * span[1]:.3f}" font-size="{0.04 * span[1]:.3f}">1 m</text>'
-
-
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 STYLE = """
@@ -280,6 +273,13 @@ ABOUT = (
 )
 
 
+KEY = (
+    '<p class="key">Image: <b style="color:#1fa35c">green</b> edges that match a landmark, '
+    '<b style="color:#ff5a36">red</b> edges without one, <b style="color:#2b7fd6">blue</b> where landmarks are '
+    "expected. Map: the same colours for landmarks, grey those out of view; "
+    '<b style="color:#d55e00">orange</b> particles, <b style="color:#0072b2">blue</b> estimate with its path and '
+    "3σ ellipses of all likely places, <b>black</b> the truth where it is known.</p>"
+)
 MEANINGS = (
     ("found after", "when the probability of being right was above 0.9 for the first time; 0 for a stated start"),
     ("not found yet", "images before that; all figures of path and error leave them out"),
@@ -312,26 +312,23 @@ def report_page(
         f"<h1>{name}</h1>",
         f'<p class="muted">{escape(about)}</p>',
         *(_remark(remark) for remark in remarks(figures) if remark.startswith("Warning")),
-        *(_figures(title, figures, chosen) for title, chosen in TABLES.items()),
-        *(_remark(remark) for remark in remarks(figures) if not remark.startswith("Warning")),
     ]
+    for title, columns in TABLES.items():
+        known = [(one.label, one.text(value) + one.unit) for one in columns if one.is_known(value := one.of(figures))]
+        if columns is OWN and figure_at(figures, "confidence.not_found") == 1:
+            known.insert(0, ("found after", "never"))
+        tiles = (f"<div><dd>{escape(value)}</dd><dt>{escape(label)}</dt></div>" for label, value in known if label)
+        body += [f'<h2>{title}</h2><dl class="figures">{"".join(tiles)}</dl>'] if known else []
+    body += [_remark(remark) for remark in remarks(figures) if not remark.startswith("Warning")]
     if picture:
         body.append(f'<img alt="Report" src="data:image/png;base64,{b64encode(picture).decode()}">')
-    body += ["<h2>Worst moments</h2>", _key(), *(_moment(moment, track, camera, landmark_map) for moment in moments)]
+    body += ["<h2>Worst moments</h2>", KEY, *(_moment(moment, track, camera, landmark_map) for moment in moments)]
     meanings = "".join(f"<dt><b>{escape(word)}</b></dt><dd>{escape(meaning)}</dd>" for word, meaning in MEANINGS)
     body += ["<h2>What the figures mean</h2>", f"<dl>{meanings}</dl>"]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{name}</title>'
     return f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n' + (
         "\n".join(body) + "\n</body></html>\n"
     )
-
-
-def _figures(title: str, figures: Mapping[str, Any], columns: Sequence[Column]) -> str:
-    known = [(one.label, one.text(value) + one.unit) for one in columns if one.is_known(value := one.of(figures))]
-    if columns is OWN and figure_at(figures, "confidence.not_found") == 1:
-        known.insert(0, ("found after", "never"))
-    tiles = "".join(f"<div><dd>{escape(value)}</dd><dt>{escape(label)}</dt></div>" for label, value in known if label)
-    return f'<h2>{title}</h2><dl class="figures">{tiles}</dl>' if known else ""
 
 
 def remarks(figures: Mapping[str, Any]) -> list[str]:
@@ -353,36 +350,9 @@ def _remark(text: str) -> str:
     return f'<p class="{"warning" if text.startswith("Warning") else "muted"}">{escape(text)}</p>'
 
 
-def _key() -> str:
-    return (
-        '<p class="key">Image: <b style="color:#1fa35c">green</b> edges that match a landmark, '
-        '<b style="color:#ff5a36">red</b> edges without one, <b style="color:#2b7fd6">blue</b> where landmarks are '
-        "expected. Map: the same colours for landmarks, grey those out of view; "
-        '<b style="color:#d55e00">orange</b> particles, <b style="color:#0072b2">blue</b> estimate with its path and '
-        "3σ ellipses of all likely places, <b>black</b> the truth where it is known.</p>"
-    )
-
-
 def _moment(moment: Moment, track: Track, camera: Camera, landmark_map: LandmarkMap) -> str:
-    frame = moment.frame
-    seconds = float(track.seconds[moment.number])
-    title = f"{', '.join(moment.reasons).capitalize()}: image {moment.number} at {seconds:.1f} s"
-    path = track.poses[: moment.number + 1] - landmark_map.origin(frame.map_name)
-    landmark_map = landmark_map.seen_on(frame.map_name)
-    pictures = (
-        image_svg(frame, camera, landmark_map),
-        map_svg(frame, landmark_map, path, camera.width / camera.height),
-    )
-    return (
-        f'<figure class="moment"><h3>{escape(title)}</h3><div>{pictures[0]}</div><div>{pictures[1]}</div>'
-        f"<figcaption>{escape(_caption(moment))}</figcaption></figure>"
-    )
-
-
-def _caption(moment: Moment) -> str:
-    """Return the figures of a moment in words."""
-    frame, located = moment.frame, moment.frame.located
-    matches = frame.matches
+    """Return the pictures of a moment, and its figures in words."""
+    frame, located, matches = moment.frame, moment.frame.located, moment.frame.matches
     matched = int((matches.landmark >= 0).sum())
     found, expected, _ = residual_sums(matches)
     parts = [
@@ -397,4 +367,13 @@ def _caption(moment: Moment) -> str:
         parts.append(f"{len(likely)} places with weights {', '.join(f'{weight:.2f}' for weight in likely[:5])}")
     if frame.truth is not None:
         parts.append(f"error {error_m(frame):.3f} m")
-    return "; ".join(parts) + "."
+    seconds = float(track.seconds[moment.number])
+    title = f"{', '.join(moment.reasons).capitalize()}: image {moment.number} at {seconds:.1f} s"
+    path = track.poses[: moment.number + 1] - landmark_map.origin(frame.map_name)
+    landmark_map = landmark_map.seen_on(frame.map_name)
+    image = image_svg(frame, camera, landmark_map)
+    on_map = map_svg(frame, landmark_map, path, camera.width / camera.height)
+    return (
+        f'<figure class="moment"><h3>{escape(title)}</h3><div>{image}</div><div>{on_map}</div>'
+        f"<figcaption>{escape('; '.join(parts))}.</figcaption></figure>"
+    )

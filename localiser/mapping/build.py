@@ -8,19 +8,19 @@ only clutter, or the wheels are too inaccurate for the bearings.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from types import SimpleNamespace
+from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.edges import EdgeParameters, Edges
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.mapping.factors import Prior, Wheels
-from localiser.mapping.known_poses import are_far, build_from_far_images, build_from_poses
+from localiser.mapping.known_poses import build_from_far_images, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.quality import landmark_map_of
 from localiser.mapping.recorded import (
@@ -51,18 +51,6 @@ _LEAST_EXPLAINED = 0.1
 _MOST_DRIFT_RAD = np.deg2rad(8.0)
 """Heading error of the wheels in a full turn that coarse bearings still tell from the next landmark; see the docs."""
 _STANDING_M = 0.05
-
-
-def require_motion(log: RecordedLog, trajectory: Trajectory) -> None:
-    """Raise InputError when the robot stands still."""
-    moved = trajectory.poses[:, :2] - trajectory.poses[0, :2]
-    farthest = float(np.hypot(moved[:, 0], moved[:, 1]).max())
-    if farthest < _STANDING_M:
-        raise InputError(
-            f"expected a robot that drives, found one that stays within {farthest:.3f} m: without motion an edge is "
-            "seen from one side only, and its distance cannot be told",
-            path=log.path,
-        )
 
 
 def require_association(path: Path, sightings: Sightings, wheels: Wheels) -> None:
@@ -98,54 +86,41 @@ def require_landmarks(
     parameters: MappingParameters,
 ) -> None:
     """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
-    if not len(landmark_map):
-        raise _nothing_built(log, built, parameters)
-    assert landmark_map.quality is not None
-    explained = float(landmark_map.quality.sightings.sum()) / len(sightings)
-    if explained >= _LEAST_EXPLAINED:
+    followed, widest = built.count >= parameters.sightings_min, np.rad2deg(built.parallax)
+    explained = 0.0 if landmark_map.quality is None else float(landmark_map.quality.sightings.sum()) / len(sightings)
+    if len(landmark_map) and explained >= _LEAST_EXPLAINED:
         return
-    narrow = (built.count >= parameters.sightings_min) & (np.rad2deg(built.parallax) < parameters.parallax_min_deg)
-    one_sided = float(built.count[narrow].sum()) / len(sightings)
-    if one_sided > 0.5:
-        raise _too_little_parallax(log, parameters, f"that {100 * one_sided:.0f} % of the edges are not")
-    raise InputError(
-        f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
-        "of the edges: what the images show is clutter, or the poses do not fit them",
-        path=log.path,
+    one_sided = float(built.count[followed & (widest < parameters.parallax_min_deg)].sum()) / len(sightings)
+    too_little = (
+        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found %s: "
+        "too little parallax to tell distances; drive past things, not only towards them"
     )
-
-
-def _nothing_built(log: RecordedLog, built: Built, parameters: MappingParameters) -> InputError:
-    """Return the error that says why no landmark came out."""
-    followed = built.count >= parameters.sightings_min
-    if not followed.any():
-        most = int(built.count.max(initial=0))
-        return InputError(
-            f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
-            f"(at most {most}): what the images show is clutter, or too few of them overlap",
-            path=log.path,
+    if len(landmark_map) and one_sided > 0.5:
+        problem = too_little % f"that {100 * one_sided:.0f} % of the edges are not"
+    elif len(landmark_map):
+        problem = (
+            f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
+            "of the edges: what the images show is clutter, or the poses do not fit them"
         )
-    widest = float(np.rad2deg(built.parallax[followed].max()))
-    if widest < parameters.parallax_min_deg:
-        return _too_little_parallax(log, parameters, f"at most {widest:.1f}°")
-    return InputError(
-        "expected edges that are found again where they should be, found none likely enough to exist: what the images "
-        "show is clutter, or the poses do not fit them",
-        path=log.path,
-    )
-
-
-def _too_little_parallax(log: RecordedLog, parameters: MappingParameters, found: str) -> InputError:
-    return InputError(
-        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found {found}: "
-        "too little parallax to tell distances; drive past things, not only towards them",
-        path=log.path,
-    )
+    elif not followed.any():
+        problem = (
+            f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
+            f"(at most {int(built.count.max(initial=0))}): what the images show is clutter, or too few of them overlap"
+        )
+    elif widest[followed].max() < parameters.parallax_min_deg:
+        problem = too_little % f"at most {widest[followed].max():.1f}°"
+    else:
+        problem = (
+            "expected edges that are found again where they should be, found none likely enough to exist: what the "
+            "images show is clutter, or the poses do not fit them"
+        )
+    raise InputError(problem, path=log.path)
 
 
 # -- the whole way ----------------------------------------------------------------------------------------------------
 
 _FEWEST_FRAMES = 2
+_DEFAULTS = {"edges": EdgeParameters(), "motion": MotionParameters(), "mapping": MappingParameters()}
 
 
 class BuildSettings(Protocol):
@@ -157,15 +132,6 @@ class BuildSettings(Protocol):
     def motion(self) -> MotionParameters: ...  # noqa: D102
     @property
     def mapping(self) -> MappingParameters: ...  # noqa: D102
-
-
-@dataclass(frozen=True, slots=True)
-class BuildParameters:
-    """The settings of a build where there is no whole configuration."""
-
-    edges: EdgeParameters = field(default_factory=EdgeParameters)
-    motion: MotionParameters = field(default_factory=MotionParameters)
-    mapping: MappingParameters = field(default_factory=MappingParameters)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,16 +164,7 @@ class Builder(Protocol):
         """
 
 
-def far_images(
-    paths: Sequence[Array], sightings: Sightings, sigma: Array, parameters: MappingParameters
-) -> tuple[Built, Array | None] | None:
-    """Make landmarks where rays cross, for images of any log too far apart to follow an edge from one to the next."""
-    if not any(are_far(path) for path in paths):
-        return None
-    return build_from_far_images(sightings, np.concatenate(paths), sigma, parameters)
-
-
-BUILDERS: list[Builder] = [far_images]
+BUILDERS: list[Builder] = [build_from_far_images]
 """For poses that are known exactly: the first that suits is used, else edges are followed from image to image.
 
 Insert a `Builder` for others.
@@ -229,7 +186,7 @@ def build_map(
     of the first. edges_of: gives the edges of every image of a log, by default `edges_of_log`; it is asked once poses
     are known. Raises InputError when poses are missing, the robot stands still, or nothing is seen from two sides.
     """
-    config = config or BuildParameters()
+    config = config or cast("BuildSettings", SimpleNamespace(**_DEFAULTS))
     logs = list(log) if isinstance(log, Sequence) else [log]
     poses = default_poses(logs) if poses is None else poses
     name = poses if isinstance(poses, str) else source
@@ -240,7 +197,10 @@ def build_map(
     first, parameters, slam, probability = seen[0], config.mapping, None, None
     trajectory = first.trajectory
     if name == SLAM:
-        slam = _slam(first, config)
+        wheels = wheels_of(first.log.odometry, trajectory.t_ns, config.motion)
+        require_association(first.log.path, first.sightings, wheels)
+        prior = Prior.of(config.motion)
+        slam = build_from_log(first.sightings, wheels, prior, trajectory.poses[0], first.log.camera, parameters)
         trajectory = Trajectory(trajectory.t_ns, slam.poses)
         sightings, cameras, sigma, built = first.sightings, slam.cameras, slam.sigma, slam.built
     else:
@@ -293,8 +253,23 @@ def _seen(
 ) -> _Seen:
     """Return the edges of the images of a log, and where they were seen from. Raises InputError."""
     known = known_poses(log, ODOMETRY if poses == SLAM else poses) if isinstance(poses, str) else poses
-    inside, trajectory = poses_at_images(log, known)
-    require_motion(log, trajectory)
+    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
+    inside: Index = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))
+    if len(inside) < _FEWEST_FRAMES:
+        raise InputError(
+            f"expected poses at two images at least, found poses from {known.t_ns[0]} to {known.t_ns[-1]} ns and "
+            f"images from {t_ns[0]} to {t_ns[-1]} ns",
+            path=log.path,
+            field="--poses",
+        )
+    trajectory = known.sampled(t_ns[inside])
+    farthest = float(np.hypot(*(trajectory.poses - trajectory.poses[0])[:, :2].T).max())
+    if farthest < _STANDING_M:
+        raise InputError(
+            f"expected a robot that drives, found one that stays within {farthest:.3f} m: without motion an edge is "
+            "seen from one side only, and its distance cannot be told",
+            path=log.path,
+        )
     exact = name not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
     edges = edges_of(log) if edges_of else edges_of_log(log, config.edges)
@@ -304,29 +279,6 @@ def _seen(
             f"expected vertical edges in the images, found none in {sightings.frames} of them", path=log.path
         )
     return _Seen(log, trajectory, turn_sigma, edges, sightings)
-
-
-def poses_at_images(log: RecordedLog, known: Trajectory) -> tuple[NDArray[np.int64], Trajectory]:
-    """Return the indices of the images within the time of the known poses, and the poses at these images."""
-    t_ns = np.array([frame.t_ns for frame in log.frames], dtype=np.int64)
-    inside = np.flatnonzero((t_ns >= known.t_ns[0]) & (t_ns <= known.t_ns[-1]))
-    if len(inside) < _FEWEST_FRAMES:
-        raise InputError(
-            f"expected poses at two images at least, found poses from {known.t_ns[0]} to {known.t_ns[-1]} ns and "
-            f"images from {t_ns[0]} to {t_ns[-1]} ns",
-            path=log.path,
-            field="--poses",
-        )
-    return inside, known.sampled(t_ns[inside])
-
-
-def _slam(seen: _Seen, config: BuildSettings) -> Slam:
-    """Return landmarks and poses, found together from edges and wheels."""
-    log, odometry = seen.log, seen.trajectory
-    wheels = wheels_of(log.odometry, odometry.t_ns, config.motion)
-    require_association(log.path, seen.sightings, wheels)
-    prior = Prior.of(config.motion)
-    return build_from_log(seen.sightings, wheels, prior, odometry.poses[0], log.camera, config.mapping)
 
 
 def _along(

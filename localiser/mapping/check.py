@@ -9,7 +9,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, Quality, Sight, SightParameters, sight
+from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
 from localiser.mapping.build import MapBuilt
 from localiser.mapping.landmarks import Built
 from localiser.mapping.merge import common_landmarks, fuse_maps
@@ -114,7 +114,8 @@ def update_map(old: LandmarkMap, built: MapBuilt, camera: Camera, found: float, 
     cameras = built.slam.cameras if built.slam else built.sightings.camera_poses(camera, built.trajectory.poses)
     existence = existence_after(old, built.sightings, built.built, camera, cameras, found)
     existence[pairs[:, 0]] = np.nan  # what the log says of those it shows counts
-    whole = fuse_maps(with_existence(old, existence), new, pairs)
+    quality = old.quality or Quality.unknown(len(old))
+    whole = fuse_maps(replace(old, quality=replace(quality, existence=existence)), new, pairs)
     assert whole.quality is not None
     gone = np.flatnonzero(whole.quality.existence[: len(old)] < _GONE)
     kept = np.setdiff1d(np.arange(len(whole)), gone)
@@ -134,7 +135,10 @@ def existence_after(
     """
     limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
     views = sight(camera, cameras, landmark_map, limits)
-    gate = _gates(landmark_map, views, cameras)
+    # How far from where it should be a landmark's edge may lie in each view.
+    jacobian = per_point(landmark_map.points[views.landmark], cameras[views.pose])
+    cov = np.nan_to_num(landmark_map.cov)[views.landmark]
+    gate = _GATE_SIGMA * np.sqrt(np.einsum("pi,pij,pj->p", jacobian, cov, jacobian) + _POSE_RAD**2)
     first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
     span = span_rad(camera)
     gain, clear = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=bool)
@@ -142,7 +146,10 @@ def existence_after(
         row = np.arange(first[frame], first[frame + 1])
         seen = np.arange(sightings.first[frame], sightings.first[frame + 1])
         bearing = np.arctan(views.tangent[row])
-        row_is_clear = _is_clear(bearing, views.range_m[row], sightings, built, seen, cameras[frame])
+        known = seen[built.of[seen] >= 0]
+        _, beyond = direction_of(built.fit.points[built.of[known]], np.tile(cameras[frame], (len(known), 1)))
+        beside = np.abs(bearing[:, None] - sightings.bearing[known][None]) < _BESIDE_RAD
+        row_is_clear = (beside & (beyond[None] > views.range_m[row][:, None] + _BEHIND_M)).any(axis=1)
         at_place = np.abs(bearing[:, None] - sightings.bearing[seen][None]) < gate[row][:, None]
         foreign = built.of[seen] < 0
         row_is_clear &= ~at_place[:, ~foreign].any(axis=1)
@@ -153,29 +160,6 @@ def existence_after(
         gain[landmark] += np.where(row_is_clear, step, 0.0)
         clear[landmark] |= row_is_clear
     before = (landmark_map.quality or Quality.unknown(len(landmark_map))).existence
-    known = np.clip(np.where(np.isnan(before), _UNKNOWN, before), 1e-5, 1 - 1e-5)
-    odds = np.clip(np.log(known / (1 - known)) + gain, -_MOST_ODDS, _MOST_ODDS)
+    stated = np.clip(np.where(np.isnan(before), _UNKNOWN, before), 1e-5, 1 - 1e-5)
+    odds = np.clip(np.log(stated / (1 - stated)) + gain, -_MOST_ODDS, _MOST_ODDS)
     return np.where(clear, 1.0 / (1.0 + np.exp(-odds)), before)
-
-
-def with_existence(landmark_map: LandmarkMap, existence: Array) -> LandmarkMap:
-    """Return the map with this probability (L,) of each landmark."""
-    quality = landmark_map.quality or Quality.unknown(len(landmark_map))
-    return replace(landmark_map, quality=replace(quality, existence=existence))
-
-
-def _gates(landmark_map: LandmarkMap, views: Sight, cameras: Array) -> Array:
-    """Return how far (P,) rad from where it should be a landmark's edge may lie in each view."""
-    jacobian = per_point(landmark_map.points[views.landmark], cameras[views.pose])
-    cov = np.nan_to_num(landmark_map.cov)[views.landmark]
-    return np.asarray(_GATE_SIGMA * np.sqrt(np.einsum("pi,pij,pj->p", jacobian, cov, jacobian) + _POSE_RAD**2))
-
-
-def _is_clear(
-    bearing: Array, range_m: Array, sightings: Sightings, built: Built, seen: Index, camera: Array
-) -> np.ndarray:
-    """Return which directions (K,) are free as far as `range_m`: a landmark behind shows beside each."""
-    known = seen[built.of[seen] >= 0]
-    _, beyond = direction_of(built.fit.points[built.of[known]], np.tile(camera, (len(known), 1)))
-    beside = np.abs(bearing[:, None] - sightings.bearing[known][None]) < _BESIDE_RAD
-    return np.asarray((beside & (beyond[None] > range_m[:, None] + _BEHIND_M)).any(axis=1))

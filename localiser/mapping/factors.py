@@ -114,38 +114,28 @@ def wheel_residuals(wheels: Wheels, poses: Array, constants: Array) -> Array:
     return np.asarray(np.einsum("tij,tj->ti", wheels.whitening, residual))
 
 
-def _wheel_residual(problem: Problem, state: State) -> Array:
-    return wheel_residuals(problem.wheels, state.poses, state.constants)
-
-
 def _scales(constants: Array) -> Array:
     return np.array([1 + constants[0], 1 + constants[0], 1 + constants[1]])
 
 
-def _camera_points(problem: Problem, state: State, frame: Index, landmark: Index) -> tuple[Array, Array]:
-    """Return landmarks (K, 2) in the robot frames, and in the level frames of a camera with its yaw corrected."""
-    in_robot = robot_from_map(state.poses[frame], state.points[landmark])
-    mount = problem.robot_from_level[frame] + np.array([0.0, 0.0, state.constants[3]])
-    return in_robot, robot_from_map(mount, in_robot)
-
-
 def _bearing_residual(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Return the residuals (K,), and the landmarks (K, 2) in the robot frames."""
     b = problem.bearings
-    in_robot, level = _camera_points(problem, state, b.frame, b.landmark)
+    in_robot = robot_from_map(state.poses[b.frame], state.points[b.landmark])
+    mount = problem.robot_from_level[b.frame] + np.array([0.0, 0.0, state.constants[3]])
+    level = robot_from_map(mount, in_robot)
     return wrap_angle(b.bearing - np.arctan2(level[:, 0], -level[:, 1])) / b.sigma, in_robot
 
 
 def cost_of(problem: Problem, state: State) -> float:
     """Return the robust cost that is to be made small."""
 
-    def robust(r: Array) -> float:
-        return float((_CAUCHY**2 * np.log1p((r / _CAUCHY) ** 2)).sum())
-
-    plain = (_wheel_residual(problem, state) ** 2).sum() + (
+    plain = (wheel_residuals(problem.wheels, state.poses, state.constants) ** 2).sum() + (
         ((state.constants - problem.prior.mean) / problem.prior.sigma) ** 2
     ).sum()
     plain += (((state.start - state.points) / _PLACE_SIGMA_M) ** 2).sum()
-    return float(plain) + robust(_bearing_residual(problem, state)[0])
+    bearing = _bearing_residual(problem, state)[0]
+    return float(plain) + float((_CAUCHY**2 * np.log1p((bearing / _CAUCHY) ** 2)).sum())
 
 
 # -- linearisation ----------------------------------------------------------------------------------------------------
@@ -156,8 +146,14 @@ def linearise(problem: Problem, state: State) -> Linearised:
 
     Variables: poses but the first, constants, landmarks. The gradient step solves (JᵀWJ) step = JᵀW r.
     """
-    blocks = [bearing_block(problem, state), _wheel_block(problem, state), _prior_block(problem, state)]
-    return Linearised([*blocks, _place_block(state)], variables(state))
+    prior, first = problem.prior, _first_landmark(len(state.poses))
+    constants = first - len(CONSTANTS) + np.arange(len(CONSTANTS))[:, None]
+    known = _block([constants], [np.ones(constants.shape)], prior.sigma, (prior.mean - state.constants) / prior.sigma)
+    # This keeps a landmark of hardly any parallax from running off: its place is known to some ten metres.
+    places = first + np.arange(state.points.size)[:, None]
+    away = (state.start - state.points).ravel() / _PLACE_SIGMA_M
+    near = _block([places], [np.ones(places.shape)], np.full(len(away), _PLACE_SIGMA_M), away)
+    return Linearised([bearing_block(problem, state), _wheel_block(problem, state), known, near], variables(state))
 
 
 def variables(state: State) -> int:
@@ -202,21 +198,8 @@ def _wheel_block(problem: Problem, state: State) -> Block:
     constant = np.tile(3 * steps + np.arange(3), (3 * steps, 1))
     columns = [_pose_columns(frame), _pose_columns(frame + 1), constant]
     by_all = wheels.whitening @ np.concatenate([scales * start, scales * end, by_constant], axis=2)
-    residual = _wheel_residual(problem, state).ravel()
+    residual = wheel_residuals(wheels, state.poses, state.constants).ravel()
     return _block(columns, [by_all.reshape(-1, 9)], np.ones(3 * steps), residual)
-
-
-def _prior_block(problem: Problem, state: State) -> Block:
-    columns = 3 * (len(state.poses) - 1) + np.arange(len(CONSTANTS))[:, None]
-    prior = problem.prior
-    return _block([columns], [np.ones(columns.shape)], prior.sigma, (prior.mean - state.constants) / prior.sigma)
-
-
-def _place_block(state: State) -> Block:
-    """Return what keeps a landmark of hardly any parallax from running off: its place is known to some ten metres."""
-    columns = _first_landmark(len(state.poses)) + np.arange(state.points.size)[:, None]
-    away = (state.start - state.points).ravel() / _PLACE_SIGMA_M
-    return _block([columns], [np.ones(columns.shape)], np.full(len(away), _PLACE_SIGMA_M), away)
 
 
 def bearing_block(problem: Problem, state: State) -> Block:
@@ -231,16 +214,10 @@ def bearing_block(problem: Problem, state: State) -> Block:
     # A mount turned to the left sees everything farther to the right.
     yaw = np.full((len(residual), 1), 3 * (frames - 1) + 3)
     columns = [_pose_columns(b.frame), landmark_columns(frames, b.landmark), yaw]
-    values = [*_by_pose_and_point(state, b.frame, in_robot, by_point), np.ones(yaw.shape)]
-    plain = _block(columns, values, b.sigma, residual)
-    return replace(plain, weight=1 / (1 + (residual / _CAUCHY) ** 2))
-
-
-def _by_pose_and_point(state: State, frame: Index, in_robot: Array, by_point: Array) -> tuple[Array, Array]:
-    """Return derivatives by pose (K, 3) and by landmark (K, 2) of a value with derivative (K, 2) by `in_robot`."""
-    heading = state.poses[frame, 2]
+    heading = state.poses[b.frame, 2]
     cos, sin = np.cos(heading), np.sin(heading)
     # in_robot = (cos dx - sin dz, sin dx + cos dz).
     by_map = np.stack([by_point[:, 0] * cos + by_point[:, 1] * sin, -by_point[:, 0] * sin + by_point[:, 1] * cos], -1)
     by_heading = -by_point[:, 0] * in_robot[:, 1] + by_point[:, 1] * in_robot[:, 0]
-    return np.concatenate([-by_map, by_heading[:, None]], axis=1), by_map
+    plain = _block(columns, [-by_map, by_heading[:, None], by_map, np.ones(yaw.shape)], b.sigma, residual)
+    return replace(plain, weight=1 / (1 + (residual / _CAUCHY) ** 2))

@@ -11,6 +11,7 @@ compete for the edges of every image, until nothing changes.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,12 +128,16 @@ def are_far(poses: Array) -> bool:
 
 
 def build_from_far_images(
-    sightings: Sightings, cameras: Array, sigma: Array, parameters: MappingParameters
-) -> tuple[Built, Array]:
-    """Return the landmarks (L) seen from camera poses (T, 3), in any order, and how likely each exists (L,).
+    paths: Sequence[Array], sightings: Sightings, sigma: Array, parameters: MappingParameters
+) -> tuple[Built, Array] | None:
+    """Return the landmarks (L) where rays cross, and how likely each exists (L,); None where images are near.
 
-    sigma: (S,) rad of the bearings, without the errors of poses.
+    paths: camera poses (T, 3) of each log, of which the images of one at least are too far apart to follow an edge from
+    one to the next. sigma: (S,) rad of the bearings, without the errors of poses.
     """
+    if not any(are_far(path) for path in paths):
+        return None
+    cameras = np.concatenate(paths)
     rays = _Rays(sightings, cameras, np.hypot(sigma, POSE_SIGMA_RAD), parameters.range_max_m)
     of = renumber(long_enough(_greedy(rays, rays.hypotheses()), _FEWEST_IMAGES))
     built = fit_landmarks(sightings, of, cameras, rays.sigma)
@@ -189,13 +194,10 @@ class _Rays:
         np.maximum.at(best.T, index, gain.T)
         row = int(best.sum(axis=1).argmax())
         shown = near[(gain[row] > 0) & (gain[row] == best[row][index])]
-        missed = self._in_view(point) - len(np.unique(s.frame[shown]))
-        return float(best[row].sum() - _MISSED * max(missed, 0)), shown
-
-    def _in_view(self, point: Array) -> int:
         heading, range_m = direction_of(np.broadcast_to(point, (len(self.cameras), 2)), self.cameras)
-        off = np.abs(wrap_angle(heading - self.cameras[:, 2]))
-        return int(((off < self.half_view) & (range_m < self.reach_m)).sum())
+        in_view = (np.abs(wrap_angle(heading - self.cameras[:, 2])) < self.half_view) & (range_m < self.reach_m)
+        missed = int(in_view.sum()) - len(np.unique(s.frame[shown]))
+        return float(best[row].sum() - _MISSED * max(missed, 0)), shown
 
 
 def _densest(points: Array) -> Array:
@@ -227,7 +229,9 @@ def _greedy(rays: _Rays, hypotheses: Array) -> Index:
         if score < _LEAST_SCORE or len(shown) < _FEWEST_IMAGES:
             continue
         if stated == -np.inf:
-            places[index] = _placed(rays, shown)
+            alone = np.full(len(rays.sightings), -1, dtype=np.int64)
+            alone[shown] = 0
+            places[index] = fit_landmarks(rays.sightings, alone, rays.cameras, rays.sigma).fit.points[0]
             score, shown = rays.explained(places[index], free)
         # What was claimed since makes a score fall, never rise.
         if queue and -score > queue[0][0]:
@@ -252,13 +256,6 @@ def _existence(rays: _Rays, built: Built) -> Array:
     for landmark in range(len(built)):
         odds[landmark] += rays.explained(built.fit.points[landmark], built.of == landmark)[0]
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0))))
-
-
-def _placed(rays: _Rays, shown: Index) -> Array:
-    """Return where (2,) the rays of some edges cross best."""
-    of = np.full(len(rays.sightings), -1, dtype=np.int64)
-    of[shown] = 0
-    return np.asarray(fit_landmarks(rays.sightings, of, rays.cameras, rays.sigma).fit.points[0])
 
 
 def _shared(rays: _Rays, built: Built) -> Index:

@@ -217,6 +217,9 @@ def fit_landmarks(sightings: Sightings, of: Index, cameras: Array, sigma: Array)
     good = fit.weight > 0.5
     heading, _ = direction_of(fit.points[landmark], seen_from)
     frames = np.unique(landmark[good] * sightings.frames + sightings.frame[used][good]) // max(sightings.frames, 1)
+    # The sign that most show; 0 where many disagree: what lies behind the edge decides it.
+    sign = sightings.polarity[used]
+    signs, known = np.bincount(landmark, sign, count), np.bincount(landmark, np.abs(sign), count)
     return Built(
         of=of,
         used=used,
@@ -224,7 +227,7 @@ def fit_landmarks(sightings: Sightings, of: Index, cameras: Array, sigma: Array)
         parallax=_spread(landmark[good], count, heading[good]),
         count=np.bincount(frames, minlength=count),
         side=medians(landmark, count, sightings.side[used]),
-        polarity=_common_sign(landmark, count, sightings.polarity[used]),
+        polarity=np.where(np.abs(signs) > _ONE_SIGN * known, np.sign(signs), 0).astype(np.int8),
     )
 
 
@@ -235,7 +238,9 @@ def _join(built: Built, parameters: MappingParameters) -> Index:
     landmark joins once a round, because joining moves it.
     """
     one, other = _near(built, parameters)
-    chi2 = _distance2(built, one, other, parameters)
+    cov, offset = built.cov, built.fit.points[one] - built.fit.points[other]
+    total = cov[one] + cov[other] + parameters.plumb_sigma_m**2 * np.eye(2)
+    chi2 = np.einsum("pi,pij,pj->p", offset, np.linalg.inv(total), offset)
     looks = looks_alike(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
     order = np.argsort(chi2, kind="stable")
     order = order[(chi2[order] < _JOIN_CHI2) & (looks[order] > _UNLIKE)]
@@ -270,14 +275,6 @@ def _near(built: Built, parameters: MappingParameters) -> tuple[Index, Index]:
     return certain[one], certain[other]
 
 
-def _distance2(built: Built, one: Index, other: Index, parameters: MappingParameters) -> Array:
-    """Return the squared Mahalanobis distances (P,) between pairs of landmarks."""
-    cov = built.cov
-    total = cov[one] + cov[other] + parameters.plumb_sigma_m**2 * np.eye(2)
-    offset = built.fit.points[one] - built.fit.points[other]
-    return np.asarray(np.einsum("pi,pij,pj->p", offset, np.linalg.inv(total), offset))
-
-
 def renumber(of: Index) -> Index:
     """Return the labels (S,) renumbered without gaps, -1 kept."""
     labels, number = np.unique(of, return_inverse=True)
@@ -289,12 +286,6 @@ def same_groups(one: Index, other: Index) -> bool:
     pairs = np.unique(np.stack([one, other]), axis=1)
     nothing = (pairs == -1).any(axis=0) & (pairs[0] != pairs[1])
     return not nothing.any() and all(len(np.unique(labels)) == len(labels) for labels in pairs)
-
-
-def _common_sign(group: Index, count: int, sign: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Return the sign (L,) of most of each group (K,); 0 where many disagree: what lies behind the edge decides it."""
-    total, known = np.bincount(group, sign, count), np.bincount(group, np.abs(sign), count)
-    return np.where(np.abs(total) > _ONE_SIGN * known, np.sign(total), 0).astype(np.int8)
 
 
 def _spread(group: Index, count: int, heading: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Loop closure: find landmarks, built from tracks at different times, that are the same.
+"""Loop closure: find landmarks, built from tracks at different times, that are the same, and joins that are wrong.
 
 Drift of the robot makes the positions of landmarks uncertain, but most of this error is common to all landmarks that
 were seen at the same time. The joint covariance of the smoother contains this: the distance of a pair is measured in
@@ -10,6 +10,12 @@ pair that is taken to be one is a measurement that its two landmarks stand at on
 differences it changes what the differences of the other pairs should be, as in a Kalman filter. The largest set of
 pairs in which each agrees with the others is the hypothesis [Neira, Tardós 2001]. Where another set explains nearly as
 many pairs, as among things that repeat at equal distances, neither is chosen.
+
+A wrong loop closure bends the poses until its bearings fit, so their residuals stay small. But the gradient of the cost
+at this visit is large. Suppose that the visit had its own landmark. Where this landmark would be, and by how much the
+cost would fall, follows from the linear problem at the solution, without solving it again [Rao 1948]. What wrong loops
+leave behind is a path that the wheels should have measured otherwise: by a constant error that is not credible, or by
+more than their noise over some stretch of the way.
 """
 
 from __future__ import annotations
@@ -20,8 +26,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.mapping.factors import (
+    CONSTANTS,
+    Prior,
+    Problem,
+    State,
+    Wheels,
+    bearing_block,
+    variables,
+    wheel_residuals,
+)
 from localiser.mapping.landmarks import Built
 from localiser.mapping.sightings import Index
+from localiser.mapping.smooth import Smoothed
 from localiser.mapping.tracks import looks_alike
 
 # -- joint compatibility ----------------------------------------------------------------------------------------------
@@ -72,18 +89,13 @@ def _grow(seed: int, difference: Array, cov: Array, noise_m: float) -> Mask:
         of_pair = factor.reshape(count, 2, 2)
         own_cov -= of_pair @ of_pair.transpose(0, 2, 1)
         chosen[pair] = True
-        chi2 = _chi2(mean.reshape(count, 2), own_cov)
+        (x, z), (xx, xz, zz) = mean.reshape(count, 2).T, (own_cov[:, 0, 0], own_cov[:, 0, 1], own_cov[:, 1, 1])
+        chi2 = (zz * x**2 - 2 * xz * x * z + xx * z**2) / (xx * zz - xz**2)
         fits &= (chi2 < _GATE) & ~chosen
         if not fits.any():
             break
         pair = int(np.where(fits, chi2, np.inf).argmin())
     return chosen
-
-
-def _chi2(offset: Array, cov: Array) -> Array:
-    """Return the squared sigmas (P,) of offsets (P, 2) with covariances (P, 2, 2)."""
-    (x, z), (xx, xz, zz) = offset.T, (cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1])
-    return np.asarray((zz * x**2 - 2 * xz * x * z + xx * z**2) / (xx * zz - xz**2))
 
 
 # -- loop closure -----------------------------------------------------------------------------------------------------
@@ -118,15 +130,23 @@ def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
     two that are often seen in one frame are two. Polarities that contradict each other do not part what stands at one
     place for certain: the sign of an edge depends on what lies behind it.
     """
+    from scipy.sparse import csc_array
+
     points, count = smoothed.points, len(smoothed.points)
     one, other = _near(points, np.flatnonzero(built.parallax >= np.deg2rad(3.0)))
     if len(one) == 0:
         return np.arange(count)
     looks = looks_alike(built.side[one], built.polarity[one], built.side[other], built.polarity[other])
     contrary = np.isneginf(looks)
-    fewer, together = _together(frame, built.of[built.used], one, other)
+    shown = csc_array((np.ones(len(frame)), (frame, built.of[built.used])), dtype=np.int64)
+    shown.data[:] = 1  # however often in one frame
+    both = (shown.T @ shown).tocsr()
+    fewer, together = np.minimum(both[one, one], both[other, other]), both[one, other]
     may = (together <= np.maximum(_TOGETHER_SHARE * fewer, 1)) & ((looks >= _UNLIKE) | contrary)
-    may[may] = _within_reach(points, smoothed.landmark_cov(), one[may], other[may])
+    # However two landmarks are correlated, the covariance of their difference is at most twice the sum of their own.
+    single, reach = smoothed.landmark_cov(), points[one[may]] - points[other[may]]
+    most = 2 * (single[one[may]] + single[other[may]]) + _LEAST_SIGMA_M**2 * np.eye(2)
+    may[may] = np.einsum("pi,pij,pj->p", reach, np.linalg.inv(most), reach) < _GATE
     one, other, looks, contrary = one[may], other[may], np.where(contrary, _CONTRARY, looks)[may], contrary[may]
     apart = points[one] - points[other]
     cov = smoothed.difference_cov(one, other) + _LEAST_SIGMA_M**2 * np.eye(2)
@@ -177,16 +197,6 @@ def _near(points: Array, known: Index) -> tuple[Index, Index]:
     return known[pairs[:, 0]], known[pairs[:, 1]]
 
 
-def _within_reach(points: Array, cov: Array, one: Index, other: Index) -> NDArray[np.bool_]:
-    """Return which pairs (P,) may pass the gate by the covariances (L, 2, 2) of single landmarks.
-
-    However two landmarks are correlated, the covariance of their difference is at most twice the sum of their own.
-    """
-    most = 2 * (cov[one] + cov[other]) + _LEAST_SIGMA_M**2 * np.eye(2)
-    apart = points[one] - points[other]
-    return np.asarray(np.einsum("pi,pij,pj->p", apart, np.linalg.inv(most), apart) < _GATE)
-
-
 def _places(middle: Array, score: Array) -> list[Index]:
     """Return the pairs (K,) of each place, few enough to be compared with each other; middle (P, 2), score (P,) of all.
 
@@ -202,16 +212,6 @@ def _places(middle: Array, score: Array) -> list[Index]:
         else:
             places.append(part[:_MOST_PAIRS])
     return places
-
-
-def _together(frame: Index, landmark: Index, one: Index, other: Index) -> tuple[Index, Index]:
-    """Return in how many frames (P,) the rarer one of a pair is seen, and in how many both are."""
-    from scipy.sparse import csc_array
-
-    shown = csc_array((np.ones(len(frame)), (frame, landmark)), dtype=np.int64)
-    shown.data[:] = 1  # however often in one frame
-    both = (shown.T @ shown).tocsr()
-    return np.minimum(both[one, one], both[other, other]), both[one, other]
 
 
 def _partners(one: Index, other: Index, count: int) -> list[set[int]]:
@@ -255,3 +255,118 @@ def _unite(one: Index, other: Index, order: Index, count: int) -> Index:
         members[first] |= members.pop(second)
         number[list(members[first])] = first
     return number
+
+
+# -- the score test ---------------------------------------------------------------------------------------------------
+
+_LEAST_VISIT_SIGMA_M = 0.008  # from its other side, an edge is the other side of a frame or a strip
+_APART_FRAMES = 30  # without a landmark, after which it is visited again
+
+
+def without_contradicting_visits(problem: Problem, smoothed: Smoothed, of: Index, used: Index) -> Index:
+    """Return the landmarks `of` (S,) with the visits that contradict their landmarks as landmarks of their own.
+
+    used: (K,) the sightings that are the bearings of the problem. Of visits at one time only the worst leaves: it may
+    be why the others seem to contradict.
+    """
+    landmark = problem.bearings.landmark
+    visit = visits(landmark, problem.bearings.frame)
+    owner = np.zeros(visit.max(initial=-1) + 1, dtype=np.int64)
+    owner[visit] = landmark
+    several = np.flatnonzero(np.bincount(owner)[owner] > 1)
+    if len(several) == 0:
+        return of
+    chi2 = visit_contradiction(problem, smoothed, visit, several)
+    taken = np.zeros(int(problem.bearings.frame.max()) + 1, dtype=bool)
+    leaving = []
+    for index in np.argsort(-chi2, kind="stable")[: (chi2 > _GATE).sum()]:
+        frames = problem.bearings.frame[visit == several[index]]
+        if not taken[frames.min() : frames.max() + 1].any():
+            taken[frames.min() : frames.max() + 1] = True
+            leaving.append(several[index])
+    parted = of.copy()
+    gone = np.isin(visit, leaving)
+    parted[used[gone]] = len(smoothed.points) + visit[gone]
+    return parted
+
+
+def visits(landmark: Index, frame: Index) -> Index:
+    """Return the number (K,) of the visit that each bearing belongs to: a landmark's sightings without a long pause."""
+    order = np.lexsort((frame, landmark))
+    begins = (np.diff(landmark[order]) != 0) | (np.diff(frame[order]) > _APART_FRAMES)
+    visit = np.zeros(len(landmark), dtype=np.int64)
+    visit[order[1:]] = np.cumsum(begins)
+    return visit
+
+
+def visit_contradiction(problem: Problem, smoothed: Smoothed, visit: Index, asked: Index) -> Array:
+    """Return for each visit `asked` (V,) how many squared sigmas its own landmark would stand from the present one.
+
+    With cost(δ) = cost - 2 λᵀδ + δᵀMδ for a landmark of its own at distance δ, all else at its best: λ is the pull of
+    the visit's bearings, M their information less what poses and landmark take up. visit: (K,).
+    """
+    from scipy.sparse import csc_array
+
+    state = State(smoothed.poses, smoothed.points, smoothed.constants, smoothed.points)
+    bearing = bearing_block(problem, state)
+    number = np.full(int(visit.max(initial=-1)) + 1, -1)
+    number[asked] = np.arange(len(asked))
+    kept = np.flatnonzero(number[visit] >= 0)
+    own, shift = number[visit[kept]], bearing.value[kept, 3:5]
+    weighted = bearing.weight[kept, None] * shift
+    pull, information = np.zeros((len(asked), 2)), np.zeros((len(asked), 2, 2))
+    np.add.at(pull, own, weighted * bearing.residual[kept, None])
+    np.add.at(information, own, weighted[:, :, None] * shift[:, None])
+    # Moving a visit's landmark, (K, 2 V), and what that asks of all variables of the problem.
+    entries = weighted.ravel(), (np.repeat(np.arange(len(kept)), 2), (2 * own[:, None] + np.arange(2)).ravel())
+    by_visit = csc_array(entries, shape=(len(kept), 2 * len(asked)))
+    asks = bearing.jacobian(variables(state))[kept].T @ by_visit
+    # A visit that tells one direction only has no information along the other.
+    known, axes = np.linalg.eigh(information - smoothed.factor.projected(asks.tocsc()))
+    variance = 1 / np.maximum(known, 1e-6) + _LEAST_VISIT_SIGMA_M**2
+    offset = np.einsum("vji,vj->vi", axes, pull) / np.maximum(known, 1e-6)
+    return np.asarray(np.where(known > 1e-3, offset**2 / variance, 0.0).sum(axis=1))
+
+
+# -- the wheels -------------------------------------------------------------------------------------------------------
+
+_CONSTANTS_CHI2 = 16.3  # 99.7 % of a Gaussian of four dimensions
+_STRETCHES = (1, 10, 30, 100)  # steps between images, over which the noise is compared
+_CHANCE = 0.003  # that the noise of right wheels alone contradicts a path
+
+
+def contradicting_steps(wheels: Wheels, poses: Array, constants: Array) -> Index:
+    """Return the steps (K,), each from image k to k + 1, in which a path contradicts the wheels."""
+    chi2 = (wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1)
+    return np.flatnonzero(chi2 > _largest_chi2(len(chi2)))
+
+
+def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) -> str | None:
+    """Return in words how a path contradicts the wheels; None where it does not.
+
+    poses: (T, 3). constants: (4,) of wheels and mount, as in `factors.CONSTANTS`. prior: what is stated of them.
+    """
+    sigmas = (constants - prior.mean) / prior.sigma
+    if sigmas @ sigmas > _CONSTANTS_CHI2:
+        worst = int(np.abs(sigmas).argmax())
+        return f"the wheels' constant errors would be {abs(sigmas[worst]):.1f} sigmas off ({CONSTANTS[worst]})"
+    residual = wheel_residuals(wheels, poses, constants)
+    gate = _largest_chi2(len(residual))
+    for steps in _STRETCHES:
+        count = len(residual) // steps
+        sums = residual[: count * steps].reshape(count, steps, 3).sum(axis=1)
+        chi2 = (sums**2).sum(axis=1) / steps
+        if count and chi2.max() > gate:
+            first = int(chi2.argmax()) * steps
+            return f"the wheels would be {np.sqrt(chi2.max()):.1f} sigmas off from image {first} to {first + steps}"
+    return None
+
+
+def _largest_chi2(count: int) -> float:
+    """Return what the largest χ² of `count` Gaussians of three dimensions exceeds with the probability `_CHANCE`.
+
+    The longer the drive, the farther off the noise of its worst step.
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(3, _CHANCE / max(count, 1)))

@@ -111,22 +111,16 @@ def vote_for_shift(first: Array, second: Array, turn: float, most_bins: int = _M
     cell = ((shifts - low) / _BIN_M).astype(np.int64)
     size = cell.max(axis=0) + 2
     if float(size[0]) * float(size[1]) > most_bins:
-        most, place = _vote_for_shift_sparsely(cell, int(size[1]))
-        return most, low + _BIN_M * (place + 1.0)
+        around = np.concatenate([cell - step for step in ([0, 0], [0, 1], [1, 0], [1, 1])])
+        around = around[(around >= 0).all(axis=1)]
+        key, count = np.unique(around[:, 0] * size[1] + around[:, 1], return_counts=True)
+        best = int(count.argmax())
+        return int(count[best]), low + _BIN_M * (np.array(divmod(int(key[best]), int(size[1]))) + 1.0)
     votes = np.bincount(cell[:, 0] * size[1] + cell[:, 1], minlength=int(size[0] * size[1])).reshape(size)
     # A peak on the border of two bins votes in both.
     around = votes[:-1, :-1] + votes[1:, :-1] + votes[:-1, 1:] + votes[1:, 1:]
     row, column = np.unravel_index(int(around.argmax()), around.shape)
     return int(around[row, column]), low + _BIN_M * np.array([row + 1.0, column + 1.0])
-
-
-def _vote_for_shift_sparsely(cell: NDArray[np.int64], columns: int) -> tuple[int, Array]:
-    """Return the most votes and their place (2,), as `vote_for_shift` does, of cells (S, 2) that lie far apart."""
-    around = np.concatenate([cell - step for step in ([0, 0], [0, 1], [1, 0], [1, 1])])
-    around = around[(around >= 0).all(axis=1)]
-    key, count = np.unique(around[:, 0] * columns + around[:, 1], return_counts=True)
-    best = int(count.argmax())
-    return int(count[best]), np.array(divmod(int(key[best]), columns), dtype=np.float64)
 
 
 def _refine(first: Array, second: Array, pose: Array, within_m: float) -> Alignment:
@@ -301,7 +295,16 @@ def merge_duplicates(landmark_map: LandmarkMap) -> tuple[LandmarkMap, list[tuple
     place is that of both by their covariances.
     """
     gone: list[tuple[int | str, int | str]] = []
-    while len(pairs := _disjoint(landmark_map)):
+    while len(pairs := duplicates(landmark_map)):
+        apart = np.hypot(*(landmark_map.points[pairs[:, 0]] - landmark_map.points[pairs[:, 1]]).T)
+        shown = np.zeros(len(landmark_map)) if landmark_map.quality is None else landmark_map.quality.sightings
+        taken: set[int] = set()
+        chosen = []
+        for first, second in pairs[np.argsort(apart, kind="stable")].tolist():
+            if taken.isdisjoint((first, second)):
+                taken |= {first, second}
+                chosen.append((first, second) if not shown[second] > shown[first] else (second, first))
+        pairs = np.array(chosen, dtype=np.int64)
         one, other = pairs.T
         gone += [(landmark_map.ids[i], landmark_map.ids[j]) for i, j in pairs]
         points, cov = landmark_map.points.copy(), landmark_map.cov.copy()
@@ -309,17 +312,3 @@ def merge_duplicates(landmark_map: LandmarkMap) -> tuple[LandmarkMap, list[tuple
         landmark_map = replace(landmark_map, points=points, cov=cov)
         landmark_map = landmark_map.take(np.setdiff1d(np.arange(len(landmark_map)), other))
     return landmark_map, gone
-
-
-def _disjoint(landmark_map: LandmarkMap) -> Index:
-    """Return duplicates (K, 2), each landmark once, the nearest first; which of two stays is the first of them."""
-    pairs = duplicates(landmark_map)
-    apart = np.hypot(*(landmark_map.points[pairs[:, 0]] - landmark_map.points[pairs[:, 1]]).T)
-    shown = np.zeros(len(landmark_map)) if landmark_map.quality is None else landmark_map.quality.sightings
-    taken: set[int] = set()
-    chosen = []
-    for one, other in pairs[np.argsort(apart, kind="stable")].tolist():
-        if taken.isdisjoint((one, other)):
-            taken |= {one, other}
-            chosen.append((one, other) if not shown[other] > shown[one] else (other, one))
-    return np.array(chosen, dtype=np.int64).reshape(-1, 2)

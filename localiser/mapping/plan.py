@@ -183,7 +183,10 @@ def _corners_at(outline: Array, turns: NDArray[np.int64], k: int) -> Array:
     (point, along), (other, along_other) = _line_from(before), _line_from(after)
     # Both directions lead away from the turn: where they agree, a thin wall ends, and its outline turns back.
     if along @ along_other > np.cos(_TURN_RAD):
-        return _end_of_wall(turn, (point, other), along + along_other)
+        along = (along + along_other) / np.hypot(*(along + along_other))
+        # A cell that crosses the wall reaches beyond its end by more than one that lies along it.
+        beyond = np.abs(along).sum() - 1.0
+        return np.array([side + along * ((turn - side) @ along + beyond) for side in (point, other)])
     if len(before) < len(after):
         along = _squared(along, along_other, len(before))
     else:
@@ -200,14 +203,6 @@ def _line_from(points: Array) -> tuple[Array, Array]:
     """Return a point of the line through points (P, 2) and its direction (2,) from the first to the last of them."""
     middle, along = line_through(points)
     return middle, along * (1.0 if along @ (points[-1] - points[0]) >= 0 else -1.0)
-
-
-def _end_of_wall(turn: Array, sides: tuple[Array, Array], along: Array) -> Array:
-    """Return the corners (2, 2) of a wall that ends at `turn`, between a point of either side; along: into the wall."""
-    along = along / np.hypot(*along)
-    # A cell that crosses the wall reaches beyond its end by more than one that lies along it.
-    beyond = np.abs(along).sum() - 1.0
-    return np.array([side + along * ((turn - side) @ along + beyond) for side in sides])
 
 
 def _squared(along: Array, longer: Array, count: int) -> Array:

@@ -55,16 +55,11 @@ def _shared(landmark: Index, count: int, heading: Array, pull: Array) -> Array:
     result = np.zeros((count, 2, 2))
     for own in np.split(order, np.flatnonzero(np.diff(landmark[order])) + 1):
         if len(own):
-            result[landmark[own[0]]] = _shared_by_one(turned[own, None], pull[own])
+            grown = np.exp(turned[own, None]) * pull[own]
+            earlier = np.exp(-turned[own, None]) * (np.cumsum(grown, axis=0) - grown)
+            pairs = pull[own].T @ earlier
+            result[landmark[own[0]]] = pull[own].T @ pull[own] + pairs + pairs.T
     return result
-
-
-def _shared_by_one(turned: Array, pull: Array) -> Array:
-    """Return Σ Σ u_k u_lᵀ exp(-|t_k - t_l|) (2, 2) over the pulls u (K, 2) at ascending t (K, 1)."""
-    grown = np.exp(turned) * pull
-    earlier = np.exp(-turned) * (np.cumsum(grown, axis=0) - grown)
-    pairs = pull.T @ earlier
-    return pull.T @ pull + pairs + pairs.T
 
 
 # -- quality ----------------------------------------------------------------------------------------------------------
@@ -174,15 +169,6 @@ def _outermost(landmark: Index, count: int, height: Array, cut: NDArray[np.bool_
     return result
 
 
-def worth_keeping(built: Built, probability: Array, parameters: MappingParameters) -> NDArray[np.bool_]:
-    """Return which landmarks (L,) belong on a map: seen often enough, from far enough apart, likely to be there."""
-    return np.asarray(
-        (built.parallax >= np.deg2rad(parameters.parallax_min_deg))
-        & (built.count >= parameters.sightings_min)
-        & (probability >= parameters.existence_min)
-    )
-
-
 def is_placed(sightings: Sightings, built: Built, cameras: Array, cov: Array) -> NDArray[np.bool_]:
     """Return which landmarks (L,) are known better than by having been seen: sigma below the farthest range of it.
 
@@ -218,8 +204,10 @@ def landmark_map_of(
     quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
     cov = built.cov + place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
-    has_place = is_placed(sightings, built, cameras, cov)
-    return whole.take(np.flatnonzero(worth_keeping(built, probability, parameters) & has_place))
+    # Worth keeping is what was seen often enough, from far enough apart, and is likely to be there.
+    worth = (built.parallax >= np.deg2rad(parameters.parallax_min_deg)) & (built.count >= parameters.sightings_min)
+    worth &= (probability >= parameters.existence_min) & is_placed(sightings, built, cameras, cov)
+    return whole.take(np.flatnonzero(worth))
 
 
 def span_rad(camera: Camera) -> float:

@@ -16,7 +16,7 @@ from localiser import camera as camera_module
 from localiser import edges as edges_package
 from localiser import geometry as geometry_package
 from localiser import motion
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
@@ -44,21 +44,8 @@ _LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 """Error of the wheels between two images even at a stand: right, backward (m), turn (rad)."""
 
 
-class RecordedImage(Protocol):
-    """An image of a log, read when it is asked for; encoded: the file as it is."""
-
-    @property
-    def t_ns(self) -> int: ...  # noqa: D102
-    @property
-    def load(self) -> Callable[[], NDArray[np.uint8]]: ...  # noqa: D102
-    @property
-    def encoded(self) -> Callable[[], bytes]: ...  # noqa: D102
-    @property
-    def mount(self) -> Mount | None: ...  # noqa: D102
-
-
 class RecordedLog(Protocol):
-    """A log as `storage.Log` has it: frames are images, or edges that were measured already."""
+    """A log as `storage.Log` has it: frames are images, read when asked for, or edges that were measured already."""
 
     @property
     def name(self) -> str: ...  # noqa: D102
@@ -73,7 +60,7 @@ class RecordedLog(Protocol):
     @property
     def start(self) -> Start | None: ...  # noqa: D102
     @property
-    def frames(self) -> Sequence[RecordedImage | Sighting]: ...  # noqa: D102
+    def frames(self) -> Sequence[Any]: ...  # noqa: D102
     @property
     def has_images(self) -> bool: ...  # noqa: D102
     def twist_at(self, t_ns: int) -> Twist | None: ...  # noqa: D102

@@ -21,8 +21,13 @@ from localiser.geometry import Array, compose, forward, map_from_robot, wrap_ang
 from localiser.mapping.factors import CONSTANTS, Bearings, Prior, Problem, Wheels
 from localiser.mapping.known_poses import reassociate, with_leftovers
 from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, misfit, renumber, same_groups
-from localiser.mapping.loop_checks import contradicting_steps, contradiction, without_contradicting_visits
-from localiser.mapping.loop_closure import same_landmarks, without_outvoted_tracks
+from localiser.mapping.loop_closure import (
+    contradicting_steps,
+    contradiction,
+    same_landmarks,
+    without_contradicting_visits,
+    without_outvoted_tracks,
+)
 from localiser.mapping.place_recognition import recognise_groups
 from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.smooth import CONVERGED, Scale, Smoothed, dead_reckoning, scale_by_floor_contacts, smooth

@@ -72,16 +72,11 @@ class Linearised:
 
     def normal(self) -> tuple[Any, Array]:
         """Return the upper triangle of JᵀWJ (V, V), sparse, and JᵀWr (V,)."""
-        from scipy.sparse import csc_array, csr_array
+        from scipy.sparse import diags_array, triu
 
         jacobian = self.jacobian
-        weighted = jacobian.data * np.repeat(self.weight, np.diff(jacobian.indptr))
-        transposed = csr_array((weighted, jacobian.indices, jacobian.indptr), shape=jacobian.shape).T
-        whole = transposed @ jacobian
-        upper = whole.indices <= np.repeat(np.arange(self.size), np.diff(whole.indptr))
-        begin = np.concatenate([[0], np.cumsum(upper)])[whole.indptr]
-        entries = whole.data[upper], whole.indices[upper], begin
-        return csc_array(entries, shape=whole.shape), transposed @ self.residual
+        transposed = (diags_array(self.weight) @ jacobian).T
+        return triu(transposed @ jacobian, format="csc"), transposed @ self.residual
 
 
 class Factor:

@@ -15,13 +15,14 @@ distance [Civera, Davison, Montiel 2008].
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.geometry import Array, wrap_angle
+from localiser.geometry.compiled import compiled
 from localiser.mapping.sightings import Index, Sightings
 
 # -- data association -------------------------------------------------------------------------------------------------
@@ -138,27 +139,142 @@ def follow(
     error of the turn since the frame before, as far as it is known.
     margin: see `assign`; an edge that is no clear match of one track begins another.
     """
-    from localiser.mapping.tracks_kernel import follow_loop
-
     track, edges = np.full(len(sightings), -1, dtype=np.int64), np.diff(sightings.first)
     # Each track that is alive was seen in one of the latest images.
-    alive = np.convolve(edges, np.ones(parameters.missed_most + 2, dtype=np.int64)).max(initial=0)
-    follow_loop(
-        sightings.first,
-        np.ascontiguousarray(sightings.bearing, dtype=np.float64),
-        np.ascontiguousarray(sightings.sigma, dtype=np.float64),
-        sightings.polarity,
-        np.ascontiguousarray(sightings.side, dtype=np.float64),
-        np.ascontiguousarray(cameras, dtype=np.float64),
-        np.ascontiguousarray(pose_sigma_rad, dtype=np.float64),
-        parameters.found,
-        parameters.new_share,
-        parameters.gate_sigma,
-        parameters.nearest_m,
-        parameters.missed_most,
-        float(margin),
-        int(alive),
-        int(edges.max(initial=0)),
-        track,
-    )
+    most = int(np.convolve(edges, np.ones(parameters.missed_most + 2, dtype=np.int64)).max(initial=0))
+    state, expected = np.empty((most, 7)), np.empty((most, 4))
+    last, missed, number = np.empty((3, most), dtype=np.int64)
+    side = np.ascontiguousarray(sightings.side)
+    score_of: Any = compiled(score_loop)
+    advance: Any = compiled(advance_loop)
+    found, new_share, gate = parameters.found, parameters.new_share, parameters.gate_sigma
+    alive, tracks = 0, 0
+    for frame, camera in enumerate(np.ascontiguousarray(cameras)):
+        begin, end = sightings.first[frame : frame + 2].tolist()
+        heading = camera[2] - sightings.bearing[begin:end]
+        sigma = np.sqrt(sightings.sigma[begin:end] ** 2 + pose_sigma_rad[frame] ** 2)
+        match = np.full(end - begin, -1, dtype=np.int64)
+        if alive and end > begin:
+            seen = heading, sigma, begin, camera, side, sightings.polarity
+            edge, own = assign(score_of(state, last, alive, *seen, found, new_share, gate, expected), margin)
+            match[edge] = own
+        kept = state, expected, last, missed, number, alive, tracks
+        new = heading, sigma, match, begin, camera, 1 / (3 * parameters.nearest_m), parameters.missed_most
+        alive, tracks = advance(*kept, *new, track)
     return track
+
+
+# -- loops for numba to compile, when they are called: arrays of an image are small, and calls of numpy take long ------
+
+# Columns of a track's state: where the camera first saw it, heading, inverse distance, covariance of these two.
+X, Z, HEADING, INVERSE, HH, HI, II = range(7)
+# Columns of what is predicted of a track: its heading, the derivatives by both, the variance by the state.
+AT, BY_HEADING, BY_INVERSE, VARIANCE = range(4)
+
+
+def score_loop(
+    state: Array,
+    last: Index,
+    count: int,
+    heading: Array,
+    sigma: Array,
+    begin: int,
+    camera: Array,
+    side: Array,
+    polarity: NDArray[np.int8],
+    found: float,
+    new_share: float,
+    gate: float,
+    expected: Array,
+) -> Array:
+    """Return the scores (E, count) of all pairs of edges and tracks, as `association_scores` and `looks_alike` do.
+
+    Written are the headings under which the camera (3,) should see tracks, their derivatives by the states, and their
+    variances: `expected` (·, 4). last: (·,) the sighting that each track was seen in last.
+    """
+    score, odds = np.empty((len(heading), count)), np.log(found / (1 - found))
+    odds += np.log(max(heading.max() - heading.min(), NARROWEST_SPAN_RAD) / max(new_share * len(heading), 1.0))
+    for k in range(count):
+        sin, cos = np.sin(state[k, HEADING]), np.cos(state[k, HEADING])
+        baseline_x, baseline_z = state[k, X] - camera[0], state[k, Z] - camera[1]
+        x, z = state[k, INVERSE] * baseline_x - sin, state[k, INVERSE] * baseline_z - cos
+        squared = max(x * x + z * z, 1e-12)
+        a, b = (-z * cos - x * sin) / squared, (z * baseline_x - x * baseline_z) / squared
+        expected[k, AT], expected[k, BY_HEADING], expected[k, BY_INVERSE] = np.arctan2(-x, -z), a, b
+        expected[k, VARIANCE] = a * a * state[k, HH] + 2 * a * b * state[k, HI] + b * b * state[k, II]
+        for e in range(len(heading)):
+            innovation = (heading[e] - expected[k, AT] + np.pi) % (2 * np.pi) - np.pi
+            variance = expected[k, VARIANCE] + sigma[e] * sigma[e]
+            product = polarity[last[k]] * polarity[begin + e]
+            score[e, k] = -np.inf
+            if product < 0 or innovation * innovation > gate * gate * variance:
+                continue
+            looks = np.log(2.0) if product > 0 else 0.0
+            for half in range(2):
+                apart = (side[last[k], half] - side[begin + e, half]) / GREY_SIGMA
+                same = SAME_SIDE * np.exp(-0.5 * apart * apart) / (GREY_SIGMA * np.sqrt(2 * np.pi))
+                if not np.isnan(apart):
+                    looks += np.log(same * GREY_SPAN + 1 - SAME_SIDE)
+            fit = -0.5 * innovation * innovation / variance - 0.5 * np.log(2 * np.pi * variance)
+            score[e, k] = fit + odds + looks
+    return score
+
+
+def advance_loop(
+    state: Array,
+    expected: Array,
+    last: Index,
+    missed: Index,
+    number: Index,
+    alive: int,
+    tracks: int,
+    heading: Array,
+    sigma: Array,
+    match: Index,
+    begin: int,
+    camera: Array,
+    inverse_m: float,
+    missed_most: int,
+    track: Index,
+) -> tuple[int, int]:
+    """Update tracks by their edges, drop those that were missed too often, begin one for each other edge.
+
+    match: (E,) the track of each edge, -1 for none. A state is the heading under which the edge was first seen and the
+    inverse distance from there, which is between 3 `inverse_m` and 0 within two sigmas at first. Return how many tracks
+    are alive, and how many there were.
+    """
+    for k in range(alive):
+        missed[k] += 1
+    for e in range(len(heading)):
+        k = match[e]
+        if k < 0:
+            continue
+        a, b = expected[k, BY_HEADING], expected[k, BY_INVERSE]
+        hh, hi, ii = state[k, HH], state[k, HI], state[k, II]
+        by_h, by_i = hh * a + hi * b, hi * a + ii * b
+        total = by_h * a + by_i * b + sigma[e] * sigma[e]
+        by_h, by_i = by_h / total, by_i / total
+        innovation = (heading[e] - expected[k, AT] + np.pi) % (2 * np.pi) - np.pi
+        state[k, HEADING] += by_h * innovation
+        state[k, INVERSE] = max(state[k, INVERSE] + by_i * innovation, 0.0)
+        # Joseph's form: M C Mᵀ + g gᵀ σ², with M = 1 - g jᵀ.
+        m00, m01, m10, m11 = 1 - by_h * a, -by_h * b, -by_i * a, 1 - by_i * b
+        c00, c01 = m00 * hh + m01 * hi, m00 * hi + m01 * ii
+        c10, c11 = m10 * hh + m11 * hi, m10 * hi + m11 * ii
+        state[k, HH] = c00 * m00 + c01 * m01 + by_h * by_h * sigma[e] * sigma[e]
+        state[k, HI] = c00 * m10 + c01 * m11 + by_h * by_i * sigma[e] * sigma[e]
+        state[k, II] = c10 * m10 + c11 * m11 + by_i * by_i * sigma[e] * sigma[e]
+        last[k], missed[k], track[begin + e] = begin + e, 0, number[k]
+    kept = 0
+    for k in range(alive):
+        if missed[k] <= missed_most:
+            state[kept], last[kept], missed[kept], number[kept] = state[k], last[k], missed[k], number[k]
+            kept += 1
+    for e in range(len(heading)):
+        if match[e] < 0:
+            state[kept, X], state[kept, Z] = camera[0], camera[1]
+            state[kept, HEADING], state[kept, INVERSE] = heading[e], inverse_m
+            state[kept, HH], state[kept, HI], state[kept, II] = sigma[e] ** 2, 0.0, inverse_m**2
+            last[kept], missed[kept], number[kept], track[begin + e] = begin + e, 0, tracks, tracks
+            kept, tracks = kept + 1, tracks + 1
+    return kept, tracks

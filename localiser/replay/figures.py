@@ -21,6 +21,7 @@ from localiser.filter import LocatedFrame, Sighting, Start
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser
+from localiser.particles import POSE
 from localiser.replay.frames import KeptFrames
 from localiser.storage import Log, fingerprint, jump_text
 
@@ -108,7 +109,8 @@ class Results:
 
     def edges_of(self, index: int) -> Edges:
         """Return the edges of an image by its index."""
-        return self.frames[index].located.edges
+        frame: LocatedFrame = self.frames[index]
+        return frame.located.edges
 
     @property
     def track(self) -> Track:
@@ -186,12 +188,14 @@ def bound_of(run: Results) -> Array | None:
 
 
 def _constants(run: Results) -> dict[str, Any]:
-    """Return what the run has learnt of its wheels, beside what the truth says of them."""
-    truth, fit = run.log.groundtruth, {}
-    first, last = run.frames[0].located, run.frames[-1].located
-    if truth is not None and run.localiser.config.increments.source == "wheel":
-        fit = evaluate.fit_wheels(run.log.odometry, truth, first.t_ns, last.t_ns)
-    return evaluate.bias_figures(last.estimate, fit)
+    """Return value and sigma of what the run has learnt of its wheels."""
+    estimate = run.frames[-1].located.estimate
+    learnt = list(zip(estimate.names, estimate.mean.tolist(), np.sqrt(np.diag(estimate.cov)).tolist(), strict=True))
+    return {
+        name: {"value": round(value, 6), "sigma": round(sigma, 6)}
+        for name, value, sigma in learnt[len(POSE) :]
+        if sigma > 1e-9  # of what can be wrong
+    }
 
 
 def _map_warnings(run: Results) -> list[str]:

@@ -16,8 +16,7 @@ from localiser import geometry
 from localiser.camera import Mount, MountSigma
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
-from localiser.simulate.robot import DriveSpec, MountMotionSpec, OdometrySpec, Sway
-from localiser.simulate.world import World
+from localiser.simulate.world import DriveSpec, MountMotionSpec, OdometrySpec, Sway, World
 
 MOST_POSES = 1_000_000
 

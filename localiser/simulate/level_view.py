@@ -101,7 +101,15 @@ def _view_of_rays(rays: Array, camera: Camera) -> LevelView:
     columns = int(np.ceil((bearing.max() + margin - left) * per_unit))
     rows = int(np.ceil((top - elevation.min() + margin) * per_unit))
     column_at, row_at = (bearing - left) * per_unit - 0.5, (top - elevation) * per_unit - 0.5
-    first_row, stop_row = _needed_rows(column_at, row_at, columns, rows)
+    # For each column the rows that interpolation touches, with two columns and rows to spare.
+    first, last = np.full(columns, rows), np.full(columns, -1)
+    column, row = (np.floor(at).astype(np.intp).ravel() for at in (column_at, row_at))
+    np.minimum.at(first, column, row)
+    np.maximum.at(last, column, row)
+    first, last = (
+        least([np.roll(rim, k) for k in range(-2, 4)], axis=0) for least, rim in ((np.min, first), (np.max, last))
+    )
+    first_row, stop_row = np.clip(first - 2, 0, rows), np.clip(last + 4, 0, rows)
     return LevelView(
         left,
         top,
@@ -109,25 +117,11 @@ def _view_of_rays(rays: Array, camera: Camera) -> LevelView:
         columns,
         rows,
         first_row,
-        stop_row,
+        np.maximum(stop_row, first_row),
         row_at.astype(np.float32),
         column_at.astype(np.float32),
         (camera.width, len(rays) // OVERSAMPLE),
     )
-
-
-def _needed_rows(column_at: Array, row_at: Array, columns: int, rows: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return for each column the rows that interpolation touches, with two columns and rows to spare."""
-    first, last = np.full(columns, rows), np.full(columns, -1)
-    column = np.floor(column_at).astype(np.intp).ravel()
-    row = np.floor(row_at).astype(np.intp).ravel()
-    np.minimum.at(first, column, row)
-    np.maximum.at(last, column, row)
-    reach = range(-2, 4)
-    first = np.min([np.roll(first, k) for k in reach], axis=0)
-    last = np.max([np.roll(last, k) for k in reach], axis=0)
-    first, stop = np.clip(first - 2, 0, rows), np.clip(last + 4, 0, rows)
-    return first, np.maximum(stop, first)
 
 
 # -- what each column shows -------------------------------------------------------------------------------------------
@@ -286,7 +280,9 @@ def _stack(
     number = max(1, int((solid >= 0).sum(axis=0).max(initial=0)))
     padding = np.full((1, len(column)), -1)
     surfaces = _surfaces(scenery, column, np.concatenate([solid, padding])[:number])
-    limits = _limits(surfaces)
+    # The elevations (I, C'), falling, at which another surface may come into sight; the horizon is one.
+    ends = [surfaces.low / surfaces.entry, surfaces.high / surfaces.entry, np.nan_to_num(surfaces.cap / surfaces.leave)]
+    limits = np.sort(np.concatenate([*ends, np.zeros((1, len(column)))]), axis=0)[::-1]
     nearest, middle = _nearest(scenery, surfaces, limits)
     is_upright, is_shell = nearest < number, nearest == 2 * number
     which = np.where(is_shell, 0, nearest % number)
@@ -307,13 +303,6 @@ def _stack(
         distance_m=surfaces.entry[which, here][kept],
         above_m=np.where(is_shell, np.where(is_below, scenery.floor, scenery.ceiling), surfaces.cap[which, here])[kept],
     )
-
-
-def _limits(surfaces: _Surfaces) -> Array:
-    """Return the elevations (I, C'), falling, at which another surface may come into sight; the horizon is one."""
-    ends = [surfaces.low / surfaces.entry, surfaces.high / surfaces.entry, np.nan_to_num(surfaces.cap / surfaces.leave)]
-    horizon = np.zeros((1, surfaces.solid.shape[1]))
-    return np.sort(np.concatenate([*ends, horizon]), axis=0)[::-1]
 
 
 def _nearest(scenery: _Scenery, surfaces: _Surfaces, limits: Array) -> tuple[NDArray[np.intp], Array]:

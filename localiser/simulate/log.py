@@ -63,40 +63,7 @@ def simulated_log(world: World, seed: int) -> SimulatedLog:
     except ValueError as error:
         raise InputError(str(error), field="camera.mount.tilt_deg") from None
     drive = drive_of(world, np.random.default_rng([seed, _DRIVE]))
-    _require_clear(scene, drive)
-    poses = drive.truth.sampled(drive.image_t_ns).poses
-    times = [int(t_ns) for t_ns in drive.image_t_ns]
-    visible = tuple(
-        visible_landmarks(scene.structure, scene.camera_at(t_ns), pose) for t_ns, pose in zip(times, poses, strict=True)
-    )
-    start_cov = np.diag([world.start.sigma_m, world.start.sigma_m, np.deg2rad(world.start.sigma_deg)]) ** 2
-    start = poses[0] + np.sqrt(np.diag(start_cov)) * np.random.default_rng([seed, _START]).standard_normal(3)
-    start[2] = wrap_angle(start[2])
-    return SimulatedLog(
-        name=world.name,
-        camera=scene.camera,
-        drive=drive,
-        landmark_map=_seen(scene.structure.landmark_map, visible),
-        start=start,
-        start_cov=start_cov,
-        visible=visible,
-        mounts=_stated_mounts(scene, times, np.random.default_rng([seed, _MOUNTS])),
-        jpeg_quality=world.image.jpeg_quality,
-        seed=seed,
-        scene=scene,
-    )
-
-
-def _stated_mounts(scene: Scene, times_ns: list[int], rng: np.random.Generator) -> tuple[Mount | None, ...]:
-    motion = scene.world.camera.motion
-    if motion is None:
-        return (None,) * len(times_ns)
-    return tuple(stated_mount(scene.camera_at(t_ns).mount, motion, rng) for t_ns in times_ns)
-
-
-def _require_clear(scene: Scene, drive: Drive) -> None:
-    camera_pose = scene.camera.pose_in_map(drive.truth.poses)
-    height_m = scene.camera.mount.height_m
+    camera_pose, height_m = scene.camera.pose_in_map(drive.truth.poses), scene.camera.mount.height_m
     for points, radius, who in ((drive.truth.poses, ROBOT_RADIUS_M, "robot"), (camera_pose, 0.0, "camera")):
         distance = clearance_m(scene.structure.solids, points[:, :2], height_m)
         worst = int(distance.argmin())
@@ -107,6 +74,29 @@ def _require_clear(scene: Scene, drive: Drive) -> None:
                 f"at x = {x:.2f}, z = {z:.2f}, {drive.truth.t_ns[worst] / 1e9:.1f} s after the start",
                 field="drive.path",
             )
+    poses = drive.truth.sampled(drive.image_t_ns).poses
+    times = [int(t_ns) for t_ns in drive.image_t_ns]
+    visible = tuple(
+        visible_landmarks(scene.structure, scene.camera_at(t_ns), pose) for t_ns, pose in zip(times, poses, strict=True)
+    )
+    start_cov = np.diag([world.start.sigma_m, world.start.sigma_m, np.deg2rad(world.start.sigma_deg)]) ** 2
+    start = poses[0] + np.sqrt(np.diag(start_cov)) * np.random.default_rng([seed, _START]).standard_normal(3)
+    start[2] = wrap_angle(start[2])
+    motion, rng = world.camera.motion, np.random.default_rng([seed, _MOUNTS])
+    mounts = [None if motion is None else stated_mount(scene.camera_at(t_ns).mount, motion, rng) for t_ns in times]
+    return SimulatedLog(
+        name=world.name,
+        camera=scene.camera,
+        drive=drive,
+        landmark_map=_seen(scene.structure.landmark_map, visible),
+        start=start,
+        start_cov=start_cov,
+        visible=visible,
+        mounts=tuple(mounts),
+        jpeg_quality=world.image.jpeg_quality,
+        seed=seed,
+        scene=scene,
+    )
 
 
 def _seen(everything: LandmarkMap, visible: tuple[Visible, ...]) -> LandmarkMap:

@@ -14,7 +14,6 @@ from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
 from localiser.simulate.drive import mount_at
 from localiser.simulate.level_view import (
-    CEILING,
     FLOOR,
     Columns,
     LevelView,
@@ -26,10 +25,9 @@ from localiser.simulate.level_view import (
     spans_of,
     strip_view_of,
 )
-from localiser.simulate.robot import ImageSpec
 from localiser.simulate.structure import Structure, structure_of
 from localiser.simulate.surfaces import Atlas, Image, Lighting, atlas_of, lighting_of
-from localiser.simulate.world import World
+from localiser.simulate.world import ImageSpec, World
 
 _BLUR_STEP_PX = 1.5  # motion blur averages sharp images no further apart than this
 _BLUR_STEPS_MOST = 16
@@ -98,8 +96,14 @@ def expose(scene: Scene, truth: Trajectory, t_ns: int, rng: np.random.Generator)
     """
     half_ns = round(scene.world.image.exposure_s * 5e8)
     begin_ns, end_ns = t_ns - half_ns, t_ns + half_ns
-    ends = [(truth.at(at_ns), scene.camera_at(at_ns)) for at_ns in (begin_ns, end_ns)]
-    steps = _blur_steps(*ends) if half_ns else 1
+    # Turning moves the image most, driving at most half as much.
+    motion = geometry.between(truth.at(begin_ns), truth.at(end_ns))
+    mount, then = (scene.camera_at(at_ns).mount for at_ns in (begin_ns, end_ns))
+    turned = abs(motion[2] + (then.yaw_rad - mount.yaw_rad)) + np.hypot(
+        then.tilt_rad - mount.tilt_rad, then.roll_rad - mount.roll_rad
+    )
+    moved_px = scene.camera.focal_px * (turned + np.hypot(motion[0], motion[1]) / 2)
+    steps = int(np.clip(np.ceil(moved_px / _BLUR_STEP_PX), 1, _BLUR_STEPS_MOST))
     times = [t_ns + round((2 * share - 1) * half_ns) for share in (np.arange(steps) + 0.5) / steps]
     sharp = [sharp_image(scene, truth, at_ns) for at_ns in times]
     light = sum(sharp[1:], start=sharp[0]) / np.float32(steps)
@@ -119,25 +123,18 @@ def sharp_image(scene: Scene, truth: Trajectory, t_ns: int) -> Image:
     row_ns = t_ns + np.round(shutter.since_stamp_s(rows) * 1e9).astype(np.int64)
     cameras = [scene.camera_at(int(at_ns)) for at_ns in row_ns]
     poses = np.array([camera.pose_in_map(truth.at(int(at_ns))) for camera, at_ns in zip(cameras, row_ns, strict=True)])
-    strips = np.array_split(rows, _strips(poses, cameras))
-    return np.concatenate([_strip(scene, poses, cameras, strip) for strip in strips])
-
-
-def _strips(poses: Array, cameras: list[Camera]) -> int:
-    """Return in how many strips the rows are taken, by the camera's floor poses (H, 3) and how it is mounted then."""
     moved_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
     mounts = np.array([[one.mount.tilt_rad, one.mount.roll_rad, one.mount.height_m] for one in cameras])
     swayed = float(np.abs(np.diff(mounts, axis=0)).sum())
-    return int(np.clip(np.ceil(moved_m / _STRIP_M + swayed * cameras[0].focal_px / _STRIP_PX), 1, len(poses)))
-
-
-def _strip(scene: Scene, poses: Array, cameras: list[Camera], rows: NDArray[np.intp]) -> Image:
-    """Return some rows (R, W, 3) of the image, all from where the camera is at the middle one."""
-    middle = rows[len(rows) // 2]
-    camera, pose = cameras[middle], poses[middle]
-    turned_rad = geometry.wrap_angle(poses[rows, 2] - pose[2])
-    view = strip_view_of(camera, slice(int(rows[0]), int(rows[-1]) + 1), turned_rad)
-    return _seen_from(scene.seen_by(camera, view), pose)
+    count = np.clip(np.ceil(moved_m / _STRIP_M + swayed * scene.camera.focal_px / _STRIP_PX), 1, len(rows))
+    strips = []
+    for strip in np.array_split(rows, int(count)):
+        middle = strip[len(strip) // 2]
+        camera, pose = cameras[middle], poses[middle]
+        turned_rad = geometry.wrap_angle(poses[strip, 2] - pose[2])
+        view = strip_view_of(camera, slice(int(strip[0]), int(strip[-1]) + 1), turned_rad)
+        strips.append(_seen_from(scene.seen_by(camera, view), pose))
+    return np.concatenate(strips)
 
 
 def radiance(scene: Scene, robot_pose: Array, camera: Camera | None = None) -> Image:
@@ -155,29 +152,14 @@ def _seen_from(scene: Scene, pose: Array) -> Image:
     return scene.view.image(_level_image(scene, pose, columns, spans))
 
 
-def _blur_steps(first: tuple[Array, Camera], last: tuple[Array, Camera]) -> int:
-    """Return how many sharp images make a blurred one; turning moves the image most, driving at most half as much.
-
-    first, last: pose (3,) of the robot, and the camera as it is mounted, at both ends of the exposure.
-    """
-    (one, camera), (other, after) = first, last
-    motion, mount, then = geometry.between(one, other), camera.mount, after.mount
-    turned = abs(motion[2] + (then.yaw_rad - mount.yaw_rad)) + np.hypot(
-        then.tilt_rad - mount.tilt_rad, then.roll_rad - mount.roll_rad
-    )
-    moved_px = camera.focal_px * (turned + np.hypot(motion[0], motion[1]) / 2)
-    return int(np.clip(np.ceil(moved_px / _BLUR_STEP_PX), 1, _BLUR_STEPS_MOST))
-
-
 def _developed(image: Image, spec: ImageSpec, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, vignette, gain, noise, rounding."""
+    """Return the 8-bit image as OpenCV has it, BGR or grey: lens blur, vignette, noise, rounding."""
     if spec.blur_px > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), spec.blur_px), dtype=np.float32)
     height, width = image.shape[:2]
     if spec.vignette > 0:
         u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
         image = image * (1 - spec.vignette * (u**2 + v**2) / 2).astype(np.float32)[..., None]
-    image = image * np.float32(spec.gain)
     code = cv2.COLOR_RGB2BGR if spec.colour else cv2.COLOR_RGB2GRAY
     image = np.asarray(cv2.cvtColor(image, code), dtype=np.float32)
     noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(spec.noise_sigma)
@@ -263,14 +245,12 @@ def _level(scene: Scene, pose: Array, columns: Columns, spans: Spans) -> Samples
     world = scene.world
     floor, ceiling = (scene.atlas.index[surface.material] for surface in (world.floor, world.ceiling))
     materials = np.append(_materials(scene), [ceiling, floor])  # CEILING is -2, FLOOR is -1
-    turn = np.where(solid == CEILING, np.deg2rad(world.ceiling.direction_deg), np.deg2rad(world.floor.direction_deg))
-    cos, sin = _at(span, np.cos(turn)), _at(span, np.sin(turn))
     is_floor = (solid == FLOOR)[span]
     middle_row = np.minimum(spans.first_row[chosen] + spans.count[chosen] // 2, scene.view.rows - 1)
     middle = (above / scene.view.elevation_of_rows(middle_row))[:, None] * ray + pose[:2]
     bright = _at(span, scene.lighting.of_tops(middle, above > 0))
     bright[is_floor] = scene.lighting.of_floor(x[is_floor], z[is_floor])
-    return place, bright, materials[solid][span], cos * x - sin * z, -(sin * x + cos * z), footprint
+    return place, bright, materials[solid][span], x, -z, footprint
 
 
 def _at(index: NDArray[np.intp], values: Array) -> NDArray[np.float32]:

@@ -116,7 +116,10 @@ def _heights_of_corner(filled: NDArray[np.bool_], bottom: Array, top: Array) -> 
     start = None
     for low, high in pairwise(levels):
         standing = (bottom <= low) & (top >= high)
-        is_corner = _is_corner(filled[standing].any(axis=0))
+        # A small circle round a corner, filled or not in each direction, shows more than nothing, all, or one half.
+        circle = filled[standing].any(axis=0)
+        count, changes = int(circle.sum()), int((circle != np.roll(circle, 1)).sum())
+        is_corner = changes > 2 or (changes == 2 and abs(count - len(circle) / 2) > 1)
         if is_corner and start is None:
             start = float(low)
         if not is_corner and start is not None:
@@ -124,12 +127,6 @@ def _heights_of_corner(filled: NDArray[np.bool_], bottom: Array, top: Array) -> 
             start = None
     if start is not None:
         yield start, float(levels[-1])
-
-
-def _is_corner(filled: NDArray[np.bool_]) -> bool:
-    """Whether a small circle, filled or not in each direction (S,), shows more than nothing, all, or one half."""
-    count, changes = int(filled.sum()), int((filled != np.roll(filled, 1)).sum())
-    return changes > 2 or (changes == 2 and abs(count - len(filled) / 2) > 1)
 
 
 def _candidates(corners: Array) -> Array:
@@ -184,7 +181,7 @@ def visible_landmarks(structure: Structure, camera: Camera, robot_pose: Array) -
     """
     camera_pose = camera.pose_in_map(robot_pose)
     right, ahead = (axis[0] for axis in in_camera(camera_pose[None], structure.edges.points))
-    low, high = _bearing_limits(camera)
+    low, high = (limit(_border_rays(camera)[:, 0]) for limit in (np.min, np.max))
     candidate = (structure.landmark >= 0) & (ahead > NEAR_M)
     candidate &= (right >= low * ahead) & (right <= high * ahead)
     edge = np.flatnonzero(candidate)
@@ -203,11 +200,6 @@ def _border_rays(camera: Camera) -> Array:
     """Return rays of the level frame (R, 3) through the rim of the image, scaled to one metre ahead."""
     rays = camera.level_rays(camera.border_px(33, 0.5).reshape(-1, 2))
     return rays / np.maximum(-rays[:, 2:], 1e-3)
-
-
-def _bearing_limits(camera: Camera) -> tuple[float, float]:
-    across = _border_rays(camera)[:, 0]
-    return float(across.min()), float(across.max())
 
 
 def _samples(camera: Camera, tangent: Array, ahead: Array, bottom: Array, top: Array) -> Array:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from localiser.batch import compare_with, comparison_table, failures, summary_table
-from localiser.batch.summary import summary_markdown
+from localiser.batch.compare import summary_markdown
 
 
 def lines(table: Table, width: int = 80) -> list[str]:

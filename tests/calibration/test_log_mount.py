@@ -151,7 +151,6 @@ def test_edges_that_are_out_of_plumb_make_it_less_certain():
         Lines(lines.normal, lines.per_turn, lines.sigma / 10, lines.frame), apart(40), CAMERA, TRUE
     )
     assert np.all(crooked.sigma > 3 * plumb.sigma)
-    assert 0.4 < np.rad2deg(crooked.plumb_sigma) < 0.8  # 0.01 rad seen across a line that rises at some 70°
 
 
 def test_seams_of_the_floor_do_not_pass_for_vertical_edges():

@@ -10,7 +10,7 @@ from folders import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localiser.batch.summary import summary_markdown
+from localiser.batch.compare import summary_markdown
 from localiser.commands.map.pictures import draw_map
 from localiser.commands.options import show
 from localiser.documents import load, plain_name

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2, truncnorm
 
 from localiser.errors import InputError
-from localiser.evaluate import Track, errors_against, metrics
-from localiser.evaluate.accuracy import dead_reckoning
+from localiser.evaluate import Track, errors_against, metrics, nees
+from localiser.evaluate.accuracy import consistency_band, dead_reckoning, residual_sums
 from localiser.geometry import Array, Trajectory, between, compose, ros_from_pose, wrap_angle
+from localiser.observation import Matches
 from localiser.replay import evaluate_run
 
 SECOND = 1_000_000_000
@@ -89,14 +92,6 @@ def test_truth_is_interpolated_along_the_arc() -> None:
     assert errors.position_m[0] < 1e-12
 
 
-@settings(max_examples=60)
-@given(st.floats(-np.pi, np.pi), st.floats(-3, 3))
-def test_heading_error_ignores_full_turns(heading: float, error: float) -> None:
-    truth = Trajectory(np.array([0]), np.array([[0.0, 0.0, heading]]))
-    estimate = np.array([[0.0, 0.0, heading + error + 2 * np.pi]])
-    assert errors_against(Track.from_poses([0], estimate), truth).heading_rad[0] == pytest.approx(error, abs=1e-9)
-
-
 @settings(max_examples=30)
 @given(st.integers(0, 1000), st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3)))
 def test_odometry_counts_by_its_increments_alone(seed: int, frame: tuple[float, float, float]) -> None:
@@ -106,15 +101,6 @@ def test_odometry_counts_by_its_increments_alone(seed: int, frame: tuple[float, 
     np.testing.assert_allclose(dead_reckoning(elsewhere, truth.poses[0])[:, :2], truth.poses[:, :2], atol=1e-9)
     errors = errors_against(Track.from_poses(truth.t_ns, truth.poses, odometry=elsewhere), truth)
     np.testing.assert_allclose(errors.odometry_m, 0, atol=1e-9)
-
-
-def test_odometry_that_scales_the_path_is_off_by_that_share() -> None:
-    straight = np.stack([np.zeros(5), -np.arange(5.0), np.zeros(5)], axis=-1)
-    truth = Trajectory(np.arange(5) * SECOND, straight)
-    track = Track.from_poses(truth.t_ns, straight, odometry=straight * [1, 1.1, 1])
-    figures = metrics(track, truth, log="straight")
-    assert figures["odometry_position_rmse_m"] == pytest.approx(0.1 * np.sqrt(30 / 5), abs=1e-6)
-    assert figures["position_rmse_m"] == 0
 
 
 def test_images_outside_the_truth_are_left_out() -> None:
@@ -132,15 +118,6 @@ def test_truth_of_another_time_is_an_error_that_says_so() -> None:
         errors_against(Track.from_poses([0, SECOND], np.zeros((2, 3))), truth)
 
 
-def test_sigma_of_the_position_is_the_rms_distance_expected() -> None:
-    cov = np.diag([0.09, 0.16, 0.01])[None]
-    track = Track.from_poses([0], np.zeros((1, 3)), covs=cov)
-    assert track.position_sigma_m[0] == pytest.approx(0.5)
-    assert track.heading_sigma_rad[0] == pytest.approx(0.1)
-    draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), cov[0], 200_000)
-    assert np.sqrt(np.square(draws[:, :2]).sum(axis=1).mean()) == pytest.approx(0.5, rel=0.01)
-
-
 @pytest.mark.parametrize("how", ["origin", "se2"])
 def test_truth_of_another_frame_is_aligned_on_request(how: str) -> None:
     rng, times = np.random.default_rng(4), np.arange(40) * SECOND
@@ -153,3 +130,39 @@ def test_truth_of_another_frame_is_aligned_on_request(how: str) -> None:
     assert 0.05 < noisy["position_rmse_m"] < 0.09
     with pytest.raises(InputError, match="--align: expected origin or se2, found 'sim3'"):
         evaluate_run(Track.from_poses(times, poses), truth, "sim3")
+
+
+# -- consistency ------------------------------------------------------------------------------------------------------
+
+COV = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.004], [0.002, -0.004, 0.01]])
+
+
+def test_nees_is_the_quadratic_form_and_unknown_for_singular_covariances() -> None:
+    error = np.random.default_rng(0).normal(size=(50, 3))
+    expected = [e @ np.linalg.inv(COV) @ e for e in error]
+    np.testing.assert_allclose(nees(error, np.tile(COV, (50, 1, 1))), expected, rtol=1e-10)
+    covs = np.stack([COV, np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0]), np.full((3, 3), np.nan), COV])
+    errors = np.ones((5, 3))
+    errors[4] = np.nan
+    np.testing.assert_array_equal(np.isfinite(nees(errors, covs)), [True, False, False, False, False])
+
+
+def matches_of(residual: Array, sigma: Array, gate: float) -> Matches:
+    return replace(Matches.none(len(residual), 0), residual=residual, sigma=sigma, gate=np.full(len(residual), gate))
+
+
+@pytest.mark.parametrize("gate", [0.7, 2.0, 4.0])
+def test_moments_of_residuals_are_those_of_a_normal_variable_that_is_cut_off(gate: float) -> None:
+    cut = truncnorm(-gate, gate)
+    square, fourth = cut.moment(2), cut.moment(4)
+    found = residual_sums(matches_of(np.array([0.02]), np.array([0.01]), gate))
+    np.testing.assert_allclose(found, [4.0, square, fourth - square**2], rtol=1e-9)
+
+
+def test_band_of_residuals_is_that_of_chi_squared_and_nothing_matched_is_unknown() -> None:
+    sums = np.array([residual_sums(matches_of(np.zeros(7), np.ones(7), np.inf))])
+    low, high = consistency_band(sums)
+    np.testing.assert_allclose([low[0], high[0]], chi2(7).ppf([0.025, 0.975]) / 7)
+    clutter = np.array([np.nan, np.nan])
+    assert np.isnan(residual_sums(matches_of(clutter, clutter, np.nan))).all()
+    assert np.isnan(residual_sums(replace(Matches.none(2, 0), residual=np.zeros(2)))).all()

@@ -66,11 +66,6 @@ def test_worst_images_are_kept_some_seconds_apart() -> None:
     assert [moment.number for moment in worst.moments] == sorted({moment.number for moment in worst.moments})
 
 
-def test_a_worse_image_nearby_takes_the_place_of_one_that_was_kept() -> None:
-    worst = taken([frame(second, p_correct) for second, p_correct in ((0, 0.5), (2, 0.4), (4, 0.3), (6, 0.35))])
-    assert numbers_of(worst, "least sure")[0] == 2
-
-
 def test_errors_count_where_the_truth_is_known() -> None:
     without = taken([frame(second) for second in range(9)])
     assert not numbers_of(without, "largest error") and not numbers_of(without, "sure and wrong")

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from localiser.evaluate.tables import fit_width, run_tables, summaries
+from localiser.evaluate.tables import fit_width, flat_figures, learnt_constants, run_tables, summaries
 
 
 def run(log: str, observation: str, seed: int, rmse: float | None, edges: float = 10.0) -> dict[str, Any]:
@@ -52,26 +52,7 @@ def test_runs_of_one_kind_have_their_median_and_worst() -> None:
     assert lines[-2].split()[1] == "0.090"
 
 
-def test_what_differs_has_a_column_and_fits_a_terminal() -> None:
-    full = run("corridor", "line", 0, 0.02) | {
-        "position_max_m": 1.5, "position_end_m": 1.5, "heading_rmse_deg": 10.5, "odometry_position_rmse_m": 1.5,
-    }  # fmt: skip
-    lines = figures_of({"corridor/1": full, "corridor/latest": full | {"observation": "slope", "seed": 1}}, width=100)
-    assert lines[-2] == "corridor/1 line 0 0.020 0.030 1.500 1.500 10.50 1.500 3.0"
-    assert lines[-1] == "corridor/latest slope 1 0.020 0.030 1.500 1.500 10.50 1.500 3.0"
-
-
-def test_runs_by_other_odometry_are_of_another_kind() -> None:
-    wheel, vision = (
-        {**run("house", "line", 0, rmse), "odometry": by} for rmse, by in ((0.01, "wheel"), (0.5, "vision"))
-    )
-    lines = figures_of({"w0": wheel, "v0": vision, "w1": wheel | {"seed": 1, "position_rmse_m": 0.03}})
-    assert [line.split()[:2] for line in lines[-5:]] == [
-        ["v0", "vision"], ["w0", "wheel"], ["w1", "wheel"], ["median", "0.020"], ["worst", "0.030"],
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("what", ["association", "odometry", "start", "map", "inputs", "particles"])
+@pytest.mark.parametrize("what", ["association", "odometry", "inputs"])
 def test_only_runs_that_differ_by_their_seed_are_summed_up(what: str) -> None:
     runs = [{**run("house", "line", seed, 0.1), what: "a"} for seed in (0, 1)]
     assert any(line.startswith("median") for line in rendered({"r0": runs[0], "r1": runs[1]}))
@@ -80,23 +61,11 @@ def test_only_runs_that_differ_by_their_seed_are_summed_up(what: str) -> None:
     assert any(what in line for line in lines)
 
 
-def test_a_run_of_before_a_choice_was_written_down_stands_alone() -> None:
-    old = run("house", "line", 0, 0.1)
-    lines = figures_of({"old": old, "new": old | {"odometry": "wheel", "map": "house 0a1b2c"}})
-    assert not any(line.startswith("median") for line in lines)
-    assert next(line for line in lines if line.startswith("old")).split()[1:3] == ["–", "–"]
-
-
 def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:
     known = summaries([run("h", "line", 0, None), run("h", "line", 1, 0.2), run("h", "line", 2, 0.1)])
     assert known["median"]["position_rmse_m"] == pytest.approx(0.15)
     assert known["worst"]["position_rmse_m"] == 0.2
     assert known["worst"]["efficiency"] is None
-
-
-def test_fewest_matches_are_the_worst() -> None:
-    runs = [run("h", "l", 0, 0.1) | {"edges_matched": share} for share in (0.05, 0.5)]
-    assert summaries(runs)["worst"]["edges_matched"] == pytest.approx(5.0), "per cent"
 
 
 OWN: dict[str, Any] = {
@@ -112,13 +81,6 @@ FULL: dict[str, Any] = {
     "odometry_position_rmse_m": 10.5, "nees_mean": 100.5, "efficiency": 1.02, **OWN,
     "confidence": {"found_s": 120.5, "sure": 0.98, "sure_and_wrong": 0.001},
 }  # fmt: skip
-
-
-def test_without_truth_it_tells_what_the_run_knows_of_itself() -> None:
-    lines = figures_of({"1": {"log": "mine", **OWN}}, width=80)
-    assert lines[:2] == ["log mine", "What the run knows of itself"]
-    assert lines[-1] == "1 120.5 98.0 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121"
-    assert not any("truth" in line for line in lines)
 
 
 def test_with_truth_it_tells_the_same_and_the_errors() -> None:
@@ -183,16 +145,31 @@ def test_wide_tables_go_on_below_and_lose_nothing(width: int) -> None:
     assert text.count("Turns") == text.count("A note") == 1
 
 
-@pytest.mark.parametrize("width", [80, 120])
-def test_a_list_of_texts_stays_one_table_and_breaks_no_word(width: int) -> None:
-    table = Table(box=None, show_header=False)
-    text = "no message on /odom within 5 s; does the robot publish it, and is it connected to the same router?"
-    table.add_row("ok", "zenoh", "a router answers at tcp/127.0.0.1:7447")
-    table.add_row("missing", "odometry", text)
-    console = Console(width=width, color_system=None)
-    (piece,) = fit_width(table, console)
-    with console.capture() as capture:
-        console.print(piece)
-    printed = capture.get()
-    assert max(map(len, printed.splitlines())) <= width
-    assert set(text.split()) <= set(printed.split())
+# -- flat rows, learnt constants ---------------------------------------------------------------------------------------
+
+
+def test_groups_become_names_and_lists_become_cells() -> None:
+    figures = {
+        "log": "house", "confidence": {"sure": 0.5, "reasons": {"few edges": 3, "lost": 1}},
+        "pauses": [{"start_s": 1.0}, {"start_s": 9.0}], "warnings": ["Tilt.", "Map."], "nees_mean": None,
+    }  # fmt: skip
+    assert flat_figures(figures) == {
+        "log": "house", "confidence.sure": 0.5, "confidence.reasons": "few edges (3); lost (1)", "pauses": 2,
+        "warnings": "Tilt. Map.", "nees_mean": None,
+    }  # fmt: skip
+    assert flat_figures({"warnings": [], "pauses": []}) == {"warnings": None, "pauses": 0}
+
+
+def test_constants_are_told_with_unit_and_sigma() -> None:
+    figures = {
+        "biases": {
+            "distance_scale": {"value": -0.0205, "sigma": 0.0073, "least_squares": -0.026},
+            "veer": {"value": 0.01, "sigma": 0.005},
+            "own_thing": {"value": 1.0, "sigma": 0.5},
+        },
+        "tilt_found_deg": 19.99, "tilt_found_sigma_deg": 0.0065,
+    }  # fmt: skip
+    assert learnt_constants(figures) == [
+        "distance -2.05 ± 0.73 %", "veer +0.57 ± 0.29°/m", "own thing +1.00 ± 0.50", "tilt 19.990 ± 0.006°",
+    ]  # fmt: skip
+    assert learnt_constants({"biases": {}}) == []

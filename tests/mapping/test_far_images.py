@@ -22,7 +22,7 @@ def test_places_are_found_where_no_edge_can_be_followed() -> None:
     poses = far_poses(90, 1)
     sightings = Sightings.from_edges(images(places, looks, poses, 2), CAMERA)
     sigma = np.full(len(sightings), SIGMA_RAD)
-    built, probability = build_from_far_images(sightings, CAMERA.pose_in_map(poses), sigma, MappingParameters())
+    built, probability = build_from_far_images([CAMERA.pose_in_map(poses)], sightings, sigma, MappingParameters())
     kept = built.fit.points[probability > 0.9]
     apart = np.linalg.norm(kept[:, None] - places[None], axis=-1)
     assert (apart.min(axis=0) < 0.03).mean() >= 0.9
@@ -33,7 +33,7 @@ def test_edges_of_nothing_make_no_landmarks() -> None:
     poses = far_poses(40, 3)
     sightings = Sightings.from_edges(images(np.zeros((0, 2)), np.zeros((0, 2)), poses, 4), CAMERA)
     sigma = np.full(len(sightings), SIGMA_RAD)
-    _, probability = build_from_far_images(sightings, CAMERA.pose_in_map(poses), sigma, MappingParameters())
+    _, probability = build_from_far_images([CAMERA.pose_in_map(poses)], sightings, sigma, MappingParameters())
     assert (probability > 0.9).sum() <= 2
 
 
@@ -60,7 +60,7 @@ def test_landmarks_are_as_far_off_as_their_covariance_says() -> None:
         stated = poses + np.random.default_rng(seed + 3).normal(0, [0, 0, POSE_SIGMA_RAD], poses.shape)
         sightings, cameras = Sightings.from_edges(frames, CAMERA), CAMERA.pose_in_map(stated)
         sigma, parameters = np.full(len(sightings), SIGMA_RAD), MappingParameters(place_sigma_m=0.0)
-        built, probability = build_from_far_images(sightings, cameras, sigma, parameters)
+        built, probability = build_from_far_images([cameras], sightings, sigma, parameters)
         made = landmark_map_of(
             sightings, built, cameras, sigma, CAMERA, parameters, "room", "test", probability=probability
         )

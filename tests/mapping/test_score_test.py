@@ -10,7 +10,7 @@ from ring_world import circle
 
 from localiser.geometry import Array
 from localiser.mapping.factors import Bearings, Problem
-from localiser.mapping.loop_checks import visit_contradiction, visits, without_contradicting_visits
+from localiser.mapping.loop_closure import visit_contradiction, visits, without_contradicting_visits
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Smoothed, dead_reckoning, smooth
 

@@ -8,7 +8,7 @@ import pytest
 from localiser.geometry import Array
 from localiser.mapping import Prior
 from localiser.mapping.factors import Wheels
-from localiser.mapping.loop_checks import contradicting_steps, contradiction
+from localiser.mapping.loop_closure import contradicting_steps, contradiction
 from localiser.mapping.smooth import dead_reckoning
 
 PRIOR = Prior(np.zeros(4), np.array([0.02, 0.03, 0.01, 0.02]))

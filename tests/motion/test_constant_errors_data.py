@@ -10,8 +10,8 @@ from mrclam import MrclamReader
 from numpy.typing import NDArray
 
 from localiser import geometry
+from localiser.calibration import SCALES, Drive, fit_odometry
 from localiser.config import read_config
-from localiser.evaluate import bias_figures, fit_wheels
 from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
 from localiser.observation import observation_of
@@ -58,12 +58,13 @@ def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(d
     assert np.median(position_m) < 0.12
     assert np.sqrt(np.mean(position_m**2)) < 0.25
 
-    constants = bias_figures(found[-1].estimate, fit_wheels(log.odometry, log.groundtruth, *between))
-    turn = constants["turn_scale"]
-    assert abs(turn["least_squares"]) > 0.03, "wheels that are right would show nothing"
-    assert abs(turn["value"] - turn["least_squares"]) < 0.05
-    distance = constants["distance_scale"]
-    assert abs(distance["value"] - distance["least_squares"]) < 0.05
-    delay = constants["delay"]
-    assert abs(delay["value"] - likeliest_delay(log.odometry, log.groundtruth, *between)) < 0.08
-    assert delay["sigma"] < 0.08
+    fit = fit_odometry([Drive("robot", log.odometry, log.groundtruth)], config.motion)
+    assert fit is not None
+    estimate, by_truth = found[-1].estimate, dict(zip(SCALES, fit.constants[0], strict=True))
+    learnt = dict(zip(estimate.names, estimate.mean, strict=True))
+    assert abs(by_truth["turn_scale"]) > 0.03, "wheels that are right would show nothing"
+    assert abs(learnt["turn_scale"] - by_truth["turn_scale"]) < 0.05
+    assert abs(learnt["distance_scale"] - by_truth["distance_scale"]) < 0.05
+    assert abs(learnt["delay"] - likeliest_delay(log.odometry, log.groundtruth, *between)) < 0.08
+    delay = estimate.names.index("delay")
+    assert estimate.cov[delay, delay] < 0.08**2

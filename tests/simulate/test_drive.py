@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from localiser import geometry
 from localiser.simulate.drive import odometry_of, truth_of
-from localiser.simulate.robot import DriveSpec, OdometrySpec
+from localiser.simulate.world import DriveSpec, OdometrySpec
 
 
 def drive(*path: dict[str, Any], **changes: Any) -> DriveSpec:
