@@ -7,22 +7,11 @@ from pathlib import Path
 import pytest
 from batches import row
 
-from localiser.batch import compare_with, read_table_of
+from localiser.batch import compare_with
 from localiser.errors import InputError
 
 HERE = [row("a", seed, 0.1) for seed in range(3)]
 PATH = Path("there")
-
-
-def test_the_same_runs_are_no_loss() -> None:
-    verdict = compare_with(HERE, HERE, PATH)
-    assert (verdict.pairs, verdict.alone, verdict.alone_there, verdict.is_loss) == (3, 0, 0, False)
-
-
-def test_runs_that_are_clearly_worse_are_a_loss_and_better_ones_none() -> None:
-    worse = [row("a", seed, 0.2 + 0.001 * seed) for seed in range(3)]
-    assert compare_with(worse, HERE, PATH).is_loss
-    assert not compare_with(HERE, worse, PATH).is_loss
 
 
 def test_pairs_are_of_the_same_content_and_seed_in_any_order() -> None:
@@ -55,8 +44,3 @@ def test_runs_that_cannot_be_told_apart_or_have_no_counterpart_are_refused() -> 
         compare_with(HERE, twice, PATH)
     with pytest.raises(InputError, match="there: expected runs of the same logs"):
         compare_with(HERE, [row("b", 0, 0.1)], PATH)
-
-
-def test_a_folder_without_tables_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected the folder of a batch, with a runs\.csv"):
-        read_table_of(tmp_path)

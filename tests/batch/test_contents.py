@@ -56,14 +56,6 @@ def test_the_pixels_of_every_image_count(tmp_path: Path) -> None:
     assert found.log_id != was.log_id and found.rest_id == was.rest_id
 
 
-def test_a_corrected_map_or_camera_leaves_the_measurements_the_same(tmp_path: Path) -> None:
-    log = write_small_log(tmp_path / "log")
-    was = contents_of(log, Opening())
-    change(log / "map.yaml", "-1.25", "-1.5")
-    found = contents_of(log, Opening())
-    assert found.log_id == was.log_id and found.rest_id != was.rest_id
-
-
 def test_settings_start_map_and_version_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = write_small_log(tmp_path / "log")
     found = contents_of(log, Opening())
@@ -83,3 +75,11 @@ def test_a_log_that_cannot_be_read_says_why(tmp_path: Path) -> None:
     log = write_small_log(tmp_path / "log")
     (log / "odometry.csv").unlink()
     assert "odometry.csv: no such file" in str(contents_of(log, Opening()).error)
+
+
+def test_a_corrected_map_or_camera_leaves_the_measurements_the_same(tmp_path: Path) -> None:
+    log = write_small_log(tmp_path / "log")
+    was = contents_of(log, Opening())
+    change(log / "map.yaml", "-1.25", "-1.5")
+    found = contents_of(log, Opening())
+    assert found.log_id == was.log_id and found.rest_id != was.rest_id

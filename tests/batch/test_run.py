@@ -94,13 +94,6 @@ def test_a_failed_run_is_a_row_with_its_reason_and_is_tried_again(
     assert len(began) == 3
 
 
-def test_the_same_run_twice_is_refused(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    copied = shutil.copytree(log, tmp_path / "copied")
-    result = batch(localiser, tmp_path / "out", log, copied)
-    assert result.exit_code == 2 and "the same content and settings twice" in result.err and "copied" in result.err
-    assert batch(localiser, tmp_path / "out", log, log).exit_code == 0
-
-
 def test_a_comparison_ends_with_1_on_a_loss(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     out, half, double = tmp_path / "out", tmp_path / "half.csv", tmp_path / "double.csv"
     same = batch(localiser, out, log, "--seeds", "0-1")
@@ -140,23 +133,6 @@ def test_an_interrupted_batch_goes_on_from_there(localiser: Localiser, tmp_path:
     assert rows(out) == rows(whole)
 
 
-def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(
-    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Path] = []
-
-    def stopped_at_first(path: Path) -> dict[str, Any]:
-        asked.append(path)
-        if len(asked) == 1:
-            raise KeyboardInterrupt
-        return read_figures(path)
-
-    monkeypatch.setattr("localiser.batch.run.read_figures", stopped_at_first)
-    result = batch(localiser, tmp_path / "out", log, "--seeds", "0-1")
-    assert result.exit_code == 130 and "stopped after 1 of 2 runs" in result.err
-    assert len(rows(tmp_path / "out")) == 1
-
-
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_rows(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
@@ -172,3 +148,27 @@ def test_a_cluster_that_cannot_be_reached_is_told(localiser: Localiser, log: Pat
     pytest.importorskip("distributed")
     result = batch(localiser, tmp_path / "out", log, "--cluster", "nonsense://nowhere")
     assert result.exit_code == 2 and "no Dask scheduler can be reached at nonsense://nowhere" in result.err
+
+
+def test_the_same_run_twice_is_refused(localiser: Localiser, log: Path, tmp_path: Path) -> None:
+    copied = shutil.copytree(log, tmp_path / "copied")
+    result = batch(localiser, tmp_path / "out", log, copied)
+    assert result.exit_code == 2 and "the same content and settings twice" in result.err and "copied" in result.err
+    assert batch(localiser, tmp_path / "out", log, log).exit_code == 0
+
+
+def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(
+    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Path] = []
+
+    def stopped_at_first(path: Path) -> dict[str, Any]:
+        asked.append(path)
+        if len(asked) == 1:
+            raise KeyboardInterrupt
+        return read_figures(path)
+
+    monkeypatch.setattr("localiser.batch.run.read_figures", stopped_at_first)
+    result = batch(localiser, tmp_path / "out", log, "--seeds", "0-1")
+    assert result.exit_code == 130 and "stopped after 1 of 2 runs" in result.err
+    assert len(rows(tmp_path / "out")) == 1

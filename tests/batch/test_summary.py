@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from batches import row
 from rich.console import Console
 from rich.table import Table
@@ -36,17 +35,6 @@ def test_failed_runs_are_counted_and_left_out_of_the_figures() -> None:
     rows = [row("a", 0, 0.1), row("a", 1, None)]
     assert lines(summary_table(rows))[-1] == "a 2, 1 failed 0.100"
     assert failures(rows) == ["a (seed 1): no such log"]
-
-
-@pytest.mark.parametrize("width", [80, 120])
-def test_no_word_is_broken(width: int) -> None:
-    full = {
-        "heading_rmse_deg": 12.345, "confidence.sure": 0.5, "confidence.sure_and_wrong": 0.123,
-        "frame_ms_median": 123.0,
-    }  # fmt: skip
-    rows = [row("corridor", 0, 1.234, **full), row("corridor", 1, 2.345, **{k: v / 2 for k, v in full.items()})]
-    found = lines(summary_table(rows), width)
-    assert found[-1] == "corridor 2 1.790 (2.345) 9.26 (12.35) 38 (25) 9.2 (12.3) 92"
 
 
 def test_the_table_as_markdown_has_the_odometry_and_no_times() -> None:

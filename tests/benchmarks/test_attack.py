@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import random
 import shutil
-import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import attack
-import attack_bombs as bombs
 import attack_inputs
 import pytest
 from folders import ROOT
 from small_bag import Recorder, bag
-
-from localiser.image_files import decode
-from localiser.storage import open_log
-from localiser.storage.bags import Messages
 
 KEPT = sorted((ROOT / "tests" / "attacks").glob("*/*/*"))
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
@@ -38,29 +31,6 @@ def test_a_case_is_the_same_each_time_and_differs_from_the_next(suffix: str) -> 
     data = b"a,b\n1,2\n3,4\n"
     made = [[attack_inputs.mutated(data, suffix, random.Random(f"map {k}")) for k in range(20)] for _ in range(2)]
     assert made[0] == made[1] and len(set(made[0])) > 5
-
-
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_some_pictures_are_costly(suffix: str) -> None:
-    """They are made from a good one, and refused or read."""
-    data = bombs.black((64, 48)) if suffix == ".png" else bombs.jpeg_of_scans((64, 48), 2)
-    made = [attack_inputs.FORMS[suffix](data, random.Random(number)) for number in range(200)]
-    costly = {len(each) // 2**19: each for each in made if len(each) > 2**20}
-    assert costly
-    for each in costly.values():
-        with suppress(ValueError):
-            assert decode(each, 0) is not None
-
-
-def test_some_transforms_are_many() -> None:
-    mount = Messages().encode(Messages().mount(5 * 10**9, open_log(ROOT / "logs" / "corridor").camera))
-    assert max(len(attack_inputs.message(mount, random.Random(number))) for number in range(200)) > 2**19
-
-
-def test_some_names_are_hostile_and_some_keys_collide() -> None:
-    made = [attack_inputs.FORMS[".yaml"](b"name: a\n", random.Random(k)) for k in range(200)]
-    assert any(b"\\e[2J" in each for each in made) and any(b"$x_{" in each for each in made)
-    assert any(b"4611686018427387902: 0" in each for each in made)
 
 
 def _broken(path: Path, out: Path) -> None:
@@ -97,12 +67,6 @@ def test_a_reader_that_changes_a_file_is_a_fault(tmp_path: Path, monkeypatch: py
     assert attack.case("bag-beside", 1, samples, tmp_path / "changed")["end"] == "changed"
 
 
-def test_no_cache_is_where_others_can_write(tmp_path: Path) -> None:
-    (tmp_path / "map.yaml").write_text("")
-    ends = [attack.case("cache", k, tmp_path, tmp_path / str(k)) for k in range(30)]
-    assert {end["end"] for end in ends} == {"value"}, ends
-
-
 @LINUX
 @pytest.mark.slow  # quick: the other tests of this file
 def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,18 +82,3 @@ def test_a_worker_that_is_killed_is_told_and_started_anew(tmp_path: Path, monkey
         assert worker("map", 3, 60.0, tmp_path / "kept")["end"] in attack.FAULT_FREE
     finally:
         worker.close()
-
-
-@LINUX
-@pytest.mark.parametrize(("does", "asleep"), [("input()", True), ("while True: pass", False)])
-def test_who_waits_for_a_processor_does_not_sleep(does: str, asleep: bool) -> None:
-    """A worker that the machine leaves no processor for is not taken for one that hangs."""
-    command = [sys.executable, "-c", f"print(1, flush=True)\n{does}"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        try:
-            assert process.stdout is not None
-            process.stdout.readline()
-            while attack.is_asleep(process.pid) != asleep:  # until it has come there
-                pass
-        finally:
-            process.kill()

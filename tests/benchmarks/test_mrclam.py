@@ -10,7 +10,6 @@ from mrclam import MrclamReader, integrated
 from mrclam_files import FILES
 
 from localiser import geometry, storage
-from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.storage import open_log
@@ -49,12 +48,6 @@ def test_bearings_are_positive_to_the_right_and_fit_the_truth(folder: Path) -> N
     np.testing.assert_allclose(geometry.bearing_from_point(x, z), -0.4636, atol=1e-4)
 
 
-def test_robots_and_unknown_barcodes_stay_in_as_clutter(folder: Path) -> None:
-    frames = open_log(f"{folder}:2").frames
-    identified = [frame.edges.landmark_id.tolist() for frame in frames if isinstance(frame, mcl.Sighting)]
-    assert identified == [[0, -1, -1], [1]]
-
-
 def test_map_has_subjects_as_ids_and_the_covariance_in_our_frame(folder: Path) -> None:
     landmark_map = open_log(f"{folder}:2").landmark_map
     assert landmark_map is not None
@@ -62,21 +55,6 @@ def test_map_has_subjects_as_ids_and_the_covariance_in_our_frame(folder: Path) -
     np.testing.assert_allclose(landmark_map.points, [[2.0, -1.0], [3.0, 1.0]])
     np.testing.assert_allclose(landmark_map.cov[1], [[9e-4, 0], [0, 16e-4]])
     assert np.isnan(landmark_map.bottom_m).all() and np.isnan(landmark_map.top_m).all()
-
-
-def test_lean_comes_from_the_nominal_tilt(folder: Path) -> None:
-    log = open_log(f"{folder}:2", sensor=BearingSensor(tilt_deg=30.0, bearing_sigma_deg=1.0))
-    frame = log.frames[0]
-    assert isinstance(frame, mcl.Sighting)
-    np.testing.assert_allclose(np.tan(frame.edges.lean), 0.5 * np.tan(frame.edges.bearing))
-    np.testing.assert_allclose(np.degrees(frame.edges.bearing_sigma), 1.0)
-    np.testing.assert_allclose(np.degrees(log.camera.mount.tilt_rad), 30.0)
-
-
-def test_last_of_several_commands_at_one_time_is_driven(folder: Path) -> None:
-    odometry = open_log(f"{folder}:2").odometry
-    np.testing.assert_array_equal(odometry.t_ns, [9_500_000_000, 10_500_000_000, 13_000_000_000])
-    np.testing.assert_allclose(odometry.poses, [[0, 0, 0], [0, -0.1, 0], [0, -0.35, 0]], atol=1e-12)
 
 
 def test_commands_become_exact_arcs() -> None:
@@ -97,9 +75,7 @@ def test_commands_become_exact_arcs() -> None:
     ("name", "content", "expected"),
     [
         ("Robot2_Odometry.dat", "10\t1\n", "Robot2_Odometry.dat:1: expected 3 columns"),
-        ("Robot2_Odometry.dat", "10\tnan\t0\n", "Robot2_Odometry.dat:1: forward velocity: expected a finite number"),
         ("Robot2_Odometry.dat", "10\t1\t0\n9\t1\t0\n", "Robot2_Odometry.dat:2: time: expected a time not before"),
-        ("Robot2_Groundtruth.dat", "10\t1\t0\t0\n10\t1\t0\t0\n", "Groundtruth.dat:2: time: expected a time after"),
         ("Robot2_Measurement.dat", "10\t6.5\t1\t0\n", "Measurement.dat:1: barcode: expected an integer, found '6.5'"),
         ("Robot2_Measurement.dat", "10\t6\t1\t2\n", "bearing: expected a bearing within ±π/2, found 2.0"),
         (
@@ -108,7 +84,6 @@ def test_commands_become_exact_arcs() -> None:
             "Measurement.dat:2002: time: expected at most 2000",
         ),
         ("Robot2_Measurement.dat", "1\t6\t1\t0\n", "expected measurements while there is odometry and truth"),
-        ("Robot2_Measurement.dat", "# only\n", "expected at least one row, found none"),
         ("Landmark_Groundtruth.dat", "6 1 1 0 0\n6 2 2 0 0\n", "subject: landmark 6 given twice"),
     ],
 )
@@ -146,16 +121,3 @@ def test_real_bearings_fit_the_truth(data_dir: Path, robot: int) -> None:
     assert len(degrees) > 1500
     assert abs(np.median(degrees)) < 0.3
     assert 0.3 < np.std(degrees[np.abs(degrees) < 10]) < 1.6
-
-
-@pytest.mark.data
-def test_real_commands_turn_and_drive_the_way_the_robot_went(data_dir: Path) -> None:
-    log = open_log(f"{data_dir / 'mrclam'}:2")
-    assert log.groundtruth is not None
-    starts = np.arange(log.frames[0].t_ns, log.frames[-1].t_ns - 10**10, 10**10)
-    driven, true = (
-        geometry.between(path.sampled(starts).poses, path.sampled(starts + 10**10).poses)
-        for path in (log.odometry, log.groundtruth)
-    )
-    for column in (0, 1):
-        assert np.corrcoef(driven[:, column], true[:, column])[0, 1] > 0.9

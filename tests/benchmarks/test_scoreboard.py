@@ -81,22 +81,6 @@ def test_wheels_that_err_count_wrong_for_three_seconds(fault: str, factor: float
     np.testing.assert_allclose(said[~bad], true[~bad], atol=1e-9)
 
 
-def test_wheels_that_are_missing_say_nothing_for_three_seconds_and_the_truth_after() -> None:
-    drive = circle()
-    wheels = changes.wheels_wrong(drive, "missing", 4.0).odometry
-    t_ns = drive.odometry.t_ns
-    np.testing.assert_array_equal(wheels.t_ns, t_ns[(t_ns < 4_000_000_000) | (t_ns >= 7_000_000_000)])
-    np.testing.assert_array_equal(wheels.poses[80], drive.odometry.poses[140])
-
-
-def test_wheels_that_are_restarted_count_from_0() -> None:
-    drive = circle()
-    wheels = changes.wheels_wrong(drive, "restarted", 4.0).odometry
-    np.testing.assert_allclose(wheels.poses[80], 0.0, atol=1e-12)
-    said, true = steps(wheels.poses), steps(drive.odometry.poses)
-    np.testing.assert_allclose(np.delete(said, 79, axis=0), np.delete(true, 79, axis=0), atol=1e-9)
-
-
 def test_a_part_about_a_fault_has_ten_seconds_before_and_sixteen_after() -> None:
     drive = changes.part_about(circle(), 20.0)
     assert (drive.t_ns[0], drive.t_ns[-1]) == (10_000_000_000, 35_800_000_000)
@@ -105,38 +89,7 @@ def test_a_part_about_a_fault_has_ten_seconds_before_and_sixteen_after() -> None
     np.testing.assert_allclose(steps(drive.odometry.sampled(drive.t_ns).poses), steps(drive.truth), atol=1e-9)
 
 
-def test_late_images_are_stamped_after_they_were_taken() -> None:
-    """At its stamp, an image is where the wheels were 0.1 s before."""
-    drive = circle()
-    late = changes.late_images(drive, 0.1)
-    there = late.odometry.sampled(late.t_ns[:-1]).poses
-    np.testing.assert_allclose(there, drive.odometry.sampled(drive.t_ns[:-1] + 100_000_000).poses, atol=1e-9)
-
-
 # -- maps --------------------------------------------------------------------------------------------------------------
-
-
-def distances(points: Array) -> Array:
-    return np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
-
-
-def town() -> LandmarkMap:
-    return LandmarkMap.from_points(np.random.default_rng(0).uniform(0, 9, (200, 2)))
-
-
-def test_mirrored_map_is_no_rigid_motion() -> None:
-    before, after = town().points, changes.mirrored(town()).points
-    np.testing.assert_allclose(distances(after), distances(before), atol=1e-9)
-    sides = [(p[1] - p[0])[0] * (p[2] - p[0])[1] - (p[1] - p[0])[1] * (p[2] - p[0])[0] for p in (before, after)]
-    assert sides[0] == pytest.approx(-sides[1]) and abs(sides[0]) > 0.1
-
-
-def test_worn_maps_lose_or_move_three_in_ten_or_are_off() -> None:
-    assert len(changes.removed(town(), 0)) == 140
-    moved = np.hypot(*(changes.moved(town(), 0).points - town().points).T)
-    assert np.count_nonzero(moved) == 60
-    np.testing.assert_allclose(moved[moved > 0], 0.3)
-    assert (changes.off(town(), 0).points - town().points).std() == pytest.approx(0.03, rel=0.1)
 
 
 # -- what is counted ---------------------------------------------------------------------------------------------------
@@ -155,14 +108,6 @@ def test_a_robot_that_is_looked_for_is_judged_from_the_first_of_five_right_image
     assert from_start["rmse_m"] == pytest.approx(math.sqrt((29 * 0.01 + 7 * 25 + 4 * 9) / 40))
 
 
-def test_a_heading_that_is_off_is_not_right() -> None:
-    told = record([0.1] * 20, [0.95] * 20)
-    told.error[:10, 2] = np.deg2rad(11.0)
-    values = figures(told, stated=True)
-    assert values["found"] == 10 and values["sure_wrong"] == 0.5
-    assert values["heading_deg"] == pytest.approx(11.0 / math.sqrt(2))
-
-
 def test_a_robot_that_is_never_found_counts_as_worse_than_any() -> None:
     values = figures(record([0.1, 0.1, 0.1, 0.1, 4.0] * 6, [0.3] * 30))
     assert all(values[key] == NEVER for key in ("found", "rmse_m", "median_m", "heading_deg", "nees", "warned_s"))
@@ -175,15 +120,6 @@ def test_a_carried_robot_is_judged_from_where_it_is_set_down() -> None:
     assert values["found"] == 8
     assert values["rmse_m"] == pytest.approx(0.1)
     assert values["sure_wrong"] == 3 / 30
-
-
-def test_nothing_is_right_on_a_wrong_map() -> None:
-    told = record([math.nan] * 20, [0.95] * 18 + [0.1] * 2, warned=np.arange(20) == 19)
-    told.error[:] = math.nan
-    values = figures(told)
-    assert values["sure"] == values["sure_wrong"] == 0.9
-    assert values["warned_s"] == pytest.approx(3.8)
-    assert values["found"] == values["rmse_m"] == NEVER
 
 
 def test_calibration_by_hand() -> None:
@@ -199,62 +135,39 @@ def test_calibration_by_hand() -> None:
 # -- what is worse -----------------------------------------------------------------------------------------------------
 
 
-def said(key: str, before: list[float], now: list[float], **known: bool) -> str:
-    return page.verdict(key, np.column_stack([before, now]), **known)
-
-
 BEFORE = [0.10, 0.12, 0.09, 0.11, 0.10]
+FOUND = [10.0, 12.0, 40.0, 9.0, 11.0]
 
 
-@pytest.mark.parametrize("key", FIGURES)
-def test_what_is_the_same_is_neither_better_nor_worse(key: str) -> None:
-    for values in (BEFORE, [0.0] * 5, [NEVER] * 5, [0.1, NEVER, 0.2, NEVER, 0.1]):
-        assert said(key, values, values) == "" and said(key, values, values, exact=True) == ""
-
-
-def test_a_figure_is_worse_where_all_seeds_change_by_more_than_chance_and_three_per_cent() -> None:
-    now = [1.05 * one for one in BEFORE]
-    assert said("rmse_m", BEFORE, now) == "worse" and said("rmse_m", now, BEFORE) == "better"
-    assert said("rmse_m", BEFORE, [1.02 * one for one in BEFORE]) == ""
-    assert said("rmse_m", BEFORE, [one + 0.01 * k for one, k in zip(BEFORE, (1, -1, 1, 1, 0), strict=True)]) == ""
-    assert said("rmse_m", [0.003] * 5, [0.0033] * 5) == "", "a third of a millimetre"
-
-
-def test_a_rate_is_worse_by_one_point() -> None:
-    assert said("sure", [0.90, 0.91, 0.92, 0.90, 0.91], [0.88, 0.89, 0.90, 0.88, 0.89]) == "worse"
-    assert said("sure_wrong", [0.0] * 5, [0.009] * 5) == ""
-    assert said("sure_wrong", [0.0] * 5, [0.02, 0.03, 0.02, 0.02, 0.03]) == "worse"
-    assert said("sure_wrong", [0.0] * 5, [0.0, 0.0, 0.0, 0.0, 0.5]) == "", "one seed is chance"
-
-
-def test_five_of_five_seeds_that_change_by_a_tenth_are_enough() -> None:
-    """Their interval reaches 0, because one of them changes by far more."""
-    now = [0.115, 0.138, 0.103, 0.125, 0.500]
-    assert said("rmse_m", BEFORE, now) == "worse" and said("rmse_m", now, BEFORE) == "better"
-    assert said("rmse_m", BEFORE[:4], now[1:]) == ""
-    assert said("rmse_m", BEFORE, [0.108, *now[1:]]) == ""
-
-
-def test_never_is_worse_than_any_value() -> None:
-    found = [10.0, 12.0, 40.0, 9.0, 11.0]
-    assert said("found", found, [NEVER] * 5) == "worse" and said("found", [NEVER] * 5, found) == "better"
-    assert said("found", found, [10.0, NEVER, NEVER, NEVER, NEVER]) == "worse"
-    assert said("found", found, [10.0, 12.0, 40.0, 9.0, NEVER]) == ""
-    assert said("found", [0.0] * 5, [NEVER] * 5) == "worse"
-    assert said("found", [NEVER] * 5, [NEVER] * 4 + [3.0]) == ""
-
-
-def test_nees_is_judged_by_how_far_it_is_from_that_of_an_honest_filter() -> None:
-    assert said("nees", [3.0, 3.2, 2.9, 3.1, 3.0], [9.0, 9.5, 8.0, 9.1, 9.2]) == "worse"
-    assert said("nees", [0.4, 0.5, 0.45, 0.4, 0.42], [2.0, 2.4, 2.1, 2.2, 2.3]) == "better"
-    assert said("nees", [6.0, 6.2, 5.9, 6.1, 6.0], [1.5, 1.45, 1.52, 1.48, 1.5]) == "", "twice and half are as bad"
-    assert said("nees", [14.0, 14.2, 13.8, 14.1, 14.0], [14.3, 14.5, 14.1, 14.4, 14.3]) == "", "2 %"
-
-
-def test_one_seed_says_nothing_where_chance_has_a_part() -> None:
-    assert said("rmse_m", [0.1], [0.5]) == ""
-    assert said("recall", [0.9], [0.8], exact=True) == "worse"
-    assert said("recall", [0.9], [0.895], exact=True) == ""
+@pytest.mark.parametrize(
+    ("key", "before", "now", "expected"),
+    [
+        *((key, values, values, "") for key in FIGURES for values in (BEFORE, [0.0] * 5, [NEVER] * 5)),
+        ("rmse_m", BEFORE, [1.05 * one for one in BEFORE], "worse"),
+        ("rmse_m", [1.05 * one for one in BEFORE], BEFORE, "better"),
+        ("rmse_m", BEFORE, [1.02 * one for one in BEFORE], ""),  # less than three per cent
+        ("rmse_m", BEFORE, [0.11, 0.11, 0.10, 0.12, 0.10], ""),  # chance
+        ("rmse_m", [0.003] * 5, [0.0033] * 5, ""),  # a third of a millimetre
+        ("rmse_m", BEFORE, [0.115, 0.138, 0.103, 0.125, 0.500], "worse"),  # all five by a tenth, one by far more
+        ("rmse_m", BEFORE, [0.108, 0.138, 0.103, 0.125, 0.500], ""),
+        ("rmse_m", [0.1], [0.5], ""),  # one seed
+        ("sure", [0.90, 0.91, 0.92, 0.90, 0.91], [0.88, 0.89, 0.90, 0.88, 0.89], "worse"),
+        ("sure_wrong", [0.0] * 5, [0.009] * 5, ""),  # less than a point
+        ("sure_wrong", [0.0] * 5, [0.02, 0.03, 0.02, 0.02, 0.03], "worse"),
+        ("sure_wrong", [0.0] * 5, [0.0, 0.0, 0.0, 0.0, 0.5], ""),  # one seed is chance
+        ("found", FOUND, [NEVER] * 5, "worse"),
+        ("found", FOUND, [10.0, NEVER, NEVER, NEVER, NEVER], "worse"),
+        ("found", FOUND, [10.0, 12.0, 40.0, 9.0, NEVER], ""),
+        ("found", [NEVER] * 5, [NEVER] * 4 + [3.0], ""),
+        ("nees", [3.0, 3.2, 2.9, 3.1, 3.0], [9.0, 9.5, 8.0, 9.1, 9.2], "worse"),
+        ("nees", [0.4, 0.5, 0.45, 0.4, 0.42], [2.0, 2.4, 2.1, 2.2, 2.3], "better"),
+        ("nees", [6.0, 6.2, 5.9, 6.1, 6.0], [1.5, 1.45, 1.52, 1.48, 1.5], ""),  # twice and half are as bad
+    ],
+)
+def test_a_change_is_worse_where_it_is_more_than_chance_and_more_than_little(
+    key: str, before: list[float], now: list[float], expected: str
+) -> None:
+    assert page.verdict(key, np.column_stack([before, now])) == expected
 
 
 @pytest.mark.parametrize(
@@ -283,12 +196,6 @@ def small_page(rmse_m: float = 0.1) -> page.Page:
     return {title: {seed: page.rounded(one) for seed, one in row.items()} for title, row in whole.items()}
 
 
-def test_a_saved_page_is_read_as_it_was(tmp_path: Path) -> None:
-    page.save(tmp_path / "page.json", small_page())
-    assert page.load(tmp_path / "page.json") == small_page()
-    assert "Infinity" not in (tmp_path / "page.json").read_text()
-
-
 def test_the_page_has_median_and_worst_and_counts_what_never_came() -> None:
     text = page.markdown(small_page())
     assert "| real | RMSE m | median m |" in text
@@ -298,12 +205,6 @@ def test_the_page_has_median_and_worst_and_counts_what_never_came() -> None:
     for figure in ("rmse_m", "sure_wrong", "log_score"):
         assert text.count(FIGURES[figure].meaning) == 1
     assert FIGURES["recall"].meaning not in text
-
-
-def test_the_worst_nees_is_the_one_farthest_from_an_honest_one() -> None:
-    assert page.cell("nees", [3.0, 2.9, 0.1, 6.0, 3.1]) == "3.00 (0.10)"
-    assert page.cell("sure", [0.9, 0.8, 1.0]) == "90.0 % (80.0 %)"
-    assert page.cell("nees", [3.0, 4.0, 7201300.0]) == "4.00 (7.2e+06)"
 
 
 def test_pages_are_compared_by_the_rows_and_seeds_that_both_have() -> None:
@@ -318,16 +219,6 @@ def test_pages_are_compared_by_the_rows_and_seeds_that_both_have() -> None:
     text = page.comparison(found, "HEAD~3")
     assert "worse: 2\n- real: a, on b: RMSE m 0.1150 → 0.2150, median m 0.1150 → 0.2150\n" in text
     assert "better: 0" in text
-
-
-def test_times_are_told_and_not_judged() -> None:
-    before, slower = small_page(), small_page()
-    for row in slower.values():
-        for values in row.values():
-            values["ms"] *= 3
-    found = page.compared(before, slower)
-    assert {one.verdict for one in found} == {""}
-    assert "median of rows: 3.00 ×" in page.comparison(found, "before")
 
 
 # -- rows and program --------------------------------------------------------------------------------------------------
@@ -392,10 +283,3 @@ def test_every_mechanism_can_be_switched_off() -> None:
         [sys.executable, "-c", code], cwd=ROOT / "benchmarks", capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-def test_an_unknown_mechanism_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["scoreboard.py", "--off", "jump,wings"])
-    with pytest.raises(SystemExit):
-        scoreboard.main()
-    assert "found wings" in capsys.readouterr().err

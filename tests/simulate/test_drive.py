@@ -59,13 +59,6 @@ def test_a_corner_without_radius_turns_on_the_spot_the_short_way() -> None:
     assert turned.sum() == pytest.approx(-np.pi / 2, abs=0.02)
 
 
-def test_a_half_turn_needs_no_arc() -> None:
-    """There and back by the same way; numpy's warnings of the package's own numbers are errors."""
-    truth = truth_of(drive({"to": [0, 0]}, {"to": [0, -1]}, {"to": [0, 0]}, turn_deg_s=90.0))
-    np.testing.assert_allclose(truth.poses[-1, :2], [0, 0], atol=1e-9)
-    assert abs(geometry.wrap_angle(truth.poses[-1, 2] - np.pi)) < 1e-9
-
-
 @pytest.mark.parametrize(
     ("path", "message"),
     [
@@ -125,3 +118,10 @@ def test_the_slow_scale_varies_by_its_sigma_and_stays_for_its_time() -> None:
     assert step.std() == pytest.approx(0.05, rel=0.25)
     lag = 20  # 4 s
     assert np.corrcoef(step[:-lag], step[lag:])[0, 1] == pytest.approx(np.exp(-1), abs=0.2)
+
+
+def test_a_half_turn_needs_no_arc() -> None:
+    """There and back by the same way; numpy's warnings of the package's own numbers are errors."""
+    truth = truth_of(drive({"to": [0, 0]}, {"to": [0, -1]}, {"to": [0, 0]}, turn_deg_s=90.0))
+    np.testing.assert_allclose(truth.poses[-1, :2], [0, 0], atol=1e-9)
+    assert abs(geometry.wrap_angle(truth.poses[-1, 2] - np.pi)) < 1e-9

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import yaml
 from folders import ROOT
-from simulated_edges import visible_mask
 
 from localiser import geometry
 from localiser.errors import InputError
@@ -64,12 +63,6 @@ def test_a_box_shows_its_near_edges_and_hides_its_far_ones() -> None:
     np.testing.assert_allclose(list(seen.values()), 1.0)
 
 
-def test_a_box_hides_what_stands_right_behind_it() -> None:
-    front = {**BOX, "x": 0.0, "z": -2.0, "width_m": 1.0, "top_m": 1.2}
-    behind = {**BOX, "x": 0.0, "z": -3.0, "top_m": 1.2}
-    assert set(shown(world(furniture=[front, behind]))) == {(-0.5, -1.85), (0.5, -1.85)}
-
-
 def test_of_a_higher_box_behind_a_lower_one_the_upper_part_is_seen() -> None:
     front = {**BOX, "x": 0.0, "z": -2.0, "width_m": 1.0, "top_m": 0.45}
     behind = {**BOX, "x": 0.0, "z": -4.0, "top_m": 0.9}
@@ -77,20 +70,6 @@ def test_of_a_higher_box_behind_a_lower_one_the_upper_part_is_seen() -> None:
     # The line of sight over the front box's far upper edge: from 0.9 m down to 0.45 m at 2.15 m, onwards to 3.85 m.
     hidden = 0.9 - 0.45 / 2.15 * 3.85
     assert seen[(0.15, -3.85)] == pytest.approx((0.9 - hidden) / 0.9, abs=0.02)
-
-
-def test_under_a_hanging_box_the_lower_part_is_seen() -> None:
-    hanging = {**BOX, "x": 0.0, "z": -2.0, "width_m": 1.0, "bottom_m": 0.6, "top_m": 1.5}
-    behind = {**BOX, "x": 0.0, "z": -4.0, "top_m": 0.9}
-    seen = shown(world(furniture=[hanging, behind]))
-    low = 0.9 - 0.3 / 1.85 * 3.85
-    assert seen[(0.15, -3.85)] == pytest.approx(low / 0.9, abs=0.02)
-
-
-def test_corners_of_a_room_are_seen_at_their_wall_faces() -> None:
-    corners = [[-2, 2], [-2, -3], [2, -3], [2, 2]]
-    walls = [{"from": corners[k - 1], "to": corners[k]} for k in range(4)]
-    assert set(shown(world(walls=walls), (0.0, 1.5, 0.0))) == {(-1.94, -2.94), (1.94, -2.94)}
 
 
 def test_ends_are_where_the_camera_projects_them() -> None:
@@ -102,14 +81,6 @@ def test_ends_are_where_the_camera_projects_them() -> None:
     for landmark, ends in zip(seen.landmark, seen.ends_px, strict=True):
         x, z = structure.landmark_map.points[landmark]
         np.testing.assert_allclose(ends, camera.project(pose, np.array([[x, 0.0, z], [x, 0.8, z]])), atol=1e-6)
-
-
-def test_the_mask_is_what_each_pose_sees() -> None:
-    scenery = world(furniture=[{**BOX, "x": 0.0, "z": -3.0, "top_m": 1.0}])
-    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi], [0.0, -6.0, np.pi]])
-    mask = visible_mask(structure_of(scenery), scenery.camera.camera(), poses)
-    assert mask.sum(axis=1).tolist() == [2, 0, 2]
-    assert not (mask[0] & mask[2]).any()
 
 
 # -- logs -------------------------------------------------------------------------------------------------------------
@@ -160,12 +131,6 @@ def test_the_stated_start_errs_by_its_stated_sigmas() -> None:
 def test_a_drive_through_a_wall_is_refused_with_its_place() -> None:
     with pytest.raises(InputError, match=r"robot at least 0\.15 m .* x = 0\.00, z = -0\.70"):
         simulated_log(world(walls=[{"from": [-1, -0.7], "to": [1, -0.7]}]), 0)
-
-
-def test_odometry_increments_lead_along_the_truth() -> None:
-    log = simulated_log(world(**ROOM, odometry={}), 0)
-    in_map = geometry.compose(log.drive.truth.poses[0], log.drive.odometry.poses)
-    np.testing.assert_allclose(in_map[:, :2], log.drive.truth.poses[:, :2], atol=1e-9)
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from plain_room import camera_data, plain_room
-from pydantic import ValidationError
 
 from localiser.camera import MountSigma, RollingShutter
 from localiser.geometry import Array, Trajectory, arc_motion, compose
@@ -68,13 +67,6 @@ def test_rows_are_those_of_images_from_where_the_robot_was_then(
     assert np.quantile(np.abs(crossings(found) - crossings(expected)), 0.9) < 0.15
 
 
-def test_the_stamped_row_is_taken_at_the_time_stamp() -> None:
-    scene, truth = scene_of(world_of(world_data(SHUTTER))), driven(1.0, 0.0)
-    rolled, at_once = sharp_image(scene, truth, MIDDLE_NS), radiance(scene, truth.at(MIDDLE_NS))
-    difference = np.abs(rolled - at_once).mean(axis=(1, 2))
-    assert difference[80] < 0.05 * difference[0]
-
-
 def test_a_robot_that_stands_has_the_image_of_a_camera_that_takes_all_rows_at_once() -> None:
     rolling, plain = (scene_of(world_of(world_data(shutter, exposure_s=0.01))) for shutter in (SHUTTER, None))
     still = driven(0.0, 0.0)
@@ -89,11 +81,6 @@ def test_the_log_states_the_shutter() -> None:
     first_s, last_s = log.scene.camera.readout_s
     assert log.drive.image_t_ns[0] >= round(-first_s * 1e9)
     assert log.drive.image_t_ns[-1] + round(last_s * 1e9) <= log.drive.truth.t_ns[-1]
-
-
-def test_the_stamped_row_must_be_one_of_the_image() -> None:
-    with pytest.raises(ValidationError, match="0 to 119, found 120"):
-        world_of(world_data(SHUTTER | {"stamp_row": 120.0}))
 
 
 MOTION: dict[str, Any] = {"tilt_deg": {"amplitude": 6.0, "hz": 1.0}, "yaw_deg": {"amplitude": 20.0, "hz": 0.5}}
@@ -139,8 +126,3 @@ def test_the_log_states_the_mount_of_each_image(sigma_deg: float) -> None:
         assert 0.5 < np.degrees(np.std(off)) / sigma_deg < 1.5
         sigma = np.radians(sigma_deg)
         assert all(mount and mount.sigma == MountSigma(tilt_rad=sigma, roll_rad=sigma) for mount in log.mounts)
-
-
-def test_a_camera_that_does_not_move_states_none() -> None:
-    log = simulated_log(world_of(plain_room()), 3)
-    assert set(log.mounts) == {None}

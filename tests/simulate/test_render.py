@@ -88,17 +88,6 @@ def test_edges_are_where_the_camera_projects_them(scene: Scene, pose: tuple[floa
     assert abs(error.mean()) < 0.02, "a shift of the pixel grid would move all edges alike"
 
 
-def test_the_floor_line_of_a_wall_is_where_the_camera_projects_it(scene: Scene) -> None:
-    robot, camera = np.array([-2.0, 1.5, 0.0]), scene.camera
-    image = radiance(scene, robot)[..., 0].T
-    x = np.linspace(-3.9, -1.0, 4000)
-    u, v = camera.project(robot, np.stack([x, np.zeros(4000), np.full(4000, -3.94)], axis=-1)).T
-    columns = np.arange(int(max(u.min(), 0)) + 10, int(min(u.max(), camera.width)) - 10, 5)
-    expected = np.interp(columns, u, v)
-    error = measured_u(image, expected, columns, half=3) - expected
-    assert np.sqrt((error**2).mean()) < 0.15, "rows are sampled, not integrated: two samples a pixel"
-
-
 def test_every_pixel_shows_the_nearest_surface() -> None:
     """A low box, a lintel and a hanging box, against a plain loop over rays and faces."""
     data = world_data(
@@ -170,15 +159,15 @@ def test_the_same_generator_gives_the_same_image_and_noise_has_its_sigma(scene: 
     assert abs(difference.std() - np.sqrt(2) * np.hypot(2.0, 1 / np.sqrt(12))) < 0.05
 
 
-def test_vignette_and_gain_darken_as_stated(scene: Scene) -> None:
+def test_vignette_darkens_as_stated(scene: Scene) -> None:
     robot = np.array([0.0, 2.0, 0.0])
-    spec = {"noise_sigma": 0.0, "gain": 0.5, "vignette": 0.4, "colour": True}
+    spec = {"noise_sigma": 0.0, "vignette": 0.4, "colour": True}
     dimmed = replace(scene, world=world_of(world_data(image=spec)))
     image = render(dimmed, robot, np.random.default_rng(0)).astype(float)
     bright = radiance(scene, robot)[..., ::-1]  # images are BGR
-    np.testing.assert_allclose(image[239:241, 319:321], 0.5 * bright[239:241, 319:321], atol=0.51)
+    np.testing.assert_allclose(image[239:241, 319:321], bright[239:241, 319:321], atol=0.51)
     np.testing.assert_allclose(
-        image[[0, 0, -1, -1], [0, -1, 0, -1]], 0.5 * 0.6 * bright[[0, 0, -1, -1], [0, -1, 0, -1]], atol=0.51
+        image[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6 * bright[[0, 0, -1, -1], [0, -1, 0, -1]], atol=0.51
     )
 
 
@@ -198,14 +187,14 @@ def test_exposure_blurs_edges_by_the_motion_and_leaves_them_in_place() -> None:
     assert steepest[1] < steepest[0] / 4
 
 
-def test_looking_up_nothing_gives_nothing() -> None:
-    nowhere = np.zeros(0, dtype=np.float32)
-    assert look_up(np.ones((4, 5, 3), dtype=np.float32), nowhere, nowhere).shape == (0, 3)
-
-
 def test_a_camera_that_looks_straight_down_is_refused() -> None:
     data = world_data()
     data["camera"] |= {"width": 160, "height": 120, "focal_px": 138.5}  # the same field of view in fewer pixels
     data["camera"]["mount"]["tilt_deg"] = 60.0
     with pytest.raises(ValueError, match="straight down"):
         scene_of(world_of(data))
+
+
+def test_looking_up_nothing_gives_nothing() -> None:
+    nowhere = np.zeros(0, dtype=np.float32)
+    assert look_up(np.ones((4, 5, 3), dtype=np.float32), nowhere, nowhere).shape == (0, 3)
