@@ -17,7 +17,7 @@ from localiser.filter import LocatedFrame
 from localiser.replay import replay_log
 from localiser.replay.figures import Summary
 from localiser.replay.frames import KeptFrames
-from localiser.storage import open_log, packing
+from localiser.storage import encode, open_log
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_images_are_read_as_they_were_in_any_order(frame: LocatedFrame) -> None:
     assert [each.located.t_ns for each in kept] == [0, 1, 2, 3, 4]
     assert [each.located.t_ns for each in kept[1:4:2]] == [1, 3]
     for part in ("located", "matches", "truth", "stage_ms"):
-        assert packing.encode(getattr(kept[3], part)) == packing.encode(getattr(numbered(frame, 3), part))
+        assert encode(getattr(kept[3], part)) == encode(getattr(numbered(frame, 3), part))
     assert type(kept[3].located.clusters) is type(frame.located.clusters) is not type(None)
     kept.append(numbered(frame, 5))
     assert [kept[index].located.t_ns for index in (5, 0, -2)] == [5, 0, 4]
@@ -63,7 +63,7 @@ def test_memory_and_summary_hardly_grow_with_the_length_of_a_run(
         del result
         return used
 
-    count = 3 * in_memory // len(packing.encode(frame.located))
+    count = 3 * in_memory // len(encode(frame.located))
     kept = KeptFrames()
 
     def keep() -> None:
