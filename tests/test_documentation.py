@@ -113,12 +113,6 @@ def test_every_command_is_one_of_the_program() -> None:
                     parsed(words)
 
 
-def test_a_command_that_the_program_has_not_is_found() -> None:
-    for words in (["repaly", "log"], ["replay", "log", "--sede", "1"], ["map", "biuld", "log"], ["evaluate"]):
-        with pytest.raises(Exception, match=r"(?i)no such|missing"):
-            parsed(words)
-
-
 def test_programs_beside_the_package_have_the_options_that_are_documented() -> None:
     """They take minutes to hours, so they are not run here; tests/benchmarks runs their parts."""
     for page in PAGES:

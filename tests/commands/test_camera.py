@@ -32,13 +32,6 @@ def log(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", [["tilt"], ["sync"], ["calibrate"]])
-def test_help_has_an_example(localiser: Localiser, command: list[str]) -> None:
-    result = localiser("camera", *command, "--help")
-    assert result.exit_code == 0
-    assert f"localiser camera {command[0]}" in result.out.split("Example")[1]
-
-
 # -- tilt -------------------------------------------------------------------------------------------------------------
 
 
@@ -80,18 +73,6 @@ def test_images_without_edges_are_told_and_not_written(localiser: Localiser, tmp
     assert "not written" in result.err and str(log) in result.err
     assert (log / "camera.yaml").read_bytes() == before
     assert not (tmp_path / "out").exists()
-
-
-def test_a_log_of_measured_edges_has_no_lines_to_look_at(localiser: Localiser, tmp_path: Path) -> None:
-    result = localiser("camera", "tilt", write_edge_log(tmp_path / "log"))
-    assert result.exit_code == 2 and "expected a log with images" in result.err
-
-
-def test_an_image_that_cannot_be_read_is_named(localiser: Localiser, log: Path) -> None:
-    image = next((log / "images").iterdir())
-    image.write_bytes(image.read_bytes()[:5000])
-    result = localiser("camera", "tilt", log)
-    assert result.exit_code == 2 and image.name in result.err and "Traceback" not in result.err
 
 
 # -- sync -------------------------------------------------------------------------------------------------------------
@@ -182,14 +163,6 @@ def test_replay_warns_once_when_edges_contradict_the_stated_tilt(
     assert abs(figures["tilt_found_deg"] - 20.0) < 0.3 and len(figures["warnings"]) == 1
     run = localiser.replay(log, tmp_path / "quiet")  # which demands an empty stderr
     assert json.loads((run / "metrics.json").read_text())["warnings"] == figures["warnings"]
-
-
-@pytest.mark.slow  # quick: tests of replays expect no warnings
-def test_replay_says_nothing_of_a_tilt_that_is_right(localiser: Localiser, log: Path, tmp_path: Path) -> None:
-    right = tmp_path / "right"
-    assert localiser("camera", "tilt", log, "-o", right, "--quiet").exit_code == 0
-    result = localiser("replay", right, "--out", tmp_path / "out", "--no-rrd", *FEW_PARTICLES)
-    assert result.exit_code == 0 and "localiser camera tilt" not in result.err
 
 
 # -- calibrate --------------------------------------------------------------------------------------------------------

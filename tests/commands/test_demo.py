@@ -155,7 +155,3 @@ def test_the_shell_completes_commands_and_options(typed: str, expected: str) -> 
     environment = {**os.environ, **asked, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == [expected]
-
-
-def test_completion_can_be_installed(localiser: Localiser) -> None:
-    assert "--install-completion" in localiser("--help").out

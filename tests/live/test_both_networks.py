@@ -21,7 +21,6 @@ from localiser.storage.bags import ODOM, ODOMETRY, Messages, typestore
 WHEELS = Topic("/odom", ODOMETRY)
 LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--start", START, "--json", *SETTINGS)
 ROBOT = ("simulate", CORRIDOR, "--serve", "--quiet")
-WORST_M = 0.15
 MAKE = Messages()
 
 

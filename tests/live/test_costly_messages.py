@@ -25,28 +25,6 @@ def fed(code: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize(
-    ("file", "located", "expected"),
-    [
-        ("bombs.png_of_texts(bombs.black(size), 300)", 8, ""),
-        ("bombs.png_of_more(size, 4000)", 7, "found more pixels in it than it states"),
-        ("bombs.jpeg_of_scans(size, 20_000)", 7, "at most 100 scans"),
-    ],
-)
-def test_a_picture(file: str, located: int, expected: str) -> None:
-    code = f"""
-feed([*camera(), *drive(4)])
-data = {file}
-messages = drive(4, first=4)
-messages = [image(each.at_ns, 4, data) if each.role == "image" and each.at_ns == LOG.frames[4].t_ns else each
-            for each in messages]
-begin()
-feed(messages)
-"""
-    found, said = fed(code)
-    assert found == located and expected in said
-
-
-@pytest.mark.parametrize(
     ("role", "at_once", "before", "expected"),
     [
         ("transforms", 15_000, False, "/tf_static: left out a message: expected at most 262144 bytes"),

@@ -12,8 +12,7 @@ from threading import Event
 import numpy as np
 import pytest
 from live_feed import LOG, Feed, camera, drive
-from live_processes import free_domain, program, wait_until
-from short_log import CORRIDOR, Localiser
+from live_processes import free_domain, wait_until
 
 from localiser.config import LiveParameters
 from localiser.errors import InputError
@@ -153,13 +152,3 @@ def test_a_node_has_a_name_and_its_topics() -> None:
         transport.subscribe(Topic("/initialpose", POSE), lambda content, source: None)
         assert other.stdout is not None
         assert other.stdout.read() == "/robot1 localiser [['rt/localiser/pose'], ['rt/initialpose']]\n"
-
-
-@pytest.mark.slow
-def test_the_doctor_hears_a_robot(localiser: Localiser) -> None:
-    pytest.importorskip("cyclonedds")
-    with program("simulate", CORRIDOR, "--serve", "--set", f"live.dds={EXAMINED}") as robot:
-        robot.wait_to_say("until Ctrl-C")
-        said = localiser("doctor", "--set", f"live.dds={EXAMINED}", "--seconds", 4).out
-    for found in ("sensor_msgs/msg/CompressedImage", "nav_msgs/msg/Odometry", "transforms, ", "640×480 pixels"):
-        assert found in said, said

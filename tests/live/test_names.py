@@ -30,6 +30,8 @@ def test_a_namespace_holds_what_is_named_without_a_leading_slash() -> None:
 
 @pytest.mark.parametrize("name", ["/odom", "odom", "/odom/"])
 def test_one_topic_for_two_kinds_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match="unknown kind of message"):
+        outputs_named({"poses": name})
     with pytest.raises(InputError, match=r"live\.topics: expected .* for odometry and for groundtruth"):
         input_topics({"groundtruth": name})
     with pytest.raises(InputError, match="unknown kind of topic"):

@@ -96,16 +96,6 @@ def test_a_viewer_that_is_frozen_and_then_killed_changes_nothing(robot: Program,
     assert "Traceback" not in live.all_said()
 
 
-@pytest.mark.slow
-def test_a_viewer_that_is_not_there_changes_nothing(robot: Program, endpoint: str) -> None:
-    """There is no display for it."""
-    arguments = ("--connect", endpoint, "--start", START, "--view", "native")
-    with program(*LIVE, *arguments) as live:
-        live.poses(5)
-        assert live.end() == 0
-    assert "Traceback" not in live.all_said()
-
-
 @pytest.mark.slow  # quick: tests/view/test_view.py kills a run with a viewer
 def test_the_stand_in_does_not_outlive_a_demo_that_is_killed() -> None:
     with program("live", "demo", CORRIDOR, "--json", *SETTINGS) as live:

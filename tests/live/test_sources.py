@@ -16,7 +16,7 @@ from live_feed import LOG, Feed, arrival, camera, drive, image, odometry
 
 from localiser.errors import InputError
 from localiser.image_files import decode
-from localiser.live.inbox import MOST_BYTES, MOST_IMAGES, MOST_OTHERS, TOPICS, Arrival, CameraSource, Inbox, message_of
+from localiser.live.inbox import MOST_IMAGES, MOST_OTHERS, TOPICS, Arrival, CameraSource, Inbox, message_of
 from localiser.live.prepare import open_camera
 from localiser.storage.bags import stamp_of
 
@@ -133,12 +133,3 @@ def test_no_image_after_a_flood_is_lost(kind: str) -> None:
     expected = [frame.t_ns for frame in LOG.frames[BEFORE + 1 : BEFORE + 1 + AFTER]]
     assert feed.times[-AFTER:] == expected
     assert feed.worst_error_m() < 0.15
-
-
-def test_a_flood_of_large_messages_is_bounded_in_bytes() -> None:
-    inbox, large = Inbox(), bytes(2**20)
-    for number in range(FLOOD):
-        inbox.put(Arrival("groundtruth", "groundtruth", large, at_ns=number, wall_ns=number))
-    kept = inbox.take(0.0)
-    assert sum(len(one.content) for one in kept) == MOST_BYTES
-    assert kept[-1].at_ns == FLOOD - 1

@@ -13,10 +13,9 @@ from short_log import CORRIDOR
 
 from localiser import Localiser
 from localiser.config import read_config
-from localiser.errors import InputError
 from localiser.filter import LocatedFrame
 from localiser.geometry import pose_from_ros
-from localiser.ros import OUTPUTS, Frames, Message, Outgoing, outputs_named
+from localiser.ros import OUTPUTS, Frames, Message, Outgoing
 from localiser.ros.outgoing import MOST_PARTICLES, MOST_POSES
 from localiser.storage import open_log, read_map
 from localiser.storage.bags import typestore
@@ -182,10 +181,3 @@ def test_diagnostics_say_how_far_to_trust_the_pose(frames: list[LocatedFrame], p
     (status,) = read(message).status
     values = {pair.key: pair.value for pair in status.values}
     assert status.level == level and float(values["p_correct"]) == p_correct and values["bad image"] == "3"
-
-
-def test_outputs_can_be_named_left_out_and_put_in_a_namespace() -> None:
-    named = outputs_named({"pose": "/amcl_pose", "image": None}, "/robot1")
-    assert named["pose"].topic == "/amcl_pose" and named["tf"].topic == "/robot1/tf" and "image" not in named
-    with pytest.raises(InputError, match="unknown kind of message"):
-        outputs_named({"poses": "/amcl_pose"})

@@ -44,11 +44,6 @@ def test_degrees_survive_radians(angle_deg: float) -> None:
     assert degrees(np.radians(angle_deg)) == angle_deg
 
 
-def test_saving_what_was_loaded_changes_nothing() -> None:
-    text = dump(camera_data(CAMERA))
-    assert dump(camera_data(camera_from_document(parse(text, "f")))) == text
-
-
 def test_mount_gives_what_is_left_out_as_zero() -> None:
     data = camera_data(CAMERA) | {"mount": {"tilt_deg": 10, "height_m": 1}}
     camera = camera_from_document(parse(dump(data), "f"))
@@ -88,12 +83,6 @@ def test_errors_name_the_field(change: dict[str, object], expected: str) -> None
         camera_from_document(parse(dump(camera_data(CAMERA) | change), "camera.yaml"))
     assert expected in str(caught.value)
     assert str(caught.value).startswith("camera.yaml:")
-
-
-def test_camera_without_distortion(tmp_path: Path) -> None:
-    camera = replace(CAMERA, distortion_model="none", distortion=())
-    write_camera(camera, tmp_path / "camera.yaml")
-    assert_same(read_camera(tmp_path / "camera.yaml"), camera)
 
 
 def test_a_rolling_shutter_is_read_back(tmp_path: Path) -> None:

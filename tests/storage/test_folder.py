@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_log import CAMERA, IMAGE_TIMES, MAP, ODOMETRY, START, TRUTH, image, write_edge_log, write_small_log
 
-from localiser.errors import InputError, OutputError
+from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.storage import Image, ImageEvent, open_log, write_log
 
@@ -41,10 +41,6 @@ def test_log_is_read_back(written: Path) -> None:
     np.testing.assert_allclose(log.start.mean, START.mean)
     np.testing.assert_allclose(log.start.cov, START.cov, atol=1e-15)
     assert log.start.t_ns == 0
-
-
-def test_log_yaml_itself_names_the_log(written: Path) -> None:
-    assert open_log(written / "log.yaml").name == "small"
 
 
 def test_events_come_in_the_order_of_time_start_first_and_odometry_before_images(written: Path) -> None:
@@ -161,28 +157,6 @@ def test_links_inside_the_folder_are_followed(log_folder: Path) -> None:
     np.testing.assert_array_equal(frame.load(), image(0))
 
 
-def test_loop_of_links_is_an_error(log_folder: Path) -> None:
-    (log_folder / "images/000001.png").unlink()
-    (log_folder / "images/000001.png").symlink_to("000001.png")
-    with pytest.raises(InputError):
-        open_log(log_folder)
-
-
-@pytest.mark.parametrize(
-    ("path", "options", "expected"),
-    [
-        ("missing", {}, "missing: no such log"),
-        (".", {}, "expected a log: a folder with a log.yaml"),
-        (".", {"format": "folder"}, "log.yaml: no such file"),
-        (".", {"format": "tar"}, "format: expected folder or bag, found 'tar'"),
-    ],
-)
-def test_what_is_no_log(tmp_path: Path, path: str, options: dict[str, str], expected: str) -> None:
-    with pytest.raises(InputError) as caught:
-        open_log(tmp_path / path, **options)  # type: ignore[arg-type]
-    assert expected in str(caught.value)
-
-
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
@@ -196,25 +170,6 @@ def test_writing_that_is_broken_off_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         write_log(tmp_path / "log", name="a", camera=CAMERA, odometry=ODOMETRY, images=broken_off(2))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "log").mkdir()
-    (tmp_path / "log/thesis.tex").write_text("years of work")
-    with pytest.raises(OutputError, match="expected a new or empty folder"):
-        write_small_log(tmp_path / "log")
-    assert (tmp_path / "log/thesis.tex").read_text() == "years of work"
-
-
-def test_empty_folder_is_filled(tmp_path: Path) -> None:
-    (tmp_path / "log").mkdir()
-    assert open_log(write_small_log(tmp_path / "log")).name == "small"
-
-
-def test_log_that_cannot_be_written_says_so(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot be written"):
-        write_small_log(tmp_path / "file" / "log")
 
 
 def test_same_log_is_the_same_bytes(tmp_path: Path) -> None:

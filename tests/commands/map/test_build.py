@@ -65,17 +65,6 @@ def test_a_picture_of_a_map_in_a_clone_goes_to_results(tmp_path: Path, monkeypat
     assert (tmp_path / "results" / "hall_map.png").exists()
 
 
-@pytest.mark.slow  # quick: tests/mapping/test_from_known_poses.py, and the command with other poses below
-def test_poses_from_a_file_give_the_same_map_as_the_truth(tmp_path: Path) -> None:
-    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:80])
-    write_tum(world("corridor").truth, tmp_path / "poses.tum")
-    for poses, name in (("truth", "a.yaml"), (tmp_path / "poses.tum", "b.yaml"), ("odometry", "c.yaml")):
-        assert run("map", "build", log, "--poses", poses, "-o", tmp_path / name, "-q").exit_code == 0
-    first, second, third = (read_map(tmp_path / name) for name in ("a.yaml", "b.yaml", "c.yaml"))
-    assert second.points == pytest.approx(first.points, abs=1e-6)
-    assert abs(len(third) - len(first)) <= 2  # this log's odometry is the truth, but less trusted while following
-
-
 def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     drive = world("corridor")
     log = edge_log(tmp_path / "log", drive.edges(seed=0)[:60], truth=False)
@@ -155,14 +144,6 @@ def test_the_recording_shows_how_the_map_came_about(tmp_path: Path, truth: bool)
     assert "expected a new file" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
 
 
-def test_an_existing_map_is_not_overwritten(tmp_path: Path) -> None:
-    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0))
-    out = tmp_path / "map.yaml"
-    out.write_text("precious")
-    assert "expected a new file" in refused("map", "build", log, "-o", out)
-    assert out.read_text() == "precious"
-
-
 @pytest.mark.parametrize("poses", ["truth", "nowhere.tum"])
 def test_missing_poses_are_named(tmp_path: Path, poses: str) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0), truth=False)
@@ -184,18 +165,6 @@ def test_too_little_parallax_is_said(tmp_path: Path, frames: int) -> None:
     message = refused("map", "build", log, "-o", tmp_path / "map.yaml")
     assert "parallax" in message
     assert "°" in message
-
-
-def test_nothing_but_clutter_makes_no_map(tmp_path: Path) -> None:
-    drive = world("corridor")
-    clutter = [frame.take(frame.landmark_id < 0) for frame in drive.edges(seed=0, clutter=4.0)]
-    log = edge_log(tmp_path / "log", clutter)
-    assert "clutter" in refused("map", "build", log, "-o", tmp_path / "map.yaml")
-
-
-def test_images_without_edges_make_no_map(tmp_path: Path) -> None:
-    log = edge_log(tmp_path / "log", [Edges.none()] * 20)
-    assert "found none in 20" in refused("map", "build", log, "-o", tmp_path / "map.yaml")
 
 
 # -- the cache of edges -----------------------------------------------------------------------------------------------

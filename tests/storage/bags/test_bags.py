@@ -16,13 +16,11 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import get_types_from_msg
 from small_bag import HEIGHT, OPTICAL, WIDTH, Recorder, bag, recording
-from small_log import CAMERA, write_edge_log, write_small_log
+from small_log import write_edge_log, write_small_log
 
 from localiser.camera import Camera, RollingShutter
 from localiser.errors import InputError, InputWarning, OutputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag
-from localiser.storage.bags import read as read_module
-from localiser.storage.bags.bag import Bag
 from localiser.storage.maps import map_data
 
 KINDS = pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
@@ -62,15 +60,6 @@ def test_a_log_comes_back_from_a_bag(tmp_path: Path, kind: str, suffix: str) -> 
     log = open_log(folder)
     write_bag(tmp_path / NAMES[kind], log, kind)
     assert_same(open_log(tmp_path / NAMES[kind]), log)
-
-
-@pytest.mark.parametrize("name", ["one.mcap", "one.db3"])
-def test_a_bag_of_one_file_needs_no_folder(tmp_path: Path, name: str) -> None:
-    log = open_log(write_small_log(tmp_path / "log"))
-    write_bag(tmp_path / name, log, "mcap" if name.endswith("mcap") else "sqlite3")
-    assert (tmp_path / name).is_file()
-    assert_same(open_log(tmp_path / name), log)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["log", name]
 
 
 @KINDS
@@ -476,14 +465,6 @@ def peak_bytes(path: Path, kind: str, count: int) -> int:
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    log = open_log(write_small_log(tmp_path / "log"))
-    (tmp_path / "x.bag").write_bytes(b"mine")
-    with pytest.raises(OutputError, match="expected a new file, found one"):
-        write_bag(tmp_path / "x.bag", log, "ros1")
-    assert (tmp_path / "x.bag").read_bytes() == b"mine"
-
-
 def test_a_bag_that_cannot_be_finished_leaves_nothing(tmp_path: Path) -> None:
     folder = write_small_log(tmp_path / "log")
     log = open_log(folder)
@@ -513,12 +494,6 @@ def test_house_as_a_bag_is_the_first_20_s_of_house(data_dir: Path) -> None:
     assert found.camera.mount == whole.camera.mount
     np.testing.assert_array_equal(found.camera.matrix, whole.camera.matrix)
     assert [data for _, data in images(found)] == [data for _, data in images(whole)[:frames]]
-
-
-def test_the_camera_of_the_small_log_is_fully_used() -> None:
-    """Every number of the mount that the tests above carry through a bag is one that could be lost."""
-    mount = CAMERA.mount
-    assert all((mount.tilt_rad, mount.roll_rad, mount.yaw_rad, mount.height_m, mount.right_m, mount.back_m))
 
 
 @pytest.mark.parametrize("heading", [-3.141592654, 3.141592653, -3.1415926535, 3.14159265358, 1.570796327, 0.0])
@@ -630,32 +605,3 @@ def test_a_camera_file_stands_in_for_a_bag_without_camera(tmp_path: Path) -> Non
         "camera_matrix: {rows: 3, cols: 3, data: [9, 0, 1, 0, 9, 1, 0, 0, 1]}\nmount: {tilt_deg: 1, height_m: 1}\n"
     )
     assert open_log(tmp_path / "bag", camera=camera).camera.fx == 9.0
-
-
-def test_a_bag_is_opened_once_in_whatever_order_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = open_log(bag(tmp_path / "bag", record_images))
-    opened: list[Bag] = []
-
-    def counted(path: Path) -> Bag:
-        opened.append(Bag(path))
-        return opened[-1]
-
-    monkeypatch.setattr(read_module, "Bag", counted)
-    for index in (2, 0, 1, 2, 1, 0):
-        frame = log.frames[index]
-        assert isinstance(frame, ImageEvent)
-        assert (frame.load() == frame.t_ns % 251).all()
-    assert len(opened) == 1
-
-
-def test_a_topic_that_has_messages_of_two_types_is_two_topics(tmp_path: Path) -> None:
-    """Both are chosen: as odometry and as the intrinsics beside the image."""
-
-    def record(recorder: Recorder) -> None:
-        for t_ns in (10**8, 2 * 10**8):
-            recorder.image(t_ns)
-            recorder.odometry(t_ns + 1, topic="/cam/camera_info")
-
-    path = bag(tmp_path / "bag", record)
-    log = open_log(path, topics={"odometry": "/cam/camera_info"})
-    assert len(log.odometry) == 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -17,7 +15,6 @@ from localiser.storage.bags.database import BagRecorder
 from localiser.storage.bags.write import image_decision, odometry_decision
 from localiser.storage.images import encode_image
 
-PATIENCE_S = 60.0
 TEXT = "std_msgs/msg/String"
 
 
@@ -36,28 +33,6 @@ def test_nothing_is_overwritten_and_other_kinds_are_refused(tmp_path: Path) -> N
         BagRecorder(tmp_path / "a.db3")
     with pytest.raises(InputError, match=r"ends in \.db3"):
         BagRecorder(tmp_path / "a.mcap")
-
-
-KILLED = """
-import os, sys
-from pathlib import Path
-from localiser.storage.bags.database import BagRecorder
-recorder = BagRecorder(Path(sys.argv[1]))
-for k in range(5):
-    recorder.write("/a", "std_msgs/msg/String", k, bytes.fromhex(sys.argv[2]))
-recorder.commit()
-for k in range(2000):  # more than SQLite keeps in memory: half of it is in the file already
-    recorder.write("/a", "std_msgs/msg/String", 10 + k, bytes.fromhex(sys.argv[2]) + bytes(4000))
-os._exit(9)
-"""
-
-
-def test_what_was_not_committed_is_taken_back_after_a_kill(tmp_path: Path) -> None:
-    path = tmp_path / "a.db3"
-    subprocess.run([sys.executable, "-c", KILLED, path, text("kept").hex()], check=False, timeout=PATIENCE_S)
-    assert path.with_name("a.db3-journal").exists(), "the case that is meant"
-    assert texts(path) == ["kept"] * 5
-    assert texts(path) == ["kept"] * 5
 
 
 def test_decisions_leave_out_what_a_live_run_left_out(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from types import SimpleNamespace
 import pytest
 from hot_journal import lay_journal
 from recorded_texts import text, texts
-from short_log import Localiser
 from small_bag import Recorder, bag
 
 from localiser.errors import InputError, OutputError
@@ -72,21 +71,6 @@ def test_a_journal_that_names_another_file_is_refused(hostile: Path, private: Pa
     with pytest.raises(InputError, match=r"bag.db3-journal: expected the journal of a bag, found one that has SQLite"):
         open_log(hostile / name)
     assert states(hostile) == before and not list(private.iterdir())
-
-
-@pytest.mark.parametrize("name", ["bag", "bag/bag.db3"])
-@pytest.mark.parametrize(
-    "command",
-    ["replay IN --out OUT", "convert IN OUT", "map build IN --out OUT --poses odometry", "camera sync IN"],
-)
-def test_no_command_changes_a_file(
-    hostile: Path, command: str, name: str, localiser: Localiser, tmp_path: Path
-) -> None:
-    before = states(hostile)
-    places = {"IN": hostile / name, "OUT": tmp_path / "out"}
-    result = localiser(*(places.get(word, word) for word in command.split()))
-    assert result.exit_code != 0 and "found one that has SQLite delete another file" in result.err
-    assert states(hostile) == before
 
 
 @pytest.mark.parametrize(("mode", "ending"), [("DELETE", "-journal"), ("WAL", "-wal")])
