@@ -1,10 +1,10 @@
 """Compile loops by numba, and keep their machine code, so that only the first run has to wait for it.
 
-The key of numba's own cache is the file of a loop alone. If a function that is inlined from another file changes, the
-old machine code stays in use. Here the key is a digest of everything that is compiled: the loop, the compiled functions
-and the constants it uses, wherever they are defined, how they are compiled, the types of the arguments, the processor
-and the versions of numba, LLVM, numpy and Python. So kept code is never out of date. Several checkouts, users of one
-account and processes can share it.
+The key of numba's own cache is the time of a loop's file alone. If a function that is inlined from another file
+changes, the old machine code stays in use. Here the key is a digest of the loop's file, of the files of loops and the
+constants that it imports, of how it is compiled, the types of the arguments, the processor and the versions of numba,
+LLVM, numpy and Python. So kept code is never out of date, as long as loops use nothing else from other files, which a
+test checks. Several checkouts, users of one account and processes can share it.
 
 numba takes long to import, so it is imported when the first loop is compiled.
 """
@@ -20,12 +20,10 @@ import secrets
 import stat
 import sys
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -35,7 +33,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 # Sums may be contracted to fused operations, but never be put into another order: results do not depend on what stands
 # beside a particle.
 _RULES: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "arcp", "nsz"}}
-_FOREIGN = ("builtins", "math", "numpy", "numba")  # told apart by their versions
 _KEPT_FILES = 1000  # of about 70 kB; those used last stay
 _CHECKSUM_BYTES = 32
 _OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a draft
@@ -59,7 +56,7 @@ def compiled(function: F) -> F:
 
     A decorator, or called where the loop is first needed: the same function is compiled once.
     """
-    return cast(F, _compiled(function, "numpy"))
+    return cast(F, _compiled(function))
 
 
 def part(function: F) -> F:
@@ -67,14 +64,9 @@ def part(function: F) -> F:
     return cast(F, _with_numba(function, is_kept=False, no_cpython_wrapper=True, error_model="numpy", nogil=True))
 
 
-def checked(function: F) -> F:
-    """Compile as `compiled` does, but a division by 0 raises ZeroDivisionError."""
-    return cast(F, _compiled(function, "python"))
-
-
 @cache
-def _compiled(function: Callable[..., Any], error_model: str) -> Any:
-    return _with_numba(function, is_kept=True, error_model=error_model, nogil=True)
+def _compiled(function: Callable[..., Any]) -> Any:
+    return _with_numba(function, is_kept=True, error_model="numpy", nogil=True)
 
 
 def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> Any:
@@ -174,17 +166,17 @@ class _Kept:
         """Do nothing: what is kept is never out of date."""
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
-        where = folder()
+        where, function = folder(), self._loop.py_func
         if where is None:
             return None
-        function = self._loop.py_func
+        # The name of a named tuple's type leaves out its fields.
+        fields = [getattr(getattr(argument, "instance_class", None), "_fields", ()) for argument in signature]
         try:
-            content = (_versions(), codegen.magic_tuple(), _told_types(signature), _told(self._loop, {}))
-        except _UnknownError as unknown:
-            message = f"{function.__qualname__} is compiled anew in every run: {unknown}"
-            warnings.warn(message, RuntimeWarning, stacklevel=1)
+            told = [*_told(function, set())]
+        except OSError:  # a loop that stands in no file
             return None
-        digest = hashlib.sha256(repr(content).encode()).hexdigest()
+        content = (_versions(), codegen.magic_tuple(), str(signature), fields, self._loop.targetoptions, told)
+        digest = hashlib.sha256(repr((function.__qualname__, content)).encode()).hexdigest()
         return where / f"{function.__name__}-{digest[:40]}"
 
 
@@ -227,10 +219,6 @@ def _forget_oldest(where: Path, most: int) -> None:
 # -- what machine code depends on -------------------------------------------------------------------------------------
 
 
-class _UnknownError(TypeError):
-    """A loop uses something with an unknown effect on the compiled code."""
-
-
 @cache
 def _versions() -> tuple[object, ...]:
     import llvmlite
@@ -242,77 +230,18 @@ def _versions() -> tuple[object, ...]:
     return (*versions, *sorted(told.items()))
 
 
-def _told_types(signature: Any) -> tuple[object, ...]:
-    from numba.core.sigutils import normalize_signature
+def _told(function: Any, met: set[str]) -> Iterator[object]:
+    """Yield the content of a loop's file, and the loops and constants that are in it, wherever they are defined.
 
-    arguments, returned = normalize_signature(signature)
-    return (str(returned), *(_told_type(argument) for argument in arguments))
-
-
-def _told_type(argument: Any) -> tuple[object, ...]:
-    """Return what numba's type of an argument decides; the name of a named tuple's type leaves out its fields."""
-    from numba.core import types
-
-    if isinstance(argument, types.Callable):
-        raise _UnknownError(f"an argument is {argument}")
-    inner = tuple(_told_type(each) for each in argument) if hasattr(argument, "__iter__") else ()
-    named = _told(argument.instance_class, {}) if hasattr(argument, "instance_class") else ()
-    return (str(argument), named, inner)
-
-
-def _told(value: Any, met: dict[int, int]) -> tuple[object, ...]:
-    """Return what a value adds to the code of a loop that uses it. met: the loops on the way here, by identity."""
-    told: tuple[object, ...]
-    match value:
-        case None | bool() | int() | float() | complex() | str() | bytes() | np.generic():
-            told = (type(value).__name__, repr(value))
-        case tuple():
-            told = (_told(type(value), met), *(_told(each, met) for each in value))
-        case set() | frozenset():
-            told = ("set", *sorted(repr(_told(each, met)) for each in value))
-        case dict():
-            told = ("dict", *((key, _told(each, met)) for key, each in sorted(value.items())))
-        case np.ndarray() if not value.dtype.hasobject:
-            told = ("array", str(value.dtype), value.shape, value.strides, value.tobytes())
-        case type() if _is_foreign(value.__module__) or hasattr(value, "_fields"):
-            told = ("type", value.__module__, value.__qualname__, getattr(value, "_fields", ()))
-        case ModuleType() if _is_foreign(value.__name__):
-            told = ("module", value.__name__)
-        case BuiltinFunctionType() | np.ufunc():
-            told = ("function", str(getattr(value, "__module__", "")), value.__name__)
-        case _ if hasattr(value, "targetoptions") and hasattr(value, "py_func"):
-            told = _told_loop(value, met)
-        case _:
-            raise _UnknownError(f"it uses {value!r}")
-    return told
-
-
-def _is_foreign(module: str) -> bool:
-    return module.partition(".")[0] in _FOREIGN
-
-
-def _told_loop(loop: Any, met: dict[int, int]) -> tuple[object, ...]:
-    if id(loop) in met:
-        return ("again", met[id(loop)])
-    met[id(loop)] = len(met)
-    function = loop.py_func
-    cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
-    around = (loop.targetoptions, function.__defaults__, function.__kwdefaults__, cells)
-    code = _told_code(function.__code__, function.__globals__, met)
-    return ("loop", function.__module__, function.__qualname__, *(_told(each, met) for each in around), code)
-
-
-def _told_code(code: CodeType, module: dict[str, Any], met: dict[int, int]) -> tuple[object, ...]:
-    """Return what a function does: its instructions, and the content of constants and globals that they use.
-
-    Globals that only share the name of an attribute are among them: that costs less than to tell them apart.
+    met: the files that were told already.
     """
-    return (
-        code.co_code,
-        (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags),
-        (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars),
-        tuple(
-            _told_code(each, module, met) if isinstance(each, CodeType) else _told(each, met) for each in code.co_consts
-        ),
-        tuple((name, _told(module[name], met)) for name in sorted(module.keys() & code.co_names)),
-    )
+    file = function.__code__.co_filename
+    if file in met:
+        return
+    met.add(file)
+    yield hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    for name, value in function.__globals__.items():
+        if hasattr(value, "py_func"):
+            yield from _told(value.py_func, met)
+        elif isinstance(value, (int, float, tuple, np.ndarray, np.generic)) and not name.startswith("__"):
+            yield name, value.tolist() if isinstance(value, np.ndarray) else value

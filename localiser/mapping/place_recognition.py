@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
-from localiser.geometry.compiled import checked
+from localiser.geometry.compiled import compiled
 from localiser.mapping.landmarks import Built
 from localiser.mapping.merge import best_motion
 from localiser.mapping.sightings import Index
@@ -115,7 +115,7 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tu
     moves = _moves(points[group], points[older], row, column)
     if len(moves) == 0:
         return nothing
-    explained = checked(explained_loop)
+    explained = compiled(explained_loop)
     count = explained(points[group], points[older], row, column, moves, _CLOSE_M)[0]
     best = int(count.argmax())
     middle = points[group].mean(axis=0)
@@ -149,7 +149,7 @@ def _unambiguous(
 
 def _moves(new: Array, old: Array, row: Index, column: Index) -> Array:
     """Return the rigid moves (M, 3), x, z and turn, that take two landmarks of the group onto two older ones."""
-    one, other = checked(alike_pairs_loop)(new, old[column], row, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
+    one, other = compiled(alike_pairs_loop)(new, old[column], row, _BASELINE_M, _CLOSE_M, _MOST_MOVES)
     baseline, older = new[row[other]] - new[row[one]], old[column[other]] - old[column[one]]
     turn = wrap_angle(np.arctan2(older[:, 1], older[:, 0]) - np.arctan2(baseline[:, 1], baseline[:, 0]))
     kept = np.abs(turn) < _TURN_MOST_RAD

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.geometry.compiled import checked
+from localiser.geometry.compiled import compiled
 
 Indices = NDArray[np.int64]
 
 
-@checked
+@compiled
 def score(
     poses: Array,
     landmarks: Array,
