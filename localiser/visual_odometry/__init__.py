@@ -1,6 +1,6 @@
 """Visual odometry: how the robot moved between two images, by their edges [Taylor06, sec. 3]."""
 
-from localiser.visual_odometry.estimate import Belief, Followed, Frames, follow
+from localiser.visual_odometry.estimate import Belief, Followed, Frames, Gaussian, follow, motion_gaussian
 from localiser.visual_odometry.odometer import (
     Odometer,
     VisualOdometryParameters,
@@ -8,4 +8,3 @@ from localiser.visual_odometry.odometer import (
     twist_of_wheels,
     with_scale,
 )
-from localiser.visual_odometry.twist import Gaussian, motion_gaussian

@@ -4,41 +4,32 @@ The errors of edges of one thing are not independent: all edges of a poster end 
 moves all of its edges. A covariance that treats them as independent is far too small. So the motion is estimated again
 without the edges of each group in turn. The covariance is at least the scatter of these results (the delete-a-group
 jackknife [Efron, Tibshirani 1993, chapter 11]). It is large where everything depends on one group.
+
+Motions are sought as twists: the constant velocity (right, backward, turn) that makes a motion in one unit of time. A
+robot that steers goes along arcs, so that its sideways velocity is 0 although the chord of its way points sideways.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array
-from localiser.geometry.compiled import compiled
+from localiser.geometry import Array, arc_log, wrap_angle
 from localiser.landmarks import field_of_view_rad
 from localiser.visual_odometry.sights import (
-    FLOOR_SHARES,
     FOLLOWED_SHARE,
     FOOT_UNEVEN_SIGMA_M,
-    HUNG_SHARE,
-    NEIGHBOUR_SHARE,
-    NEIGHBOUR_SIGMA_RAD,
     TYPICAL_INVERSE_RANGE,
     TYPICAL_SPREAD,
-    Pairs,
     Sights,
-    candidates,
-    errs_apart,
+    how_alike,
     with_errors_apart,
 )
-from localiser.visual_odometry.twist import Gaussian, at_least, mixture, motion_gaussian
-
-if TYPE_CHECKING:
-    from localiser.visual_odometry import twist_kernel as kernel
 
 _REACH = 2.5  # sigmas of the prior that are searched
 _BIN_RAD = np.deg2rad(0.25)
@@ -46,84 +37,114 @@ _WIDTHS_RAD = np.deg2rad([0.3, 0.6, 1.2, 2.4, 4.8])
 _GRID = np.linspace(-1.0, 1.0, 7)
 _MOST_BINS = 1440
 _KERNEL_REACH = 3.0  # sigmas
-
-
 _PEAKS = 4
 _HANGING_SHARE = 0.3
 """Of views in which no lower end is a foot: a wall close by and what hangs on it. All such edges seem far, their ends
 near the horizon, and agree on a wrong motion, each as surely as a foot; taken one by one they would win."""
 _APART_RAD = np.deg2rad(3.0)
 """Edges closer together than this are likely of one thing: a door, a poster, a shelf."""
-_START_SIGMA = np.array([2e-3, 2e-3, 5e-4])
+_START_VAR = np.array([2e-3, 2e-3, 5e-4]) ** 2
 """How far a start of the search may be off: right, backward (m), turn (rad)."""
 
 
+# -- motions and twists, normally distributed -------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Followed:
-    """How the robot moved, by the edges of two frames.
+class Gaussian:
+    """What is believed of a motion: mean (3,), right (m), backward (m), turn (rad), and covariance (3, 3)."""
 
-    twist: of the motion, right (m), backward (m), turn (rad) in the robot frame of the first.
-    first, second: (M,) indices of the edges that were followed.
-    log_evidence: of how well the frames are explained, by Laplace's approximation.
-    has_feet: whether any lower end was taken for a foot.
-    """
+    mean: Array
+    cov: Array
 
-    twist: Gaussian
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
-    log_evidence: float
-    has_feet: bool
+    def log_density(self, value: Array) -> float:
+        """Return log N(value (3,); mean, cov)."""
+        apart = value - self.mean
+        return float(-0.5 * (apart @ np.linalg.solve(self.cov, apart) + np.linalg.slogdet(2 * np.pi * self.cov)[1]))
 
-    @property
-    def motion(self) -> Gaussian:
-        """The motion itself: right (m), backward (m), turn (rad)."""
-        return motion_gaussian(self.twist)
+    def mixed(self, other: Gaussian, share: float) -> Gaussian:
+        """Return the Gaussian with mean and covariance of a mixture, of which `share`, 0 … 1, is the other one."""
+        apart = other.mean - self.mean
+        cov = (1.0 - share) * self.cov + share * other.cov + share * (1.0 - share) * np.outer(apart, apart)
+        return Gaussian(self.mean + share * apart, cov)
+
+
+def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
+    """Return the Gaussian with mean and covariance of a mixture of K motions; log_weight: (K,), up to a constant."""
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    origin = parts[int(weight.argmax())].mean
+    offset = np.array([part.mean - origin for part in parts])
+    offset[:, 2] = wrap_angle(offset[:, 2])
+    mean = weight @ offset
+    spread = offset - mean
+    within = np.einsum("k,kij->ij", weight, [part.cov for part in parts])
+    total = origin + mean
+    total[2] = wrap_angle(total[2])
+    return Gaussian(total, within + np.einsum("k,ki,kj->ij", weight, spread, spread))
+
+
+def at_least(cov: Array, other: Array) -> Array:
+    """Return the smallest covariance (3, 3) that is in no direction below either: both estimate the same spread."""
+    root = np.linalg.cholesky(cov)
+    inverse = np.linalg.inv(root)
+    ratio, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    grown = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(grown @ grown.T)
+
+
+def _moved(twist: Array) -> tuple[Array, Array]:
+    """Return the motion (3,) that a twist (3,) makes in its unit of time, and ∂motion/∂twist (3, 3)."""
+    from localiser.visual_odometry import twist_kernel as kernel
+
+    x, z, jac = kernel.camera_moved(twist, np.zeros(5))
+    return np.array([x, z, twist[2]]), np.vstack([jac, [0.0, 0.0, 1.0]])
+
+
+def motion_gaussian(twist: Gaussian) -> Gaussian:
+    """Return the motion, to first order, of a twist that is known so well."""
+    motion, jac = _moved(twist.mean)
+    return Gaussian(motion, jac @ twist.cov @ jac.T)
+
+
+def twist_gaussian(motion: Gaussian) -> Gaussian:
+    """Return the twist, to first order, of a motion that is known so well."""
+    twist = np.append(arc_log(motion.mean), motion.mean[2])
+    jac = np.linalg.inv(_moved(twist)[1])
+    return Gaussian(twist, jac @ motion.cov @ jac.T)
+
+
+# -- two frames -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
     """Two frames, made ready once to be followed under one belief or another.
 
-    mount: (5,) of the camera, see `twist_kernel.camera_moved`.
+    pairs: (P, 2) of edges whose polarities do not contradict each other. look: (P,) how alike they are, 0 … 1.
+    mount: (5,) of the camera, see `twist_kernel.camera_moved`. model: see `twist_kernel.refine`.
     """
 
-    sights: tuple[Sights, Sights]
-    pairs: Pairs
-    camera: Camera
+    one: Sights
+    two: Sights
+    pairs: NDArray[np.int64]
+    look: Array
     mount: Array
+    model: tuple[float, float]
 
     @classmethod
     def of(cls, before: Edges, after: Edges, camera: Camera) -> Frames:
         """Return the frames with these edges, seen by one camera, whose mount may differ from one to the other."""
-        sights = Sights.of(before, camera), Sights.of(after, camera)
-        if len(before) and len(after) and errs_apart(before, after):
-            sights = with_errors_apart(*sights)
-        one, two = (camera.at(edges.mount).robot_from_level[:2] for edges in (before, after))
-        mount = np.array([*one, camera.mount.yaw_rad, *(two - one)])
-        return cls(sights, candidates(before, after), camera, mount)
-
-    def model(self) -> kernel.Model:
-        """Return what edges are like, as the compiled loops take it."""
-        from localiser.visual_odometry import twist_kernel as kernel
-
-        followed = FOLLOWED_SHARE / max(len(self.sights[0].bearing), 1)
-        return kernel.Model(
-            HUNG_SHARE,
-            NEIGHBOUR_SHARE,
-            NEIGHBOUR_SIGMA_RAD,
-            TYPICAL_INVERSE_RANGE,
-            TYPICAL_SPREAD,
-            FOOT_UNEVEN_SIGMA_M / self.camera.mount.height_m,
-            (1.0 - FOLLOWED_SHARE) / followed / field_of_view_rad(self.camera),
-            *FLOOR_SHARES,
-        )
-
-    def arrays(self) -> tuple[kernel.Frame, kernel.Frame]:
-        """Return both frames as the compiled loops take them."""
-        from localiser.visual_odometry import twist_kernel as kernel
-
-        one, two = (kernel.Frame(sight.measured, sight.sigma, sight.common) for sight in self.sights)
-        return one, two
+        one, two = Sights.of(before, camera), Sights.of(after, camera)
+        if len(before) and len(after):
+            one, two = with_errors_apart(one, two, before, after)
+        first, second = (camera.at(edges.mount).robot_from_level[:2] for edges in (before, after))
+        pairs = np.argwhere(before.polarity[:, None].astype(int) * after.polarity >= 0)
+        look = how_alike(before.profile, after.profile)[pairs[:, 0], pairs[:, 1]]
+        new_share = (1.0 - FOLLOWED_SHARE) / (FOLLOWED_SHARE / max(len(before), 1))
+        model = FOOT_UNEVEN_SIGMA_M / camera.mount.height_m, new_share / field_of_view_rad(camera)
+        mount = np.array([*first, camera.mount.yaw_rad, *(second - first)])
+        return cls(one, two, pairs, look, mount, model)
 
     def likely_motions(self, prior: Gaussian) -> list[Array]:
         """Return up to `_PEAKS` twists (3,) that most pairs agree on, of turns apart from one another, best first.
@@ -133,7 +154,6 @@ class Frames:
         """
         from localiser.visual_odometry import twist_kernel as kernel
 
-        (one, two), pairs = self.sights, self.pairs
         sigma = np.sqrt(np.diag(prior.cov))
         reach = min(_REACH * sigma[2], np.pi)
         bins = int(np.clip(2 * reach / _BIN_RAD, 3, _MOST_BINS)) | 1
@@ -143,26 +163,38 @@ class Frames:
         cell = (_GRID[1] - _GRID[0]) * _REACH * 0.8 * sigma[:2] / 2
         moves = np.array([kernel.camera_moved(np.array([*step, 0.0]), self.mount)[:2] for step in grid])
 
-        kernels = _kernels(turns[1] - turns[0])
-        foot = one.inverse_range[pairs.first]
-        foot = np.where(np.isnan(foot), two.inverse_range[pairs.second], foot)
-        found = compiled(votes_loop)(
-            two.bearing[pairs.second],
-            np.where(np.isnan(foot), TYPICAL_INVERSE_RANGE, foot),
-            np.where(np.isnan(foot), TYPICAL_SPREAD, 0.2 * TYPICAL_SPREAD),
-            one.bearing[pairs.first],
-            pairs.look,
-            moves,
-            cell,
-            turns[0],
-            turns[1] - turns[0],
-            bins,
-            _WIDTHS_RAD,
-            kernels,
-            (kernels > 0).sum(axis=1),
+        # What a vote of each width gives to the bins at 0, 1, 2 … from it; 0 beyond its reach.
+        bin_rad = turns[1] - turns[0]
+        width = np.maximum(_WIDTHS_RAD, bin_rad)[:, None]
+        apart = np.arange(int(_KERNEL_REACH * width.max() / bin_rad) + 1) * bin_rad / width
+        kernels = np.where(apart < _KERNEL_REACH, np.exp(-0.5 * apart**2) / width, 0.0)
+        one, two = self.one.measured[self.pairs[:, 0]].T.copy(), self.two.measured[self.pairs[:, 1]].T.copy()
+        foot = np.where(np.isnan(one[1]), two[1], one[1])
+        inverse = np.where(np.isnan(foot), TYPICAL_INVERSE_RANGE, foot)
+        spread = np.where(np.isnan(foot), TYPICAL_SPREAD, 0.2 * TYPICAL_SPREAD)
+        reaches = (kernels > 0).sum(axis=1)
+        found = kernel.votes(
+            one[0], two[0], inverse, spread, self.look, moves, cell, turns, _WIDTHS_RAD, kernels, reaches
         )
         found = found * np.exp(-0.5 * (offset**2).sum(axis=-1)[:, None] / 4)
-        return [np.array([*grid[row], turns[column]]) for row, column in _peaks(found, turns)]
+
+        best, likely = found.max(axis=0), list[Array]()
+        while len(likely) < _PEAKS and best.max() > 0:
+            column = int(best.argmax())
+            likely.append(np.array([*grid[int(found[:, column].argmax())], turns[column]]))
+            best = np.where(np.abs(turns - turns[column]) < 4 * _WIDTHS_RAD[0], 0.0, best)
+        return likely
+
+    def groups(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the group (M,) of each of the pairs: edges less than 3° from the next are the sides of one thing."""
+        bearing = self.one.measured[self.pairs[chosen, 0], 0]
+        order = np.argsort(bearing)
+        group = np.empty(len(bearing), dtype=np.int64)
+        group[order] = np.cumsum(np.diff(bearing[order], prepend=-np.inf) > _APART_RAD) - 1
+        return group
+
+
+# -- the motion -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +209,27 @@ class Belief:
     log_share: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """How the robot moved, by the edges of two frames.
+
+    twist: of the motion, right (m), backward (m), turn (rad) in the robot frame of the first.
+    chosen: (M,) indices of the pairs of edges that were followed.
+    log_evidence: of how well the frames are explained, by Laplace's approximation.
+    has_feet: whether any lower end was taken for a foot.
+    """
+
+    twist: Gaussian
+    chosen: NDArray[np.int64]
+    log_evidence: float
+    has_feet: bool
+
+    @property
+    def motion(self) -> Gaussian:
+        """The motion itself: right (m), backward (m), turn (rad)."""
+        return motion_gaussian(self.twist)
+
+
 def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
     """Return the motion between two frames, given what may be believed of it.
 
@@ -184,89 +237,71 @@ def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
     explain them alike, the covariance reaches from the one to the other [Bar-Shalom, Li, Kirubarajan 2001, section
     1.4.16]: contradictions are never averaged into something certain, and the map decides.
     """
-    found: list[tuple[_Solver, Followed]] = []
+    found: list[tuple[Belief, Followed]] = []
     for belief in beliefs:
-        solver = _Solver(frames, belief)
-        found += [(solver, followed) for followed in (solver.nothing(), *solver.explanations())]
-    solver, best = max(found, key=lambda pair: pair[1].log_evidence)
+        found.append((belief, _nothing(belief)))
+        if len(frames.pairs) and len(belief.starts):
+            standing = _distinct(_refined(frames, belief, start) for start in belief.starts)
+            again = standing[0].twist.mean, belief.starts[0]
+            hanging = _distinct(_refined(frames, belief, start, on_floor=False) for start in again)
+            found += [(belief, each) for each in standing + hanging]
+    belief, best = max(found, key=lambda pair: pair[1].log_evidence)
     whole = mixture([other.twist for _, other in found], np.array([other.log_evidence for _, other in found]))
-    return replace(best, twist=Gaussian(whole.mean, at_least(whole.cov, solver.fragility(best))))
+    # What the twist changes by when one group of edges is left out.
+    group = np.full(len(frames.pairs), -1)
+    group[best.chosen] = frames.groups(best.chosen)
+    count = int(group.max(initial=-1)) + 1
+    change = np.zeros((count, 3))
+    for left_out in range(count):
+        usable = (group >= 0) & (group != left_out)
+        left = _refined(frames, belief, best.twist.mean, on_floor=best.has_feet, usable=usable)
+        change[left_out] = left.twist.mean - best.twist.mean
+    fragility = change.T @ change * max(count - 1, 1) / max(count, 1)
+    return replace(best, twist=Gaussian(whole.mean, at_least(whole.cov, fragility)))
 
 
-class _Solver:
-    """Pairs edges and solves for the motion in turns, under one belief."""
+def _nothing(belief: Belief) -> Followed:
+    """Return what is believed when no edge can be followed."""
+    return Followed(belief.prior, np.zeros(0, dtype=np.int64), belief.log_share, True)
 
-    def __init__(self, frames: Frames, belief: Belief) -> None:
-        self._frames, self._belief = frames, belief
-        self._pairs = np.stack([frames.pairs.first, frames.pairs.second], axis=-1)
-        self._model = frames.model()
-        self._one, self._two = frames.arrays()
-        self._information: Array = np.asarray(np.linalg.inv(belief.prior.cov), dtype=np.float64)
 
-    def explanations(self) -> list[Followed]:
-        """Return the motions that explain the edges, with and without feet among them."""
-        starts = self._belief.starts
-        if len(self._pairs) == 0 or len(starts) == 0:
-            return []
-        standing = _distinct(self.refined(start) for start in starts)
-        hanging = _distinct(self.refined(start, on_floor=False) for start in (standing[0].twist.mean, starts[0]))
-        return standing + hanging
+def _refined(
+    frames: Frames, belief: Belief, start: Array, *, on_floor: bool = True, usable: NDArray[np.bool_] | None = None
+) -> Followed:
+    """Return the motion found from the twist `start` (3,).
 
-    def refined(self, start: Array, on_floor: bool = True, usable: NDArray[np.bool_] | None = None) -> Followed:
-        """Return the motion found from the twist `start` (3,).
+    on_floor: whether lower ends may be feet at all. usable: (P,) whether a pair is, by default all are.
+    """
+    from localiser.visual_odometry import twist_kernel as kernel
 
-        on_floor: whether lower ends may be feet at all. usable: (P,) whether a pair is, by default all are.
-        """
-        from localiser.visual_odometry import twist_kernel as kernel
-
-        pairs, prior = self._frames.pairs, self._belief.prior
-        mean, cov, chosen, log_likelihood = kernel.refine(
-            self._pairs,
-            pairs.look,
-            np.ones(len(self._pairs), dtype=np.bool_) if usable is None else usable,
-            self._one,
-            self._two,
-            self._frames.mount,
-            kernel.Belief(prior.mean, self._information, on_floor),
-            start,
-            _START_SIGMA**2,
-            self._model,
-        )
-        if len(chosen) == 0:
-            return self.nothing()
-        group = self._groups(pairs.first[chosen])
-        occam = prior.log_density(mean) + 0.5 * float(np.linalg.slogdet(2 * np.pi * cov)[1])
-        share = self._belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
-        # Edges of one group are one piece of evidence, not many.
-        evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
-        return Followed(Gaussian(mean, cov), pairs.first[chosen], pairs.second[chosen], evidence, on_floor)
-
-    def nothing(self) -> Followed:
-        """Return what is believed when no edge can be followed."""
-        none = np.zeros(0, dtype=np.int64)
-        return Followed(self._belief.prior, none, none, self._belief.log_share, True)
-
-    def fragility(self, followed: Followed) -> Array:
-        """Return the covariance (3, 3) of what the twist changes by when one group of edges is left out."""
-        first, second = self._pairs.T
-        group = np.full(len(first), -1)
-        for e, f, of_edge in zip(followed.first, followed.second, self._groups(followed.first), strict=True):
-            group[(first == e) & (second == f)] = of_edge
-        count = int(group.max(initial=-1)) + 1
-        change = np.zeros((count, 3))
-        for left_out in range(count):
-            usable = (group >= 0) & (group != left_out)
-            left = self.refined(followed.twist.mean, followed.has_feet, usable)
-            change[left_out] = left.twist.mean - followed.twist.mean
-        return np.asarray(change.T @ change) * max(count - 1, 1) / max(count, 1)
-
-    def _groups(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the group (M,) of each edge: those less than 3° from the next, as the sides of one thing."""
-        bearing = self._frames.sights[0].bearing[first]
-        order = np.argsort(bearing)
-        group = np.empty(len(bearing), dtype=np.int64)
-        group[order] = np.cumsum(np.diff(bearing[order], prepend=-np.inf) > _APART_RAD) - 1
-        return group
+    prior, size = belief.prior, 4 + frames.one.common.shape[2]
+    expected, information, start_cov = np.zeros(size), np.eye(size), np.eye(size)
+    expected[:3], expected[-1] = prior.mean, TYPICAL_INVERSE_RANGE
+    information[:3, :3], information[-1, -1] = np.linalg.inv(prior.cov), TYPICAL_SPREAD**-2
+    start_cov[:3, :3] = np.diag(_START_VAR)
+    mean, cov, chosen, log_likelihood = kernel.refine(
+        frames.pairs,
+        frames.look,
+        np.ones(len(frames.pairs), dtype=np.bool_) if usable is None else usable,
+        frames.one,
+        frames.two,
+        frames.mount,
+        frames.model,
+        expected,
+        information,
+        on_floor,
+        np.append(start, np.zeros(size - 3)),
+        start_cov,
+    )
+    if len(chosen) == 0:
+        return _nothing(belief)
+    mean, cov = mean[:3], cov[:3, :3]
+    group = frames.groups(chosen)
+    occam = prior.log_density(mean) + 0.5 * float(np.linalg.slogdet(2 * np.pi * cov)[1])
+    share = belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
+    # Edges of one group are one piece of evidence, not many.
+    evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
+    return Followed(Gaussian(mean, cov), chosen, evidence, on_floor)
 
 
 def _distinct(followed: Iterable[Followed]) -> list[Followed]:
@@ -277,66 +312,3 @@ def _distinct(followed: Iterable[Followed]) -> list[Followed]:
         if all((np.abs(new.twist.mean - old.twist.mean) > 0.5 * sigma).any() for old in kept):
             kept.append(new)
     return kept
-
-
-# -- votes -----------------------------------------------------------------------------------------------------------
-
-
-def _kernels(step: float) -> Array:
-    """Return what a vote of each of W widths gives to the bins at 0, 1, 2 … from it (W, R); 0 beyond its reach."""
-    sigma = np.maximum(_WIDTHS_RAD, step)[:, None]
-    apart = np.arange(int(_KERNEL_REACH * sigma.max() / step) + 1) * step / sigma
-    return np.where(apart < _KERNEL_REACH, np.exp(-0.5 * apart**2) / sigma, 0.0)
-
-
-def _peaks(votes: Array, turns: Array) -> list[tuple[int, int]]:
-    """Return (row, column) of the highest votes, at turns at least twice the narrowest width apart."""
-    best = votes.max(axis=0)
-    found: list[tuple[int, int]] = []
-    apart = 4 * _WIDTHS_RAD[0]
-    while len(found) < _PEAKS and best.max() > 0:
-        column = int(best.argmax())
-        found.append((int(votes[:, column].argmax()), column))
-        best = np.where(np.abs(turns - turns[column]) < apart, 0.0, best)
-    return found
-
-
-def votes_loop(
-    offset_bearing: Array,
-    inverse: Array,
-    spread: Array,
-    bearing: Array,
-    look: Array,
-    moves: Array,
-    cell: Array,
-    first_turn: float,
-    turn_step: float,
-    bins: int,
-    widths: Array,
-    kernels: Array,
-    reaches: NDArray[np.int64],
-) -> Array:
-    """Return the votes (G, B) of P pairs for B turns under each of G moves (x, z of the camera).
-
-    offset_bearing: change of bearing (P,) is that minus the first. kernels: (W, R) what a vote of each of W widths
-    gives to its R next bins, of which `reaches` (W,) are not 0. cell: (2,) half of the distance between moves.
-    """
-    result = np.zeros((len(moves), bins))
-    for p in range(len(look)):
-        sin, cos = np.sin(bearing[p]), np.cos(bearing[p])
-        by_cell = inverse[p] * np.sqrt((cos * cell[0]) ** 2 + (sin * cell[1]) ** 2) / 2.0
-        for g in range(len(moves)):
-            x, z = moves[g]
-            expected = np.arctan2(sin - inverse[p] * x, cos + inverse[p] * z)
-            parallax = spread[p] * (cos * x + sin * z)
-            width = np.sqrt(parallax**2 + by_cell**2)
-            kind = 0
-            while kind < len(widths) - 1 and widths[kind] < width:
-                kind += 1
-            turn = offset_bearing[p] - expected
-            turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
-            middle = int(np.round((turn - first_turn) / turn_step))
-            reach = reaches[kind]
-            for column in range(max(middle - reach + 1, 0), min(middle + reach, bins)):
-                result[g, column] += look[p] * kernels[kind, abs(column - middle)]
-    return result

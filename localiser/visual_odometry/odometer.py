@@ -11,8 +11,7 @@ from pydantic import BeforeValidator, Field
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment
-from localiser.visual_odometry.estimate import Belief, Frames, follow
-from localiser.visual_odometry.twist import Gaussian, twist_gaussian
+from localiser.visual_odometry.estimate import Belief, Frames, Gaussian, follow, twist_gaussian
 
 LONGEST_S = 600.0
 

@@ -1,4 +1,4 @@
-"""The inner loops of following edges, compiled by numba: imported only once edges are followed.
+"""The loops of following edges, compiled by numba: imported only once edges are followed.
 
 An edge at bearing b and inverse range ρ (1/m) from the first camera is seen from the second, which moved by c, at
 
@@ -8,56 +8,33 @@ Inverse, because the foot of an edge is seen at a depression whose tangent is h 
 because ρ = 0 is a far edge like any other, which shows the turn and nothing else. With c = 0 that is [Taylor06] eq. 13,
 with no turn and c along the axis it is eq. 9-11.
 
-E edges in the first frame, F in the second, P pairs of them, M links, K common errors.
+E edges in the first frame, F in the second, P pairs of them, M links, K common errors. Constants of how edges behave
+are in `sights`.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled, part
+from localiser.visual_odometry.sights import (
+    FLOOR_INVERSE,
+    FLOOR_SHARE,
+    HUNG_SHARE,
+    NEIGHBOUR_SHARE,
+    NEIGHBOUR_SIGMA_RAD,
+    TYPICAL_INVERSE_RANGE,
+    TYPICAL_SPREAD,
+    Sights,
+)
 
 _ROUNDS, _STEPS, _SMALL_STEP = 10, 3, 1e-5
 _LEAST_WEIGHT = 1e-6  # keeps the equations of an edge that tells nothing solvable
 _FAR_SIGMAS = 5.0
-
-
-class Frame(NamedTuple):
-    """What one frame says of its edges, as in `sights.Sights`: measured, sigma (E, 2); common (E, 2, K)."""
-
-    measured: Array
-    sigma: Array
-    common: Array
-
-
-class Belief(NamedTuple):
-    """Of the twist: mean (3,), information (3, 3). on_floor: whether lower ends may be feet."""
-
-    mean: Array
-    information: Array
-    on_floor: bool
-
-
-class Model(NamedTuple):
-    """What edges are like: the constants of `pairs`, and how likely a lower end is a foot by its inverse range.
-
-    uneven: sigma of the height of feet, each its own, over the camera's height. new_density: of the second bearing of
-    an edge that is new, over the odds that it is not.
-    """
-
-    hung_share: float
-    neighbour_share: float
-    neighbour_sigma: float
-    typical: float
-    spread: float
-    uneven: float
-    new_density: float
-    floor_inverse: Array
-    floor_share: Array
+_FLOOR_FIRST, _FLOOR_LAST = float(FLOOR_INVERSE[0]), float(FLOOR_INVERSE[-1])
+_FLOOR_STEP = float(np.log(_FLOOR_LAST / _FLOOR_FIRST) / (len(FLOOR_INVERSE) - 1))
 
 
 # -- two views of one edge --------------------------------------------------------------------------------------------
@@ -69,39 +46,53 @@ def camera_moved(twist: Array, mount: Array) -> tuple[float, float, Array]:
 
     mount: (5,) right, backward, yaw of the camera on the robot before; how far it moves on the robot until the second
     image, right and backward in the robot frame. The robot moves by ∫ R(ψ t) dt (right, backward) over the unit of
-    time, an arc.
+    time, an arc. As complex numbers x + i z, a turn by ψ is a factor of exp(-i ψ).
     """
     turn = twist[2]
+    turned = np.exp(-1j * turn)
     if abs(turn) < 1e-4:
-        along, across = 1.0 - turn**2 / 6.0, turn / 2.0
-        d_along, d_across = -turn / 3.0, 0.5 - turn**2 / 8.0
+        arc, by_turn = 1.0 - 0.5j * turn - turn**2 / 6.0, -0.5j - turn / 3.0 + 0.125j * turn**2
     else:
-        along, across = np.sin(turn) / turn, (1.0 - np.cos(turn)) / turn
-        d_along = (np.cos(turn) - along) / turn
-        d_across = (np.sin(turn) - across) / turn
-    sin, cos = np.sin(turn), np.cos(turn)
-    x = along * twist[0] + across * twist[1] + (cos - 1.0) * mount[0] + sin * mount[1]
-    z = along * twist[1] - across * twist[0] - sin * mount[0] + (cos - 1.0) * mount[1]
-    right, back = cos * mount[3] + sin * mount[4], cos * mount[4] - sin * mount[3]
-    x += right
-    z += back
+        arc = (1.0 - turned) / (1j * turn)
+        by_turn = (turned - arc) / turn
+    velocity, place, moved = complex(twist[0], twist[1]), complex(mount[0], mount[1]), complex(mount[3], mount[4])
+    to_camera = np.exp(1j * mount[2])
+    camera = to_camera * (velocity * arc + (turned - 1.0) * place + turned * moved)
+    by_turn = to_camera * (velocity * by_turn - 1j * turned * (place + moved))
+    arc *= to_camera
     jac = np.empty((2, 3))
-    jac[0, 0], jac[0, 1], jac[1, 0], jac[1, 1] = along, across, -across, along
-    jac[0, 2] = d_along * twist[0] + d_across * twist[1] - sin * mount[0] + cos * mount[1] + back
-    jac[1, 2] = d_along * twist[1] - d_across * twist[0] - cos * mount[0] - sin * mount[1] - right
-    sin, cos = np.sin(mount[2]), np.cos(mount[2])
-    for column in range(3):
-        right, back = jac[0, column], jac[1, column]
-        jac[0, column], jac[1, column] = cos * right - sin * back, sin * right + cos * back
-    return cos * x - sin * z, sin * x + cos * z, jac
+    jac[0, 0], jac[0, 1], jac[0, 2] = arc.real, -arc.imag, by_turn.real
+    jac[1, 0], jac[1, 1], jac[1, 2] = arc.imag, arc.real, by_turn.imag
+    return camera.real, camera.imag, jac
 
 
 @compiled
 def seen_from(bearing: float, inverse: float, x: float, z: float, turn: float) -> tuple[float, float, float, float]:
-    """Return where a camera that moved to (x, z) and turned sees an edge: bearing, and d_x, d_z, |d|² of its ray."""
+    """Return where a camera that moved to (x, z) and turned sees an edge: bearing, and d_x, d_z, |d| of its ray."""
     right = np.sin(bearing) - inverse * x
     back = -np.cos(bearing) - inverse * z
-    return np.arctan2(right, -back) + turn, right, back, max(right * right + back * back, 1e-12)
+    return np.arctan2(right, -back) + turn, right, back, np.sqrt(max(right * right + back * back, 1e-12))
+
+
+@part
+def _seen_with_slopes(
+    bearing: float, inverse: float, x: float, z: float, turn: float, by_twist: Array, slopes: Array
+) -> tuple[float, float]:
+    """Return bearing and inverse range in the second frame, and write their derivatives (2, 5) by b, ρ and twist."""
+    seen, right, back, distance = seen_from(bearing, inverse, x, z, turn)
+    square, sin, cos = distance * distance, np.sin(bearing), np.cos(bearing)
+    for row in range(2):
+        # By the ray d: of the bearing, and of the inverse range ρ / |d|.
+        if row == 0:
+            dx, dz = -back / square, right / square
+        else:
+            dx, dz = -right * inverse / (square * distance), -back * inverse / (square * distance)
+        slopes[row, 0], slopes[row, 1] = dx * cos + dz * sin, -(dx * x + dz * z)
+        for k in range(3):
+            slopes[row, 2 + k] = -inverse * (dx * by_twist[0, k] + dz * by_twist[1, k])
+    slopes[0, 4] += 1.0
+    slopes[1, 1] += 1.0 / distance
+    return seen, inverse / distance
 
 
 @part
@@ -109,128 +100,147 @@ def _wrapped(angle: float) -> float:
     return float(angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi)))
 
 
-# -- how likely a pair is ---------------------------------------------------------------------------------------------
-
-
 @part
-def _by_common(common: Array, unknown: Array) -> float:
-    """Return what common errors add up to: those after the twist in `unknown` (3 + K,), each times `common` (K,)."""
+def _dot(one: Array, other: Array) -> float:
+    """Return the sum of products; `other` may be longer."""
     total = 0.0
-    for k in range(len(common)):
-        total += common[k] * unknown[3 + k]
+    for k in range(len(one)):
+        total += one[k] * other[k]
     return total
 
 
 @part
-def interpolated(x: float, at: Array, value: Array) -> float:
-    """Return what `np.interp` does, which takes a second to compile."""
-    last = len(at) - 1
-    if x < at[0]:
-        return float(value[0])
-    if x >= at[last]:
-        return float(value[last])
-    j = 0
-    while x >= at[j + 1]:
-        j += 1
-    if x == at[j]:
-        return float(value[j])
-    return float((value[j + 1] - value[j]) / (at[j + 1] - at[j]) * (x - at[j]) + value[j])
+def _variance(by: Array, cov: Array) -> float:
+    total = 0.0
+    for k in range(len(by)):
+        total += by[k] * _dot(by, cov[k])
+    return total
+
+
+@compiled
+def votes(
+    one: Array,
+    two: Array,
+    inverse: Array,
+    spread: Array,
+    look: Array,
+    moves: Array,
+    cell: Array,
+    turns: Array,
+    widths: Array,
+    kernels: Array,
+    reaches: NDArray[np.int64],
+) -> Array:
+    """Return the votes (G, B) of P pairs for B turns, evenly spaced, under each of G moves (x, z of the camera).
+
+    one, two: bearings (P,). inverse, spread: inverse ranges (P,) and their sigmas. kernels: (W, R) what a vote of each
+    of W widths gives to its R next bins, of which `reaches` (W,) are not 0. cell: (2,) half of the distance between
+    moves.
+    """
+    result = np.zeros((len(moves), len(turns)))
+    for p in range(len(look)):
+        sin, cos = np.sin(one[p]), np.cos(one[p])
+        by_cell = inverse[p] * np.sqrt((cos * cell[0]) ** 2 + (sin * cell[1]) ** 2) / 2.0
+        for g in range(len(moves)):
+            x, z = moves[g]
+            parallax = spread[p] * (cos * x + sin * z)
+            width = np.sqrt(parallax**2 + by_cell**2)
+            kind = 0
+            while kind < len(widths) - 1 and widths[kind] < width:
+                kind += 1
+            turn = _wrapped(two[p] - np.arctan2(sin - inverse[p] * x, cos + inverse[p] * z))
+            middle = int(np.round((turn - turns[0]) / (turns[1] - turns[0])))
+            for column in range(max(middle - reaches[kind] + 1, 0), min(middle + reaches[kind], len(turns))):
+                result[g, column] += look[p] * kernels[kind, abs(column - middle)]
+    return result
+
+
+# -- how likely a pair is ---------------------------------------------------------------------------------------------
 
 
 @part
-def pair_odds(  # noqa: PLR0912, PLR0915  (one pair after another, step by step)
+def floor_share(inverse: float) -> float:
+    """Return how likely a lower end that would be a foot at this inverse range is one, between the table's places."""
+    at = min(max(inverse, _FLOOR_FIRST), _FLOOR_LAST)
+    j = min(int(np.log(at / _FLOOR_FIRST) / _FLOOR_STEP), len(FLOOR_SHARE) - 2)
+    way = (at - FLOOR_INVERSE[j]) / (FLOOR_INVERSE[j + 1] - FLOOR_INVERSE[j])
+    return float(FLOOR_SHARE[j] + way * (FLOOR_SHARE[j + 1] - FLOOR_SHARE[j]))
+
+
+@part
+def pair_odds(  # noqa: PLR0915  (one pair after another, step by step)
     pairs: NDArray[np.int64],
     look: Array,
     usable: NDArray[np.bool_],
-    one: Frame,
-    two: Frame,
+    one: Sights,
+    two: Sights,
     unknown: Array,
     cov: Array,
     mount: Array,
-    model: Model,
+    model: tuple[float, float],
     on_floor: bool,
 ) -> Array:
     """Return of each pair (P, 3): odds of being one edge, that its bearings are right, that its ends are feet.
 
-    unknown, cov: (3 + K,), (3 + K, 3 + K) twist and common errors, as far as they are known.
+    unknown, cov: (3 + K or more,) twist and common errors, as far as they are known. model: see `refine`.
     """
-    twist = unknown[:3]
-    terms, spread = len(unknown) - 3, model.spread
-    x, z, by_twist = camera_moved(twist, mount)
-    sin, cos = np.sin(twist[2]), np.cos(twist[2])
+    uneven, new_density = model
+    turn, wrong, wrong_cov = unknown[2], unknown[3:], cov[3:, 3:]
+    x, z, by_twist = camera_moved(unknown, mount)
+    sin, cos = np.sin(turn), np.cos(turn)
     back_x, back_z = -(cos * x - sin * z), -(sin * x + cos * z)
-    result = np.zeros((len(pairs), 3))
-    slope, column = np.empty(3), np.empty(2)
-    reach = _FAR_SIGMAS * (model.neighbour_sigma + np.sqrt(cov[2, 2]))
+    result, slopes = np.zeros((len(pairs), 3)), np.empty((2, 5))
+    reach = _FAR_SIGMAS * (NEIGHBOUR_SIGMA_RAD + np.sqrt(cov[2, 2]))
     moved = np.sqrt(x**2 + z**2) + _FAR_SIGMAS * np.sqrt(cov[0, 0] + cov[1, 1])
-    most = model.typical + _FAR_SIGMAS * spread
+    most = TYPICAL_INVERSE_RANGE + _FAR_SIGMAS * TYPICAL_SPREAD
     for p in range(len(pairs)):
         e, f = pairs[p, 0], pairs[p, 1]
-        bearing, bearing_sigma = one.measured[e, 0], one.sigma[e, 0]
         # No edge is so near that it moves this far: most pairs end here.
         nearest = max(most, 0.0 if np.isnan(one.measured[e, 1]) else 1.5 * one.measured[e, 1])
-        if not usable[p] or abs(_wrapped(two.measured[f, 0] - bearing - twist[2])) > reach + nearest * moved:
+        apart = abs(_wrapped(two.measured[f, 0] - one.measured[e, 0] - turn))
+        if not usable[p] or apart > reach + nearest * moved:
             continue
         # The feet in both frames, as one inverse range from the first camera, and how well they agree.
-        foot, foot_var, agreement = one.measured[e, 1], one.sigma[e, 1] ** 2, 1.0
-        common = one.common[e, 1]
-        later = two.measured[f, 1] - _by_common(two.common[f, 1], unknown)
-        foot -= _by_common(common, unknown)
+        common, foot_var, agreement = one.common[e, 1], one.sigma[e, 1] ** 2, 1.0
+        foot = one.measured[e, 1] - _dot(common, wrong)
+        later = two.measured[f, 1] - _dot(two.common[f, 1], wrong)
         if not np.isnan(later):
-            _, _, _, square = seen_from(two.measured[f, 0], later, back_x, back_z, -twist[2])
-            later /= np.sqrt(square)
+            later /= seen_from(two.measured[f, 0], later, back_x, back_z, -turn)[3]
             later_var = two.sigma[f, 1] ** 2
             if np.isnan(foot):
                 foot, foot_var, common = later, later_var, two.common[f, 1]
             else:
                 narrow = foot_var + later_var
-                loose = narrow + spread**2
+                loose = narrow + TYPICAL_SPREAD**2
                 agreement = np.sqrt(loose / narrow) * np.exp(-0.5 * (later - foot) ** 2 * (1.0 / narrow - 1.0 / loose))
                 foot = (foot * later_var + later * foot_var) / narrow
                 foot_var = foot_var * later_var / narrow
         share = 0.0
         if not np.isnan(foot):
-            foot_var += (model.uneven * foot) ** 2
-            for k in range(terms):
-                for m in range(terms):
-                    foot_var += common[k] * cov[3 + k, 3 + m] * common[m]
-            if on_floor:
-                share = interpolated(foot, model.floor_inverse, model.floor_share)
+            foot_var += (uneven * foot) ** 2 + _variance(common, wrong_cov)
+            share = floor_share(foot) if on_floor else 0.0
         # Two readings of the lower end, each with a sharp bearing and with that of a neighbour.
         sharp = foot_sharp = total = 0.0
-        for reading in range(2):
-            if reading == 0:
-                if share <= 0.0:
-                    continue
-                inverse, variance, weight = foot, foot_var, share * agreement
-            else:
-                inverse = model.typical if np.isnan(foot) else max(model.typical, foot)
+        for reading in range(0 if share > 0.0 else 1, 2):
+            inverse, variance, weight = foot, foot_var, share * agreement
+            if reading == 1:
+                inverse = TYPICAL_INVERSE_RANGE if np.isnan(foot) else max(TYPICAL_INVERSE_RANGE, foot)
                 # What hangs keeps its height, so that its lower ends agree as well as feet do; the hidden need not.
-                variance, weight = spread**2, (1.0 - share) * (model.hung_share * agreement + 1.0 - model.hung_share)
-            expected, right, back, square = seen_from(bearing, inverse, x, z, twist[2])
-            column[0], column[1] = -back / square, right / square
-            by_bearing = column[0] * np.cos(bearing) + column[1] * np.sin(bearing)
-            by_inverse = -(column[0] * x + column[1] * z)
-            for k in range(3):
-                slope[k] = -inverse * (column[0] * by_twist[0, k] + column[1] * by_twist[1, k])
-            slope[2] += 1.0
-            variance = two.sigma[f, 0] ** 2 + (by_bearing * bearing_sigma) ** 2 + by_inverse**2 * variance
-            for k in range(3):
-                for m in range(3):
-                    variance += slope[k] * cov[k, m] * slope[m]
-            residual = _wrapped(two.measured[f, 0] - expected)
-            near = (1.0 - model.neighbour_share) * weight * np.exp(-0.5 * residual**2 / variance) / np.sqrt(variance)
-            variance += model.neighbour_sigma**2
-            wide = model.neighbour_share * weight * np.exp(-0.5 * residual**2 / variance) / np.sqrt(variance)
+                variance, weight = TYPICAL_SPREAD**2, (1.0 - share) * (HUNG_SHARE * agreement + 1.0 - HUNG_SHARE)
+            expected, _ = _seen_with_slopes(one.measured[e, 0], inverse, x, z, turn, by_twist, slopes)
+            variance = slopes[0, 1] ** 2 * variance + _variance(slopes[0, 2:], cov)
+            variance += two.sigma[f, 0] ** 2 + (slopes[0, 0] * one.sigma[e, 0]) ** 2
+            square = _wrapped(two.measured[f, 0] - expected) ** 2
+            near = (1.0 - NEIGHBOUR_SHARE) * weight * np.exp(-0.5 * square / variance) / np.sqrt(variance)
+            variance += NEIGHBOUR_SIGMA_RAD**2
+            wide = NEIGHBOUR_SHARE * weight * np.exp(-0.5 * square / variance) / np.sqrt(variance)
             sharp += near
             total += near + wide
             if reading == 0:
                 foot_sharp = near
-        result[p, 0] = look[p] * total / np.sqrt(2.0 * np.pi) / model.new_density
-        if total > 0.0:
-            result[p, 1] = sharp / total
-        if sharp > 0.0:
-            result[p, 2] = foot_sharp / sharp
+        result[p, 0] = look[p] * total / np.sqrt(2.0 * np.pi) / new_density
+        result[p, 1] = sharp / total if total > 0.0 else 0.0
+        result[p, 2] = foot_sharp / sharp if sharp > 0.0 else 0.0
     return result
 
 
@@ -257,189 +267,131 @@ def one_to_one(pairs: NDArray[np.int64], odds: Array, firsts: int, seconds: int)
 
 
 @compiled
-def invert(matrix: Array) -> None:
-    """Invert a symmetric positive definite matrix (U, U) in place, by Gauss-Jordan: small, so no library is called."""
-    size = len(matrix)
-    for k in range(size):
+def eliminate(matrix: Array, count: int) -> None:
+    """Eliminate the first unknowns of symmetric equations (U, U or more) in place, by Gauss and Jordan's steps.
+
+    Their rows then are what they come to, given the others; the other rows are the equations without them (the Schur
+    complement). Of all unknowns: the square becomes its inverse, further columns the solutions. Small, so no library.
+    """
+    for k in range(count):
         pivot = matrix[k, k]
         matrix[k, k] = 1.0
-        for j in range(size):
+        for j in range(matrix.shape[1]):
             matrix[k, j] /= pivot
-        for i in range(size):
+        for i in range(len(matrix)):
             if i == k:
                 continue
             factor = matrix[i, k]
             matrix[i, k] = 0.0
-            for j in range(size):
+            for j in range(matrix.shape[1]):
                 matrix[i, j] -= factor * matrix[k, j]
 
 
 @part
 def _equations(
-    one: Frame,
-    two: Frame,
+    one: Sights,
+    two: Sights,
     link: NDArray[np.int64],
-    b: float,
-    rho: float,
-    x: float,
-    z: float,
-    by_twist: Array,
+    edge: Array,
+    camera: tuple[float, float, Array],
     unknown: Array,
     floor: float,
-    model: Model,
+    uneven: float,
     rows: Array,
-    by_edge: Array,
-    w: Array,
-    residual: Array,
 ) -> None:
-    """Set the five equations of one edge: by what all share (5, U) and by the edge (5, 2), weights, residuals (5,).
+    """Set the five equations of one edge (5, 2 + U + 1), in sigmas: by the edge, by what all share, residuals.
 
     Bearing and inverse range in the first frame, the same in the second, and that the inverse range is a typical one.
-    A weight is 0 where nothing is measured.
+    An equation is 0 where nothing is measured.
     """
-    e, f = link[0], link[1]
-    seen, right, back, square = seen_from(b, rho, x, z, unknown[2])
-    distance = np.sqrt(square)
-    # By the ray d: of the bearing, and of the inverse range ρ / |d|.
-    across = (-back / square, right / square)
-    shrink = (-right * rho / (square * distance), -back * rho / (square * distance))
+    x, z, by_twist = camera
     for r in range(5):
-        by_edge[r, 0] = by_edge[r, 1] = 0.0
         for k in range(rows.shape[1]):
             rows[r, k] = 0.0
-    by_edge[0, 0] = by_edge[1, 1] = by_edge[4, 1] = 1.0
-    by_edge[2, 0] = across[0] * np.cos(b) + across[1] * np.sin(b)
-    by_edge[2, 1] = -(across[0] * x + across[1] * z)
-    by_edge[3, 0] = shrink[0] * np.cos(b) + shrink[1] * np.sin(b)
-    by_edge[3, 1] = -(shrink[0] * x + shrink[1] * z) + 1.0 / distance
-    for k in range(3):
-        rows[2, k] = -rho * (across[0] * by_twist[0, k] + across[1] * by_twist[1, k])
-        rows[3, k] = -rho * (shrink[0] * by_twist[0, k] + shrink[1] * by_twist[1, k])
-    rows[2, 2] += 1.0
-    rows[4, -1] = -1.0
-    residual[0], residual[1] = one.measured[e, 0] - b, one.measured[e, 1] - rho
-    residual[2], residual[3] = _wrapped(two.measured[f, 0] - seen), two.measured[f, 1] - rho / distance
-    residual[4] = unknown[-1] - rho
-    # A foot's own height is wrong in both frames alike; taken as two independent errors of twice the variance.
-    one_foot_var = one.sigma[e, 1] ** 2 + 2.0 * (model.uneven * one.measured[e, 1]) ** 2
-    two_foot_var = two.sigma[f, 1] ** 2 + 2.0 * (model.uneven * two.measured[f, 1]) ** 2
-    w[0], w[1] = 1.0 / one.sigma[e, 0] ** 2, floor / one_foot_var
-    w[2], w[3] = 1.0 / two.sigma[f, 0] ** 2, floor / two_foot_var
-    w[4] = 1.0 / model.spread**2
+    rows[0, 0] = rows[1, 1] = rows[4, 1] = 1.0
+    seen, inverse = _seen_with_slopes(edge[0], edge[1], x, z, unknown[2], by_twist, rows[2:4])
+    expected = (edge[0], edge[1], seen, inverse)
     for r in range(4):
-        common = one.common[e, r] if r < 2 else two.common[f, r - 2]
-        for k in range(one.common.shape[2]):
-            rows[r, 3 + k] = common[k]
-            residual[r] -= common[k] * unknown[3 + k]
-        if np.isnan(w[r]) or np.isnan(residual[r]):
-            w[r] = residual[r] = 0.0
+        frame, e, column = one if r < 2 else two, link[r // 2], r % 2
+        measured, common, variance = frame.measured[e, column], frame.common[e, column], frame.sigma[e, column] ** 2
+        weight, residual = 1.0, measured - expected[r]
+        if column == 1:
+            # A foot's own height is wrong in both frames alike; taken as two independent errors of twice the variance.
+            weight, variance = floor, variance + 2.0 * (uneven * measured) ** 2
+        if r == 2:
+            residual = _wrapped(residual)
+        scale, rows[r, -1] = np.sqrt(weight / variance), residual - _dot(common, unknown[3:])
+        is_known = not (np.isnan(scale) or np.isnan(residual))
+        for k in range(len(common)):
+            rows[r, 5 + k] = common[k]
+        for k in range(rows.shape[1]):
+            rows[r, k] = scale * rows[r, k] if is_known else 0.0
+    rows[4, 1], rows[4, -2] = 1.0 / TYPICAL_SPREAD, -1.0 / TYPICAL_SPREAD
+    rows[4, -1] = (unknown[-1] - edge[1]) / TYPICAL_SPREAD
 
 
 @compiled
-def solve(  # noqa: PLR0912, PLR0915  (the equations of one edge after another)
-    one: Frame,
-    two: Frame,
-    links: NDArray[np.int64],
+def solve(  # noqa: PLR0912  (one unknown after another)
+    one: Sights,
+    two: Sights,
+    pairs: NDArray[np.int64],
+    chosen: NDArray[np.int64],
     weight: Array,
     floor: Array,
     start: Array,
-    belief: Belief,
+    mean: Array,
+    information: Array,
     mount: Array,
-    model: Model,
+    uneven: float,
 ) -> tuple[Array, Array]:
-    """Return twist and common errors (3 + K,) that explain links (M, 2) of edges best, and their covariance.
+    """Return twist, common errors and typical range (U,) that explain the chosen pairs (M,) best, and their covariance.
 
-    weight, floor: (M,) 0 … 1, of a link, and of its ends being feet. start: (3,) twist, for Gauss-Newton.
+    weight, floor: (M,) 0 … 1, of a pair, and of its ends being feet. start: (3 or more,) twist, for Gauss-Newton. mean,
+    information: (U,), (U, U) beforehand. uneven: see `refine`.
 
     Unknown are the twist, the K common errors, the typical inverse range μ, and of every edge bearing and inverse range
     (b, ρ). The latter appear in five equations only (bearing and foot in both frames; ρ ~ N(μ, spread²)), and are
-    eliminated by the Schur complement, so that a handful of unknowns is left however many edges there are.
+    eliminated one edge after the other, so that a handful of unknowns is left however many edges there are.
     """
-    count, terms = len(links), one.common.shape[2]
-    size = 4 + terms
-    unknown, expected = np.zeros(size), np.zeros(size)
-    before, total, gradient, step = np.zeros((size, size)), np.empty((size, size)), np.empty(size), np.empty(size)
-    for i in range(3):
-        unknown[i], expected[i] = start[i], belief.mean[i]
-        for j in range(3):
-            before[i, j] = belief.information[i, j]
-    for i in range(3, size):
-        before[i, i] = 1.0
-    unknown[-1] = expected[-1] = model.typical
-    before[-1, -1] = 1.0 / model.spread**2
-    edge, own, pull = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2))
-    cross = np.empty((count, 2, size))
+    count, size = len(chosen), len(mean)
+    unknown, edge = mean.copy(), np.empty((count, 2))
+    for k in range(3):
+        unknown[k] = start[k]
     for m in range(count):
-        e, f = links[m, 0], links[m, 1]
+        e, f = pairs[chosen[m], 0], pairs[chosen[m], 1]
         foot = two.measured[f, 1] if np.isnan(one.measured[e, 1]) else one.measured[e, 1]
-        edge[m, 0], edge[m, 1] = one.measured[e, 0], model.typical if np.isnan(foot) or floor[m] < 0.5 else foot
-    rows, by_edge = np.empty((5, size)), np.empty((5, 2))
-    w, residual = np.empty(5), np.empty(5)
+        edge[m, 0] = one.measured[e, 0]
+        edge[m, 1] = TYPICAL_INVERSE_RANGE if np.isnan(foot) or floor[m] < 0.5 else foot
+    rows, own, total = np.empty((5, size + 3)), np.empty((count, size + 2, size + 3)), np.empty((size, size + 1))
     for _ in range(_STEPS):
         for i in range(size):
-            gradient[i] = 0.0
+            total[i, size] = 0.0
             for j in range(size):
-                total[i, j] = before[i, j]
-                gradient[i] += before[i, j] * (expected[j] - unknown[j])
-        x, z, by_twist = camera_moved(unknown[:3], mount)
+                total[i, j] = information[i, j]
+                total[i, size] += information[i, j] * (mean[j] - unknown[j])
+        camera = camera_moved(unknown, mount)
         for m in range(count):
-            b, rho = edge[m, 0], edge[m, 1]
-            _equations(one, two, links[m], b, rho, x, z, by_twist, unknown, floor[m], model, rows, by_edge, w, residual)
-            for a in range(2):
-                pull[m, a] = own[m, a, 0] = own[m, a, 1] = 0.0
-                for i in range(size):
-                    cross[m, a, i] = 0.0
-            for r in range(5):
-                w[r] *= weight[m]
-                if w[r] == 0.0:
-                    continue
-                for a in range(2):
-                    scaled = w[r] * by_edge[r, a]
-                    if scaled == 0.0:
-                        continue
-                    pull[m, a] += scaled * residual[r]
-                    for c in range(2):
-                        own[m, a, c] += scaled * by_edge[r, c]
-                    for i in range(size):
-                        cross[m, a, i] += scaled * rows[r, i]
-                for i in range(size):
-                    scaled = w[r] * rows[r, i]
-                    if scaled == 0.0:
-                        continue
-                    gradient[i] += scaled * residual[r]
-                    for j in range(size):
-                        total[i, j] += scaled * rows[r, j]
-            determinant = own[m, 0, 0] * own[m, 1, 1] - own[m, 0, 1] * own[m, 1, 0]
-            own[m, 0, 0], own[m, 1, 1] = own[m, 1, 1] / determinant, own[m, 0, 0] / determinant
-            own[m, 0, 1] = own[m, 1, 0] = -own[m, 0, 1] / determinant
-            # Schur complement: what the edge leaves to say about what all share.
-            for a in range(2):
-                for i in range(size):
-                    reduced = own[m, a, 0] * cross[m, 0, i] + own[m, a, 1] * cross[m, 1, i]
-                    gradient[i] -= reduced * pull[m, a]
-                    for j in range(size):
-                        total[i, j] -= reduced * cross[m, a, j]
-        invert(total)
+            _equations(one, two, pairs[chosen[m]], edge[m], camera, unknown, floor[m], uneven, rows)
+            for i in range(size + 2):
+                for j in range(size + 3):
+                    own[m, i, j] = 0.0
+                    for r in range(5):
+                        own[m, i, j] += weight[m] * rows[r, i] * rows[r, j]
+            eliminate(own[m], 2)
+            for i in range(size):
+                for j in range(size + 1):
+                    total[i, j] += own[m, 2 + i, 2 + j]
+        eliminate(total, size)
         is_small = True
         for i in range(size):
-            step[i] = 0.0
-            for j in range(size):
-                step[i] += total[i, j] * gradient[j]
-            unknown[i] += step[i]
-            is_small = is_small and abs(step[i]) < _SMALL_STEP
+            unknown[i] += total[i, size]
+            is_small = is_small and abs(total[i, size]) < _SMALL_STEP
         for m in range(count):
             for a in range(2):
-                for i in range(size):
-                    pull[m, a] -= cross[m, a, i] * step[i]
-            for a in range(2):
-                edge[m, a] += own[m, a, 0] * pull[m, 0] + own[m, a, 1] * pull[m, 1]
+                edge[m, a] += own[m, a, size + 2] - _dot(own[m, a, 2:-1], total[:, size])
         if is_small:
             break
-    cov = np.empty((size - 1, size - 1))
-    for i in range(size - 1):
-        for j in range(size - 1):
-            cov[i, j] = total[i, j]
-    return unknown[:-1], cov
+    return unknown, total
 
 
 # -- pairing and solving in turns -------------------------------------------------------------------------------------
@@ -450,47 +402,41 @@ def refine(
     pairs: NDArray[np.int64],
     look: Array,
     usable: NDArray[np.bool_],
-    one: Frame,
-    two: Frame,
+    one: Sights,
+    two: Sights,
     mount: Array,
-    belief: Belief,
+    model: tuple[float, float],
+    mean: Array,
+    information: Array,
+    on_floor: bool,
     start: Array,
-    start_var: Array,
-    model: Model,
+    start_cov: Array,
 ) -> tuple[Array, Array, NDArray[np.int64], Array]:
-    """Return what pairing edges and solving for the twist in turns leads to, from a start (3,).
+    """Return what pairing edges and solving in turns leads to, from a start (U,) that is as certain as start_cov.
 
-    Twist (3,) and covariance (3, 3), indices of the pairs chosen (M,), and their log-likelihoods (M,).
+    Twist, common errors and typical inverse range (U,), their covariance (U, U or more), indices of the pairs chosen
+    (M,), and their log-likelihoods (M,). mean, information: (U,), (U, U) beforehand. on_floor: whether lower ends may
+    be feet. model: sigma of the height of feet, each its own, over the camera's height; density of the second bearing
+    of an edge that is new, over the odds that it is not.
     """
-    size = 3 + one.common.shape[2]
-    unknown, cov = np.zeros(size), np.zeros((size, size))
-    for k in range(size):
-        unknown[k], cov[k, k] = (start[k], start_var[k]) if k < 3 else (0.0, 1.0)
-    before, links = np.empty(3), np.empty((0, 2), dtype=np.int64)
-    chosen, previous = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    log_likelihood = np.empty(0)
+    unknown, cov = start, start_cov
+    chosen, log_likelihood = np.empty(0, dtype=np.int64), np.empty(0)
     for _ in range(_ROUNDS):
-        found = pair_odds(pairs, look, usable, one, two, unknown, cov, mount, model, belief.on_floor)
-        previous, chosen = chosen, one_to_one(pairs, found[:, 0], len(one.measured), len(two.measured))
-        count = len(chosen)
+        odds = pair_odds(pairs, look, usable, one, two, unknown, cov, mount, model, on_floor)
+        previous, chosen = chosen, one_to_one(pairs, odds[:, 0], len(one.measured), len(two.measured))
+        count, before = len(chosen), unknown
         if count == 0:
             break
         settled = len(previous) == count
         weight, floor, log_likelihood = np.empty(count), np.empty(count), np.empty(count)
-        links = np.empty((count, 2), dtype=np.int64)
         for m in range(count):
             p = chosen[m]
-            odds = found[p, 0]
-            log_likelihood[m] = np.log1p(odds)
-            weight[m] = max(found[p, 1] * odds / (1.0 + odds), _LEAST_WEIGHT)
-            floor[m] = found[p, 2]
-            links[m, 0], links[m, 1] = pairs[p, 0], pairs[p, 1]
+            log_likelihood[m], floor[m] = np.log1p(odds[p, 0]), odds[p, 2]
+            weight[m] = max(odds[p, 1] * odds[p, 0] / (1.0 + odds[p, 0]), _LEAST_WEIGHT)
             settled = settled and previous[m] == p
-        for k in range(3):
-            before[k] = unknown[k]
-        unknown, cov = solve(one, two, links, weight, floor, before, belief, mount, model)
+        unknown, cov = solve(one, two, pairs, chosen, weight, floor, before, mean, information, mount, model[0])
         for k in range(3):
             settled = settled and abs(unknown[k] - before[k]) < 0.1 * np.sqrt(cov[k, k])
         if settled:
             break
-    return unknown[:3], cov[:3, :3], chosen, log_likelihood
+    return unknown, cov, chosen, log_likelihood

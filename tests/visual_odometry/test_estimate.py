@@ -13,16 +13,8 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, Odometer, VisualOdometryParameters, follow
 from localiser.visual_odometry import twist_kernel as loops
-from localiser.visual_odometry.sights import Sights
-from localiser.visual_odometry.twist import (
-    at_least,
-    mixture,
-    motion_by_twist,
-    motion_gaussian,
-    motion_of,
-    twist_gaussian,
-    twist_of,
-)
+from localiser.visual_odometry.estimate import at_least, mixture, motion_gaussian, twist_gaussian
+from localiser.visual_odometry.sights import FLOOR_INVERSE, FLOOR_SHARE, TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, Sights
 from paper.slopes import depth_from_slopes, lean_from_slope, rotation_from_slopes
 
 ANYTHING = VisualOdometryParameters().twist(None, 0.2)
@@ -32,6 +24,11 @@ def followed(before: Edges, after: Edges) -> Followed:
     """Return the motion between two frames of which nothing is known but that 0.2 s passed."""
     frames = Frames.of(before, after, CAMERA)
     return follow(frames, [Belief(ANYTHING, frames.likely_motions(ANYTHING))])
+
+
+def motion_of(twist: Array) -> Array:
+    """Return the motion (3,) that a twist (3,) makes in its unit of time, as the arc has it."""
+    return geometry.arc_motion(twist[:2], float(twist[2]), 1.0)
 
 
 motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2, 0.2)).map(np.array)
@@ -49,12 +46,12 @@ def test_what_the_moved_camera_sees(twist: Array, bearing: float, inverse: float
     for column, change in enumerate(step * np.eye(3)):
         ends = [np.array(loops.camera_moved(twist + sign * change, mount)[:2]) for sign in (1, -1)]
         np.testing.assert_allclose(jac[:, column], (ends[0] - ends[1]) / (2 * step), atol=1e-6)
-    seen, *_, square = loops.seen_from(bearing, inverse, x, z, twist[2])
+    seen, *_, distance = loops.seen_from(bearing, inverse, x, z, twist[2])
     if inverse > 0.01:
         point = np.array([np.sin(bearing), -np.cos(bearing)]) / inverse
         at = geometry.robot_from_map(expected, point)
         assert seen == pytest.approx(float(geometry.bearing_from_point(*at)))
-        assert inverse / np.sqrt(square) == pytest.approx(1.0 / np.hypot(*at))
+        assert inverse / distance == pytest.approx(1.0 / np.hypot(*at))
 
 
 def test_turning_on_the_spot_is_equation_13_of_the_paper() -> None:
@@ -76,14 +73,24 @@ def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
 @settings(max_examples=50)  # the first call compiles
 @given(motions)
 def test_twists_are_motions_along_arcs(twist: Array) -> None:
-    np.testing.assert_allclose(twist_of(motion_of(twist)), twist, atol=1e-12)
-    step = 1e-6
-    changes = [motion_of(twist + step * axis) - motion_of(twist - step * axis) for axis in np.eye(3)]
-    np.testing.assert_allclose(motion_by_twist(twist), np.array(changes).T / (2 * step), atol=1e-6)
     cov = np.diag([1e-4, 2e-4, 3e-5])
-    there_and_back = twist_gaussian(motion_gaussian(Gaussian(twist, cov)))
+    motion = motion_gaussian(Gaussian(twist, cov))
+    np.testing.assert_allclose(motion.mean, motion_of(twist), atol=1e-12)
+    there_and_back = twist_gaussian(motion)
     np.testing.assert_allclose(there_and_back.mean, twist, atol=1e-12)
     np.testing.assert_allclose(there_and_back.cov, cov, atol=1e-12)
+
+
+def solved(
+    one: Sights, two: Sights, weight: Array, floor: Array, start: Array, prior: Gaussian, mount: Array, uneven: float
+) -> tuple[Array, Array]:
+    """Return what least squares make of edges of two frames that are in the same order."""
+    count, size = len(weight), 4 + one.common.shape[2]
+    mean, information = np.zeros(size), np.eye(size)
+    mean[:3], mean[-1] = prior.mean, TYPICAL_INVERSE_RANGE
+    information[:3, :3], information[-1, -1] = np.linalg.inv(prior.cov), TYPICAL_SPREAD**-2
+    pairs = np.stack([np.arange(count)] * 2, axis=-1)
+    return loops.solve(one, two, pairs, np.arange(count), weight, floor, start, mean, information, mount, uneven)
 
 
 BY_WHEELS = Gaussian(np.array([0.0, -0.096, 0.09]), np.diag([1e-3, 9e-3, 0.01]) ** 2)
@@ -96,14 +103,11 @@ def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussia
 
     rng, true = np.random.default_rng(11), np.array([0.01, -0.1, 0.08])
     frames = Frames.of(edges_from(np.zeros(3), rng), edges_from(motion_of(true), rng), CAMERA)
-    model, (one, two), mount = frames.model(), frames.arrays(), frames.mount
-    count = len(POINTS)
-    links = np.stack([np.arange(count)] * 2, axis=-1)
+    one, two, mount, uneven = frames.one, frames.two, frames.mount, frames.model[0]
+    count, terms = len(POINTS), one.common.shape[2]
     weight = rng.uniform(0.3, 1.0, count)
-    belief = loops.Belief(prior.mean, np.linalg.inv(prior.cov), True)
-    found, cov = loops.solve(one, two, links, weight, np.full(count, floor), true, belief, mount, model)
-    root = np.linalg.cholesky(belief.information).T
-    terms = one.common.shape[2]
+    found, cov = solved(one, two, weight, np.full(count, floor), true, prior, mount, uneven)
+    root = np.linalg.cholesky(np.linalg.inv(prior.cov)).T
 
     def cost(unknown: Array) -> Array:
         twist, wrong, typical = unknown[:3], unknown[3 : 3 + terms], unknown[3 + terms]
@@ -111,17 +115,17 @@ def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussia
         x, z, _ = loops.camera_moved(twist, mount)
         d = np.stack([np.sin(bearing) - inverse * x, -np.cos(bearing) - inverse * z])
         seen = np.arctan2(d[0], -d[1]) + twist[2], inverse / np.hypot(*d)
-        parts = [root @ (twist - prior.mean), wrong, [(typical - model.typical) / model.spread]]
-        parts.append(np.sqrt(weight) * (inverse - typical) / model.spread)
+        parts = [root @ (twist - prior.mean), wrong, [(typical - TYPICAL_INVERSE_RANGE) / TYPICAL_SPREAD]]
+        parts.append(np.sqrt(weight) * (inverse - typical) / TYPICAL_SPREAD)
         for frame, expected in ((one, (bearing, inverse)), (two, seen)):
-            uneven = np.sqrt(frame.sigma[:, 1] ** 2 + 2 * (model.uneven * frame.measured[:, 1]) ** 2)
-            for column, sigma in ((0, frame.sigma[:, 0]), (1, uneven / np.sqrt(max(floor, 1e-12)))):
+            own = np.sqrt(frame.sigma[:, 1] ** 2 + 2 * (uneven * frame.measured[:, 1]) ** 2)
+            for column, sigma in ((0, frame.sigma[:, 0]), (1, own / np.sqrt(max(floor, 1e-12)))):
                 error = frame.measured[:, column] - expected[column] - frame.common[:, column] @ wrong
                 parts.append(np.sqrt(weight) * error / sigma)
         return np.concatenate(parts)
 
     start = np.concatenate(
-        [np.zeros(3 + terms), [model.typical], np.stack([one.measured[:, 0], np.full(count, 0.4)], -1).ravel()]
+        [np.zeros(3 + terms), [TYPICAL_INVERSE_RANGE], np.stack([one.measured[:, 0], np.full(count, 0.4)], -1).ravel()]
     )
     best = least_squares(cost, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12)
     expected = np.linalg.inv(best.jac.T @ best.jac)[:3, :3]
@@ -140,28 +144,26 @@ def test_without_feet_the_turn_on_a_known_way_is_as_exact_as_theory_has_it() -> 
 
     mount, draws, count, bearing_sigma = np.zeros(5), 200, 20, 1e-4
     way, rng = np.array([0.0, -0.02, 0.0]), np.random.default_rng(16)  # so short that bearings are linear in ρ
-    belief = loops.Belief(way, np.diag([1e12, 1e12, 1.0]), False)
-    links = np.stack([np.arange(count)] * 2, axis=-1)
-    model = Frames.of(Edges.none(), Edges.none(), CAMERA).model()
+    prior = Gaussian(way, np.diag([1e-12, 1e-12, 1.0]))
     none, share, errors = np.full(count, np.nan), np.ones(count), []
     for _ in range(draws):
         bearing = rng.uniform(-0.5, 0.5, count)
-        inverse = model.typical + model.spread * (rng.standard_normal() + rng.standard_normal(count))
+        inverse = TYPICAL_INVERSE_RANGE + TYPICAL_SPREAD * (rng.standard_normal() + rng.standard_normal(count))
         turn = rng.uniform(-0.1, 0.1)
         x, z, _ = loops.camera_moved(np.append(way[:2], turn), mount)
         seen = np.array([loops.seen_from(b, rho, x, z, turn)[0] for b, rho in zip(bearing, inverse, strict=True)])
         one, two = (
-            loops.Frame(
+            Sights(
                 np.stack([angle + bearing_sigma * rng.standard_normal(count), none], axis=-1),
                 np.stack([np.full(count, bearing_sigma), none], axis=-1),
                 np.zeros((count, 2, 1)),
             )
             for angle in (bearing, seen)
         )
-        found, cov = loops.solve(one, two, links, share, 0.0 * share, way, belief, mount, model)
+        found, cov = solved(one, two, share, 0.0 * share, way, prior, mount, 0.0)
         slope = -(np.cos(bearing) * x + np.sin(bearing) * z)
         error_cov = 2 * bearing_sigma**2 * np.eye(count)
-        error_cov += model.spread**2 * (np.diag(slope**2) + np.outer(slope, slope))
+        error_cov += TYPICAL_SPREAD**2 * (np.diag(slope**2) + np.outer(slope, slope))
         sigma = np.linalg.inv(error_cov).sum() ** -0.5
         assert np.sqrt(cov[2, 2]) == pytest.approx(sigma, rel=0.1)
         errors.append((found[2] - turn) / sigma)
@@ -172,9 +174,11 @@ def test_without_feet_the_turn_on_a_known_way_is_as_exact_as_theory_has_it() -> 
 @pytest.mark.parametrize("motion", [[0.0, -0.1, 0.0], [0.0, 0.0, 0.15], [0.01, -0.08, -0.12], [0.0, 0.0, 0.0]])
 def test_motion_is_found_with_no_idea_beforehand(motion: list[float]) -> None:
     rng = np.random.default_rng(3)
-    found = followed(edges_from(np.zeros(3), rng), edges_from(np.array(motion), rng))
-    np.testing.assert_array_equal(found.first, found.second)
-    assert len(found.first) >= 8
+    before, after = edges_from(np.zeros(3), rng), edges_from(np.array(motion), rng)
+    found = followed(before, after)
+    first, second = Frames.of(before, after, CAMERA).pairs[found.chosen].T
+    np.testing.assert_array_equal(first, second)
+    assert len(first) >= 8
     assert (np.abs(found.motion.mean - motion) < 5 * np.sqrt(np.diag(found.motion.cov))).all()
     assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
     assert np.sqrt(np.diag(found.motion.cov))[:2].max() < 0.03
@@ -224,7 +228,7 @@ def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
             edges.foot_range_m[:] /= seen_share
             edges.foot_range_sigma_m[:] = INVERSE_SIGMA * edges.foot_range_m**2
         found = followed(before, after)
-        assert len(found.first) >= 6
+        assert len(found.chosen) >= 6
         error = found.motion.mean - motion
         misses.append(error @ np.linalg.solve(found.motion.cov, error))
     assert np.mean(misses) < 9.0
@@ -234,9 +238,9 @@ def test_edges_that_the_border_cuts_off_have_no_foot() -> None:
     edges = edges_from(np.zeros(3), np.random.default_rng(9))
     rows = np.linspace(300.0, 475.0, len(edges))
     edges.ends_px[:, 0] = np.stack([np.full(len(edges), 320.0), rows], axis=-1)
-    np.testing.assert_array_equal(np.isnan(Sights.of(edges, CAMERA).inverse_range), rows > 471.0)
+    np.testing.assert_array_equal(np.isnan(Sights.of(edges, CAMERA).measured[:, 1]), rows > 471.0)
     edges.ends_px[:] = np.nan
-    assert np.isfinite(Sights.of(edges, CAMERA).inverse_range).all()
+    assert np.isfinite(Sights.of(edges, CAMERA).measured[:, 1]).all()
 
 
 VISION = Odometer(CAMERA, VisualOdometryParameters(source="vision"))
@@ -277,12 +281,17 @@ def test_a_robot_that_steers_is_not_thought_to_sidle_and_one_that_sidles_is_beli
     assert np.abs(misses).max() < 4.0
 
 
-def test_a_matrix_is_inverted_in_place() -> None:
-    root = np.random.default_rng(15).standard_normal((7, 7))
+def test_unknowns_are_eliminated_in_place() -> None:
+    rng = np.random.default_rng(15)
+    root, right = rng.standard_normal((7, 7)), rng.standard_normal(7)
     matrix = root @ root.T + 0.1 * np.eye(7)
-    inverse = matrix.copy()
-    loops.invert(inverse)
-    np.testing.assert_allclose(inverse @ matrix, np.eye(7), atol=1e-9)
+    whole, some = (np.column_stack([matrix, right]) for _ in range(2))
+    loops.eliminate(whole, 7)
+    np.testing.assert_allclose(whole[:, :7] @ matrix, np.eye(7), atol=1e-9)
+    np.testing.assert_allclose(whole[:, 7], np.linalg.solve(matrix, right), atol=1e-9)
+    loops.eliminate(some, 2)
+    schur = matrix[2:, 2:] - matrix[2:, :2] @ np.linalg.solve(matrix[:2, :2], matrix[:2, 2:])
+    np.testing.assert_allclose(some[2:, 2:7], schur, atol=1e-9)
 
 
 def test_each_edge_joins_one_pair_the_likeliest_first() -> None:
@@ -291,11 +300,10 @@ def test_each_edge_joins_one_pair_the_likeliest_first() -> None:
     np.testing.assert_array_equal(loops.one_to_one(pairs, odds, 3, 3), [1, 2])
 
 
-def test_between_points_is_interpolated_as_numpy_does() -> None:
-    at, value = np.array([0.1, 0.4, 0.5, 2.0]), np.array([0.9, 0.7, 0.2, 0.1])
-    x = np.concatenate([at, np.linspace(-0.5, 2.5, 301)])
-    found = [loops.interpolated.py_func(each, at, value) for each in x]  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(found, np.interp(x, at, value))
+def test_between_points_of_the_table_is_interpolated_as_numpy_does() -> None:
+    x = np.concatenate([FLOOR_INVERSE, np.linspace(-0.5, 2.5, 301)])
+    found = [loops.floor_share.py_func(each) for each in x]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(found, np.interp(x, FLOOR_INVERSE, FLOOR_SHARE), atol=1e-12)
 
 
 def test_at_least_reaches_as_far_as_both() -> None:
