@@ -151,7 +151,7 @@ class Belief:
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
         may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
-        if new < LEAST_NOVELTY or (may_be_lost and not len(clues.view)):
+        if new < LEAST_NOVELTY or (may_be_lost and not len(clues.feet)):
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
@@ -159,7 +159,7 @@ class Belief:
             belief = belief._explored(search, like, tracked, clues, new, most_effort, move.model, rng)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
-        most = round(BESIDE * search.most) if is_tracked else search.most
+        most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
         return replace(belief, unproposed=0.0, history=belief.history.with_image(sighting))._resampled(most, rng)
 
     def _judged(self, clues: Clues, found: Weighed | None, jump: Jump, carried: float, move: Move) -> Belief:
@@ -246,7 +246,7 @@ class Belief:
         is_first = tracked is None and self.elsewhere == 0.0 and self.overlooked == 1.0
         shares = tracked is not None and (self.is_known or not search.places.are_many)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
-        proposed, hits = search.proposed(like, clues, effort, rng, is_first=is_first)
+        proposed, hits = search.proposed(like, clues, effort, rng)
         overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
         belief = replace(
             self,

@@ -370,7 +370,7 @@ def _compared(
     if weighed is not None:
         belief = belief.beside(particles.estimate(weighed).pose)
     elif belief.candidates is None:
-        belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.most, rng))
+        belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.parameters.particles_most, rng))
     other = belief.found(is_tracked=weighed is not None)
     if other is not None:
         weighed, belief = other

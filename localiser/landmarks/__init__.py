@@ -1,9 +1,6 @@
 """The landmark map, its index by place, and how a landmark is seen from a pose."""
 
 from localiser.landmarks.index import (
-    CELL_M,
-    HEADINGS,
-    LandmarkIndex,
     Reach,
     in_view_of_cells,
     kept_with,

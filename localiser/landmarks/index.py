@@ -21,9 +21,6 @@ from localiser.landmarks.landmark_map import LandmarkMap
 
 Indices = NDArray[np.int64]
 
-CELL_M = 0.5
-HEADINGS = 32
-MOST_CELLS = 400_000  # in a table; larger ones on a larger floor, whose lists hold more that is not in view
 PIECE_M = 4.0
 MOST_PIECES = 1 << 21  # of the floor; larger ones where a map has landmarks very far apart
 _MARGIN_M = 4.0  # beyond the range: for cells of poses, and for a camera ahead of its robot
@@ -111,38 +108,6 @@ def sigmas_m(landmark_map: LandmarkMap, unknown_m: float) -> Array:
 
 
 # -- by cell of floor and heading -------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LandmarkIndex:
-    """Lists of landmarks for cameras in each cell (X, Z) of the floor and each of H headings.
-
-    corner: (2,) lowest x, z. cell_m: side of a cell. shape: X, Z, H. start: (X·Z·H + 1,) and item: the list of cell k
-    is item[start[k] : start[k + 1]], with k = (x · Z + z) · H + heading. A list may hold a few landmarks too many,
-    never one too few. Outside the cells there are none.
-    """
-
-    corner: Array
-    cell_m: float
-    shape: tuple[int, int, int]
-    start: Indices
-    item: NDArray[np.int32]
-
-    @classmethod
-    def of(cls, points: Array, low: Array, high: Array, half_view_rad: float, range_max_m: float) -> LandmarkIndex:
-        """Return the lists of landmarks (L, 2) for cameras between the corners `low` and `high` (2,) of the floor."""
-        cell_m, headings = CELL_M, HEADINGS
-        while (np.ceil((high - low) / cell_m).prod() * headings) > MOST_CELLS:
-            cell_m, headings = 2.0 * cell_m, HEADINGS // 2
-        columns, rows = np.maximum(np.ceil((high - low) / cell_m), 1).astype(np.int64).tolist()
-        shape = (columns, rows, headings)
-        every = np.arange(columns * rows * headings + 1)
-        corner, per_unit = np.array([*low, -np.pi]), np.array([1 / cell_m, 1 / cell_m, headings / (2 * np.pi)])
-        reach = Reach.of(points, range_max_m + cell_m)
-        start, item = in_view_of_cells(
-            every, corner, per_unit, np.array(shape), points, half_view_rad, range_max_m, reach
-        )
-        return cls(low, cell_m, shape, start, item)
 
 
 def in_view_of_cells(

@@ -92,7 +92,7 @@ class Candidates:
         return Candidates(only(self.particles, chosen), self.rates[:, chosen])
 
     def resampled(self, most: int, rng: np.random.Generator) -> Candidates:
-        """Return candidates at the same places, at most so many.
+        """Return candidates at the same places, at most so many, with the same sum of weights.
 
         A cell of weight W gets particles in proportion to W^¼, and these share W. So the result is still weighted,
         and a place that fits a little worse than others is not lost by chance.
@@ -108,7 +108,7 @@ class Candidates:
         columns = self.particles.columns[:, index]
         columns[:3] += SPREAD * _spread(poses, weight, cell)[:, cell[index]] * rng.standard_normal((3, len(index)))
         columns[2] = wrap_angle(columns[2])
-        log_weight = np.log(mass[cell[index]] / drawn[cell[index]])
+        log_weight = np.log(mass[cell[index]] / drawn[cell[index]]) + log_sum(self.particles.log_weight)
         return Candidates(replace(self.particles, columns=columns, log_weight=log_weight), self.rates[:, index])
 
 

@@ -1,18 +1,20 @@
 """Global localisation: poses proposed from one image, weighed by all of its edges.
 
-Poses are drawn from `proposals`, or uniformly where an image shows too few edges. Their weights
+Hypotheses are poses at which two or three edges are landmarks (`hypotheses`). The best of them are found by the
+filter's own likelihood, slightly blurred. Poses are drawn evenly from a box around each. Then the blur narrows in
+steps: poses are weighed, drawn by their weights, and moved a little, so that they gather where the edges fit. Their
+weights without the last likelihood
 
     prior(x) / q(x)
 
 make them draws from the prior of a robot that may be anywhere. `history` weighs them by this image and those before.
-Places are compared by the filter's own likelihood, slightly blurred, and to a power below one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -22,20 +24,30 @@ from localiser.edges import Edges
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import DetectionRate, EdgeObservation, InlierRate, Sighting
-from localiser.particles import CAMERA_YAW, POSE, Particles, multinomial_resample
-from localiser.relocalisation import evidence
+from localiser.particles import (
+    CAMERA_YAW,
+    CELL_M,
+    CELL_RAD,
+    POSE,
+    Particles,
+    cells_of,
+    multinomial_resample,
+    only,
+)
 from localiser.relocalisation.candidates import Candidates
-from localiser.relocalisation.mixture import Region
-from localiser.relocalisation.places import Places
-from localiser.relocalisation.proposals import FEWEST, ProposalParameters, propose
-from localiser.relocalisation.views import View, are_known, view_of
+from localiser.relocalisation.hypotheses import Feet, are_known, feet_of, poses_of
+from localiser.relocalisation.places import Places, Region
 
-PAIRS_MOST = 2_000_000  # of particles and landmarks in an image
-FEWEST_POSES = 10_000  # that an image may take on however large a map
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
+FEWEST = 5  # edges; fewer may all be clutter almost anywhere
 MOST_EDGES = 48  # that poses are proposed from; all of them weigh these
 POWER = 0.5  # of the likelihood: edges of an image err together, which the clutter model does not know
+HYPOTHESES, PER_BOX = 12_500, 10  # tried by one image; poses drawn around each of the best
+BOX = np.array([CELL_M, CELL_M, CELL_RAD])  # around a hypothesis: m, m, rad
 BLUR_RAD = np.radians(0.3)  # how far from each other the particles of one place may be
+SEARCH_BLUR_RAD = np.radians(0.4)  # how far off the bearings of a hypothesis may be
+WIDER_RAD = np.radians([1.4, 0.65])  # the same of poses that are drawn around it, step by step
+MOVED = np.array([1.0, 1.0, 0.5])  # how far they are moved between these steps: m, m, rad for each radian of the blur
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,23 +79,18 @@ class Clues:
     landmark_map: LandmarkMap
 
     @cached_property
-    def view(self) -> View:
+    def feet(self) -> Feet:
         """The longest edges, which poses are proposed from. Few images of a robot that is not lost need it."""
-        return view_of(*self._longest)
-
-    @cached_property
-    def _longest(self) -> tuple[Camera, Edges, Literal["line", "slope"]]:
-        edges = self.sighting.edges
-        return self.observation.camera.at(edges.mount), edges.longest(MOST_EDGES), self.observation.parameters.kind
+        return feet_of(self.observation.at(self.sighting.edges).angle, self.sighting.edges.longest(MOST_EDGES))
 
     @cached_property
     def is_blind(self) -> bool:
-        """Whether the image shows too little for poses to be proposed from it."""
-        return int(are_known(*self._longest).sum()) < FEWEST
+        """Whether the image shows too little to tell that what it shows is not on the map."""
+        return int(are_known(self.observation.at(self.sighting.edges).angle, self.sighting.edges).sum()) < FEWEST
 
-    def by_rate(self, particles: Particles) -> Array:
+    def by_rate(self, particles: Particles, blur_rad: float = BLUR_RAD) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
-        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, BLUR_RAD)
+        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, blur_rad)
 
     def as_tracked(self, particles: Particles) -> Array:
         """Return log p(edges | particle) (N,) as the filter weighs tracked particles.
@@ -99,9 +106,9 @@ class Clues:
         """
         return 0.0 if self.is_blind else float(particles.weight[(by_rate == 0.0).all(axis=0)].sum())
 
-    def by_pose(self, poses: Array) -> Array:
-        """Return the same (K, N) for poses (N, 3) of a robot whose camera looks where it is stated to."""
-        return self.by_rate(Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses))))
+    def anywhere(self, particles: Particles, blur_rad: float = BLUR_RAD) -> Array:
+        """Return log p(edges | particle) (N,) where nothing is known of the detection rate."""
+        return DetectionRate.unknown().log_mean(self.by_rate(particles, blur_rad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,56 +125,49 @@ class GlobalLocalisation:
         cls, observation: EdgeObservation, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
     ) -> GlobalLocalisation:
         """Return the global localisation on this map; its tables take a second on a large one."""
-        sight, sigma_m = observation.parameters.sight, observation.parameters.landmark_sigma_m
         region = Region.around(landmark_map.points, BESIDE_MAP_M)
-        places = Places.of(landmark_map, observation.camera, sight, region, sigma_m)
+        of = observation.parameters
+        places = Places.of(landmark_map, of.sight, region, of.landmark_sigma_m)
         return cls(observation, landmark_map, places, parameters or SearchParameters())
-
-    @property
-    def most(self) -> int:
-        """The most particles that an image may take, so that it takes a bounded time however large the map is."""
-        return min(self.parameters.particles_most, max(PAIRS_MOST // max(len(self.places), 1), FEWEST_POSES))
 
     def warm_up(self) -> None:
         """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
         angle = np.zeros(1)
         edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
-        clues = self.clues(Sighting(0, edges))
-        clues.by_pose(np.zeros((1, 3)))
-        evidence.warm_up(clues.view, self.places)
+        self.clues(Sighting(0, edges)).anywhere(Particles(POSE, np.zeros((3, 1)), np.zeros(1)))
 
     def clues(self, sighting: Sighting) -> Clues:
         """Return what an image says of places."""
-        return _clues(self, sighting)
+        return Clues(sighting, self.observation, self.landmark_map)
 
     def proposed(
-        self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator, *, is_first: bool = False
+        self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator
     ) -> tuple[Candidates | None, float]:
-        """Return candidates drawn over the whole region, and the expected hits.
+        """Return candidates drawn where the edges of an image fit the map, and the expected hits.
 
         Poses that explain the edges no better than clutter does are left out; None where all do. The weight of the
         others is that of importance sampling, so that a sum over candidates is a mean over the region. like: particles
         whose other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort:
-        how much is tried, 1 for an image that stands for itself. is_first: whether nothing has been proposed before, so
-        that draws must be dense everywhere. Expected hits: how many of the poses tried are the true one, if it is in
-        the region.
+        how much is tried, 1 for an image that stands for itself. Expected hits: how many of the hypotheses are the true
+        pose, if it is in the region.
         """
-        count = self.most if is_first else max(round(effort * self.parameters.fresh), 1)
-        unknown = DetectionRate.unknown()
-
-        def log_likelihood(poses: Array) -> Array:
-            return unknown.log_mean(clues.by_pose(poses))
-
-        parameters = ProposalParameters().scaled(effort)
-        places = self.places.seen_by(clues.view.camera)
-        proposals = propose(clues.view, places, log_likelihood, rng, parameters)
-        hits = proposals.expected_hits(count)
-        poses, log_prior_over_q = proposals.drawn(count, rng)
-        fits = (log_likelihood(poses) > 0.0) & np.isfinite(log_prior_over_q)
-        if not fits.any():
+        tried, hits = poses_of(clues.feet, self.places, round(effort * HYPOTHESES), rng)
+        if len(tried) == 0:
             return None, hits
-        log_weight = log_prior_over_q[fits] - float(np.log(count))
-        return Candidates.unknown(self._robots(like, poses[fits], log_weight, clues.view.camera, rng)), hits
+        count = max(round(effort * self.parameters.fresh), 1)
+        likeliest = np.argsort(-clues.anywhere(_at(tried), SEARCH_BLUR_RAD), kind="stable")
+        _, first = np.unique(cells_of(tried[likeliest]), return_index=True)
+        best = tried[likeliest[np.sort(first)[: -(-count // PER_BOX)]]]
+        cloud = evenly_around(best, self.places.region, rng)
+        for blur_rad in WIDER_RAD:
+            log_weight = cloud.log_weight + clues.anywhere(cloud, blur_rad)
+            cloud = Candidates.unknown(replace(cloud, log_weight=log_weight)).resampled(count, rng).particles
+            cloud.columns[:3] += (blur_rad * MOVED)[:, None] * rng.standard_normal((3, len(cloud)))
+            cloud = replace(cloud, log_weight=cloud.log_weight - clues.anywhere(cloud, blur_rad))
+        cloud = only(cloud, (clues.anywhere(cloud) > 0.0) & np.isfinite(cloud.log_weight))
+        if len(cloud) == 0:
+            return None, hits
+        return Candidates.unknown(self._robots(like, cloud.poses, cloud.log_weight, clues.feet.camera, rng)), hits
 
     def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
         """Return `count` candidates drawn evenly over the region; like: as for `proposed`."""
@@ -191,6 +191,21 @@ class GlobalLocalisation:
         return replace(like, columns=columns, log_weight=log_weight)
 
 
-@lru_cache(maxsize=32)  # the history asks the same images again
-def _clues(search: GlobalLocalisation, sighting: Sighting) -> Clues:
-    return Clues(sighting, search.observation, search.landmark_map)
+def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> Particles:
+    """Return `PER_BOX` poses drawn evenly from each of the boxes around poses (K, 3), which may overlap.
+
+    Their weights sum to the prior probability of what the boxes cover of the region.
+    """
+    poses = np.repeat(centres, PER_BOX, axis=0)
+    poses += BOX * rng.uniform(-0.5, 0.5, poses.shape)
+    apart = np.abs(poses[:, None] - centres)
+    apart[..., 2] = np.abs(wrap_angle(apart[..., 2]))
+    boxes = (apart <= 0.5 * BOX + 1e-9).all(axis=2).sum(axis=1)
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    log_prior = np.where(region.contains(poses), region.log_density, -np.inf)
+    return replace(_at(poses), log_weight=log_prior + np.log(BOX.prod() / PER_BOX / boxes))
+
+
+def _at(poses: Array) -> Particles:
+    """Return particles at robot poses (N, 3), of a camera that looks where it is stated to."""
+    return Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses)))

@@ -9,211 +9,175 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from localiser.geometry import Array
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array, between, compose
+from localiser.observation import ENDPOINT_SIGMA_PX, Angle, end_per_height, ends_lower_first
 from localiser.relocalisation.places import BOTTOM_STEP_M, Indices, Places
 from localiser.relocalisation.resection import from_three_bearings, from_two_bearings
-from localiser.relocalisation.views import View
 
 GATE_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more than it loses
 MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
-AT_ONCE = 8  # pairs of edges looked up together
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
-FEWEST_TRIED = 4  # pairs of edges, on such a map
+FEWEST_TRIED = 4  # pairs of edges
 # Part of the pairs, and of the triples, of edges that are all landmarks and pass the gates at the true pose.
 BOTH_RIGHT, ALL_RIGHT = 0.3, 0.16
 WORST_RANGE = 0.25  # relative error of a range that still tells something
 
 
-def from_feet(view: View, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Feet:
+    """Bearings and feet of the E edges of one image whose bearing is known, left to right.
+
+    bearing: (E,) rad. foot: (E,) upright image height of the lower end, nan where it is not known, or is the border of
+    the image. foot_sigma: its error, the mount's included. length_px: (E,), 1 where it is not known.
+    """
+
+    camera: Camera
+    bearing: Array
+    foot: Array
+    foot_sigma: float
+    length_px: Array
+
+    def __len__(self) -> int:
+        return len(self.bearing)
+
+    def robot_poses(self, camera_poses: Array) -> Array:
+        """Return where in the map (N, 3) the robot is whose camera is at (N, 3)."""
+        return compose(camera_poses, between(self.camera.robot_from_level, np.zeros(3)))
+
+
+def are_known(angle: Angle, edges: Edges) -> NDArray[np.bool_]:
+    """Return which edges (E,) have a known bearing: `Feet` holds only these."""
+    measured, variance = angle.measured(edges)
+    return np.asarray(np.isfinite(measured) & np.isfinite(variance))
+
+
+def feet_of(angle: Angle, edges: Edges) -> Feet:
+    """Return bearings and feet of `edges`, by their line or by their slope alone."""
+    camera, known, (bearing, _) = angle.camera, np.flatnonzero(are_known(angle, edges)), angle.bearings(edges)
+    order = known[np.argsort(bearing[known], kind="stable")]
+    edges, bearing = edges.take(order), bearing[order]
+    ends, cut = ends_lower_first(edges.ends_px, camera)
+    unknown = np.isnan(ends).any(axis=1)
+    mount, ahead = camera.mount, edges.foot_range_m * np.cos(bearing)
+    s, c = np.sin(mount.tilt_rad), np.cos(mount.tilt_rad)
+    by_range = (ahead * s - mount.height_m * c) / (ahead * c + mount.height_m * s)  # of a point on the floor
+    known_sigma = np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, edges.common.sigma_of("tilt"))
+    by_height = edges.height_sigma_m * end_per_height(ends, camera)[:, 0]
+    return Feet(
+        camera=camera,
+        bearing=bearing,
+        foot=np.where(unknown, by_range, np.where(cut[:, 0], np.nan, ends[:, 0])),
+        foot_sigma=float(np.hypot(known_sigma, np.median(by_height[~unknown]) if not unknown.all() else 0.0)),
+        length_px=np.nan_to_num(edges.length_px, nan=1.0),
+    )
+
+
+def poses_of(feet: Feet, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return robot poses (K ≤ count, 3) in the region, and how many of those tried are expected to be the true one.
+
+    Three bearings are tried where feet give less than half of the poses.
+    """
+    poses, hits = from_feet(feet, places, count, rng)
+    if len(poses) < count // 2:
+        more, more_hits = from_bearings(feet, places, count - len(poses), rng)
+        poses, hits = np.concatenate([poses, more]), hits + more_hits
+    return poses[places.region.contains(poses)], hits
+
+
+def from_feet(feet: Feet, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return robot poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
 
     Two edges with ranges make two points, and only pairs of landmarks as far apart as these can be them. The bearings
-    are then held exactly; of the ranges only the ratio counts. The second value is how many of the poses are expected
-    to be the true one: `BOTH_RIGHT` of the pairs of edges, times the part of their pairs of landmarks that is tried.
+    are then held exactly; of the ranges only the ratio counts. Pairs of edges come first that are long, so hardly ever
+    clutter, have sure ranges, and can be few pairs of landmarks. Of what can be very many, a random part is tried.
+
+    The second value is how many of the poses are expected to be the true one: `BOTH_RIGHT` of the pairs of edges, times
+    the part of all their pairs of landmarks that is tried.
     """
-    i, j = _wide_pairs(view, np.flatnonzero(~view.cut & np.isfinite(view.foot)))
-    if len(i) == 0 or count == 0:
+    ranges, sigmas = _foot_ranges(feet, places)
+    usable = np.flatnonzero(np.isfinite(ranges).any(axis=1))
+    i, j = (usable[one] for one in np.triu_indices(len(usable), k=1))
+    wide = feet.bearing[j] - feet.bearing[i] >= NARROWEST_RAD
+    i, j = i[wide], j[wide]
+    if len(i) == 0:
         return np.zeros((0, 3)), 0.0
-    ranges, sigmas = _foot_ranges(view, places)
-    pairs, merit = np.stack([i, j], axis=-1), _merit(view, sigmas, i, j)
-    if places.are_many:
-        cameras, part = _from_rare_pairs(view, places, pairs, merit, ranges, sigmas, count, rng)
-        return view.robot_poses(cameras), BOTH_RIGHT * len(pairs) * part
-    order = np.argsort(rng.exponential(size=len(i)) / merit)
-    found, total, tried = [], 0, 0.0
-    for chunk in np.array_split(order, -(-len(order) // AT_ONCE)):
-        queries = _queries(view, places, pairs[chunk], ranges, sigmas)
-        able = queries.last - queries.first
-        query, entry = _entries(queries.first, _at_most(able, count - total))
-        found.append(queries.poses(view, places, query, entry))
-        total, tried = total + len(entry), tried + len(chunk) * len(entry) / max(int(able.sum()), 1)
-        if total >= count:
-            break
-    return view.robot_poses(np.concatenate(found)[:count]), BOTH_RIGHT * tried
 
-
-def _from_rare_pairs(
-    view: View,
-    places: Places,
-    pairs: Indices,
-    merit: Array,
-    ranges: Array,
-    sigmas: Array,
-    count: int,
-    rng: np.random.Generator,
-) -> tuple[Array, float]:
-    """Return `count` camera poses (K ≤ count, 3) from pairs of edges (P, 2) that few pairs of landmarks can be.
-
-    On a large map most pairs of edges can be more landmarks than an image can try. Those that can be few tell more for
-    the same work. Of what can be still more, a random part is tried. The second value is the part tried of all.
-    """
-    queries = _queries(view, places, pairs, ranges, sigmas)
-    each = queries.last - queries.first
-    able = np.bincount(queries.pair, each, minlength=len(pairs))
-    order = np.argsort(rng.exponential(size=len(pairs)) * able / merit)
-    order = order[able[order] > 0]
-    chosen = order[: np.searchsorted(np.cumsum(np.minimum(able[order], count / FEWEST_TRIED)), count) + 1]
-    keep = np.flatnonzero(np.isin(queries.pair, chosen))
-    part = np.minimum(1.0, count / FEWEST_TRIED / able[queries.pair[keep]])
-    tried = np.floor(each[keep] * part + rng.random(len(keep))).astype(np.int64)
-    query, entry = _entries(queries.first[keep], tried)
-    spread = ((entry - queries.first[keep][query] + rng.random(len(entry))) / part[query]).astype(np.int64)
-    entry = queries.first[keep][query] + np.minimum(spread, each[keep][query] - 1)
-    some = rng.permutation(len(entry))[:count]
-    part_tried = len(some) / max(int(each.sum()), 1)
-    return queries.poses(view, places, keep[query[some]], entry[some]), part_tried
-
-
-def _merit(view: View, sigmas: Array, i: Indices, j: Indices) -> Array:
-    """Return how soon each pair of edges (P,) is to be tried: long edges, which are rarely clutter, with sure ranges.
-
-    An exponential draw over this, sorted, is a draw without putting back with chances in proportion to it.
-    """
-    told = np.isfinite(sigmas)
-    sigma = np.where(told, sigmas, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
-    sigma = np.where(told.any(axis=1), sigma, sigma.max(initial=1.0))
-    return np.asarray(np.sqrt(view.length_px[i] * view.length_px[j]) / (sigma[i] + sigma[j]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Queries:
-    """Which pairs of landmarks pairs of edges (P, 2) may be, Q queries: one for every pair and heights of its feet.
-
-    edges: (P, 2). pair: (Q,) index into edges. first, last: (Q,) slice of the places' pairs. ranges: (Q, 2) m.
-    """
-
-    edges: Indices
-    pair: Indices
-    first: Indices
-    last: Indices
-    ranges: Array
-
-    def poses(self, view: View, places: Places, query: Indices, entry: Indices) -> Array:
-        """Return the camera poses (K, 3) at which the edges of query (K,) are the pair of landmarks at entry (K,)."""
-        landmarks = places.pair[entry]
-        return from_two_bearings(
-            places.points[landmarks[:, 0]],
-            places.points[landmarks[:, 1]],
-            view.bearing[self.edges[self.pair[query]]],
-            self.ranges[query],
-        )
-
-
-def _queries(view: View, places: Places, edges: Indices, ranges: Array, sigmas: Array) -> _Queries:
-    """Return which pairs of landmarks are as far apart as pairs of edges (P, 2) with feet are."""
-    groups = len(places.class_m)
-    r_i, r_j = ranges[edges[:, 0], :, None], ranges[edges[:, 1], None, :]
-    s_i, s_j = sigmas[edges[:, 0], :, None], sigmas[edges[:, 1], None, :]
-    cos = np.cos(view.bearing[edges[:, 1]] - view.bearing[edges[:, 0]])[:, None, None]
+    # A query for every pair of edges and heights of their feet: which pairs of landmarks are as far apart?
+    r_i, r_j = ranges[i, :, None], ranges[j, None, :]
+    cos = np.cos(feet.bearing[j] - feet.bearing[i])[:, None, None]
     apart = np.sqrt(r_i**2 + r_j**2 - 2 * r_i * r_j * cos)
-    # The distance of the feet by their ranges, to first order.
-    sigma = np.hypot(s_i * (r_i - r_j * cos), s_j * (r_j - r_i * cos)) / np.maximum(apart, 1e-6)
+    sigma = np.hypot(sigmas[i, :, None] * (r_i - r_j * cos), sigmas[j, None, :] * (r_j - r_i * cos))  # to first order
+    sigma /= np.maximum(apart, 1e-6)
     pair, one, other = np.nonzero(np.isfinite(apart))
-    apart, slack = apart[pair, one, other], GATE_SIGMAS * sigma[pair, one, other] + 3 * places.sigma_max_m
-    first, last = places.pairs_between(one * groups + other, apart - slack, apart + slack)
-    measured = np.stack([ranges[edges[pair, 0], one], ranges[edges[pair, 1], other]], axis=-1)
-    return _Queries(edges, pair, first, last, measured)
+    slack = GATE_SIGMAS * sigma[pair, one, other] + 3 * places.sigma_max_m
+    apart = apart[pair, one, other]
+    first, last = places.pairs_between(one * len(places.class_m) + other, apart - slack, apart + slack)
+    able = np.bincount(pair, last - first, minlength=len(i))
+
+    # An exponential draw over merits, sorted, is a draw without putting back with chances in proportion to them.
+    sure = np.nanmean(sigmas[usable], axis=1)[np.searchsorted(usable, [i, j])].sum(axis=0)
+    merit = np.sqrt(feet.length_px[i] * feet.length_px[j]) / sure
+    order = np.argsort(rng.exponential(size=len(i)) * able / merit)
+    order = order[able[order] > 0]
+    tried = np.minimum(able[order], count / FEWEST_TRIED)
+    chosen = np.zeros(len(i), dtype=bool)
+    chosen[order[np.cumsum(tried) - tried < count]] = True
+    keep = np.flatnonzero(chosen[pair])
+    part = np.minimum(1.0, count / FEWEST_TRIED / able[pair[keep]])
+    each = np.floor((last - first)[keep] * part + rng.random(len(keep))).astype(np.int64)
+    query = np.repeat(np.arange(len(keep)), each)
+    place = np.arange(len(query)) - np.repeat(np.cumsum(each) - each, each)  # of as many as are tried of the query
+    some = rng.permutation(len(query))[:count]
+    query, place = query[some], place[some]
+    entry = first[keep[query]] + ((place + rng.random(len(place))) / part[query]).astype(np.int64)
+    landmark, query = places.pair[np.minimum(entry, last[keep[query]] - 1)], keep[query]
+    edges = np.stack([i, j], axis=-1)[pair[query]]
+    measured = np.stack([ranges[edges[:, 0], one[query]], ranges[edges[:, 1], other[query]]], axis=-1)
+    points = places.points[landmark]
+    cameras = from_two_bearings(points[:, 0], points[:, 1], feet.bearing[edges], measured)
+    return feet.robot_poses(cameras), float(BOTH_RIGHT * len(i) * len(query) / max(able.sum(), 1))
 
 
-def _at_most(each: Indices, most: int) -> Indices:
-    """Return how many of each (Q,) there are among the first so many of all."""
-    return each - np.clip(np.cumsum(each) - most, 0, each)
-
-
-def _entries(first: Indices, each: Indices) -> tuple[Indices, Indices]:
-    """Return for slices that begin at first (Q,) and have so many entries (Q,) the slice and entry, (K,) each."""
-    query = np.repeat(np.arange(len(first)), each)
-    return query, np.arange(len(query)) - np.repeat(np.cumsum(each) - each, each) + first[query]
-
-
-def _foot_ranges(view: View, places: Places) -> tuple[Array, Array]:
+def _foot_ranges(feet: Feet, places: Places) -> tuple[Array, Array]:
     """Return range and its sigma (E, B), m, of every edge if its foot is at each of the heights; nan where unknown.
 
     The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, which has a known
     height.
     """
-    tilt, height_m = view.camera.mount.tilt_rad, view.camera.mount.height_m
+    tilt, height_m = feet.camera.mount.tilt_rad, feet.camera.mount.height_m
     s, c = np.sin(tilt), np.cos(tilt)
     drop = height_m - places.class_m
-    fall = ((s - view.foot * c) / (c + view.foot * s))[:, None]
-    per_e = (1.0 / (c + view.foot * s) ** 2)[:, None]
+    fall = ((s - feet.foot * c) / (c + feet.foot * s))[:, None]
+    per_e = (1.0 / (c + feet.foot * s) ** 2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = drop / fall
-        relative = np.abs(per_e / fall) * view.foot_sigma
+        relative = np.abs(per_e / fall) * feet.foot_sigma
         # Heights within a group are even over one step.
         relative = np.hypot(relative, BOTTOM_STEP_M / np.sqrt(12) / np.abs(drop))
-        range_m = ahead / np.cos(view.bearing)[:, None]
+        range_m = ahead / np.cos(feet.bearing)[:, None]
         told = (ahead > 0) & (relative < WORST_RANGE)
-        told &= (range_m >= places.sight.range_min_m) & (range_m <= places.sight.range_max_m)
+        told &= (range_m >= places.range_m[0]) & (range_m <= places.range_m[1])
         sigma_m = range_m * relative
     return np.where(told, range_m, np.nan), np.where(told, sigma_m, np.nan)
 
 
-def from_bearings(view: View, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+def from_bearings(feet: Feet, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return robot poses (K ≤ count, 3) at which three edges are three landmarks, and how many are expected to be true.
 
     None where the map is so large that three right edges would hardly ever be drawn with their three landmarks.
     """
-    if len(places) ** 3 > MOST_TRIPLES * count:
+    triples = len(places) * (len(places) - 1) * (len(places) - 2)
+    if len(feet) < 3 or len(places) < 3 or triples > MOST_TRIPLES * count:
         return np.zeros((0, 3)), 0.0
-    if len(view) < 3 or len(places) < 3:
-        return np.zeros((0, 3)), 0.0
-    edges = _distinct(len(view), 3, count, rng)
-    landmarks, triples = _neighbours(places, len(edges), rng)
-    cameras = from_three_bearings(places.points[landmarks], view.bearing[edges])
-    return view.robot_poses(cameras[np.isfinite(cameras).all(axis=1)]), ALL_RIGHT * len(landmarks) / max(triples, 1)
+    edges, landmarks = _drawn(len(feet), count, rng), _drawn(len(places), count, rng)
+    cameras = from_three_bearings(places.points[landmarks], feet.bearing[edges])
+    return feet.robot_poses(cameras[np.isfinite(cameras).all(axis=1)]), ALL_RIGHT * count / triples
 
 
-def _wide_pairs(view: View, usable: Indices) -> tuple[Indices, Indices]:
-    """Return the pairs i, j (P,) of usable edges, i to the left of j, that are far enough apart."""
-    one, other = np.triu_indices(len(usable), k=1)
-    i, j = usable[one], usable[other]
-    wide = view.bearing[j] - view.bearing[i] >= NARROWEST_RAD
-    return i[wide], j[wide]
-
-
-def _distinct(size: int, members: int, count: int, rng: np.random.Generator) -> Indices:
-    """Return `count` combinations (count, members) of distinct indices below `size`, in random order."""
-    keys = rng.random((count, min(size, 64)))
-    subset = rng.permutation(size)[:64]
-    return np.asarray(subset[np.argpartition(keys, members - 1, axis=1)[:, :members]])
-
-
-def _neighbours(places: Places, count: int, rng: np.random.Generator) -> tuple[Indices, int]:
-    """Return `count` triples (count, 3) of distinct landmarks, of which the last two are paired with the first.
-
-    The second value is how many such triples there are.
-    """
-    order = np.argsort(places.pair[:, 0], kind="stable")
-    first = np.searchsorted(places.pair[order, 0], np.arange(len(places) + 1))
-    degree = np.diff(first)
-    able = np.flatnonzero(degree >= 2)
-    if len(able) == 0:
-        return np.zeros((0, 3), dtype=np.int64), 0
-    centre = able[rng.integers(0, len(able), count)]
-    one = (rng.random(count) * degree[centre]).astype(np.int64)
-    other = (one + 1 + (rng.random(count) * (degree[centre] - 1)).astype(np.int64)) % degree[centre]
-    beside = places.pair[order, 1]
-    drawn = np.stack([centre, beside[first[centre] + one], beside[first[centre] + other]], axis=-1)
-    return drawn, int((degree * np.maximum(degree - 1, 0)).sum())
+def _drawn(size: int, count: int, rng: np.random.Generator) -> Indices:
+    """Return `count` triples (count, 3) of distinct indices below `size`, in random order."""
+    return np.asarray(np.argpartition(rng.random((count, size)), 2, axis=1)[:, :3])

@@ -1,55 +1,72 @@
-"""The map prepared for global localisation: landmarks with ends, and their pairs sorted by distance."""
+"""The map prepared for global localisation: where the robot may be, and pairs of landmarks sorted by distance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.camera import Camera
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkIndex, LandmarkMap, Reach, SightParameters, half_view_rad, reach_of
-from localiser.relocalisation.mixture import Region
+from localiser.landmarks import LandmarkMap, SightParameters
 
 Indices = NDArray[np.int64]
 
 BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched together
-ENDLESS_M = 1e3
-_WIDER_RAD = np.radians(5.0)  # steps of the half view that tables are made for while a mount moves
-FEWEST_AS_INTEGERS = 400_000  # pairs, which are sorted faster so
-MANY_PAIRS = 400_000  # beyond which pairs of edges are preferred that few pairs of landmarks can be
-MOST_PAIRS = 5_000_000  # of landmarks in the table, 16 bytes each; those farthest apart are left out
+MANY_PAIRS = 400_000  # beyond which an image can try but a small part of what it may be
+MOST_PAIRS = 5_000_000  # of landmarks in the table, 16 bytes each; about so many where there are more
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Where the robot may be before anything is seen: every point of a rectangle and every heading alike.
+
+    x_m, z_m: lowest and highest coordinate.
+    """
+
+    x_m: tuple[float, float]
+    z_m: tuple[float, float]
+
+    @classmethod
+    def around(cls, points: Array, margin_m: float) -> Region:
+        """Return the rectangle around points (L, 2), wider by a margin on every side."""
+        low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
+        return cls((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+
+    @property
+    def log_density(self) -> float:
+        """Logarithm of the prior density inside, per m² rad."""
+        area = (self.x_m[1] - self.x_m[0]) * (self.z_m[1] - self.z_m[0])
+        return float(-np.log(area * 2 * np.pi))
+
+    def contains(self, poses: Array) -> NDArray[np.bool_]:
+        """Return which of the poses (N, 3) lie inside."""
+        x, z = poses[:, 0], poses[:, 1]
+        return np.asarray((x >= self.x_m[0]) & (x <= self.x_m[1]) & (z >= self.z_m[0]) & (z <= self.z_m[1]))
+
+    def drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Return poses (count, 3) drawn evenly."""
+        low, high = [self.x_m[0], self.z_m[0], -np.pi], [self.x_m[1], self.z_m[1], np.pi]
+        return rng.uniform(low, high, (count, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
     """Landmarks (L) of a map, and their ordered pairs (M) by distance.
 
-    points: (L, 2) m. bottom_m, top_m: (L,) with what the map does not know taken as floor and as endless. sigma_m: (L,)
-    of each position. from_camera: (L, 4) x, z, and the heights of both ends above the camera. sight: what counts as
-    visible. class_m: (B,) heights that lower ends are grouped to, ascending. pair: (M, 2) landmarks no farther apart
-    than both can be in sight, sorted by `key` (M,), their distance plus a step for the group of the first times B plus
-    that of the second. region: where the robot may be. index: which landmarks can be in view from where in it. reach:
-    which landmarks are within range. half_view_rad: largest angle to either side that the camera sees; height_m: its
-    height above the floor.
+    points: (L, 2) m. sigma_max_m: the largest error of a position. range_m: between which landmarks are seen. class_m:
+    (B,) heights that lower ends are grouped to, ascending. pair: (M, 2) landmarks no farther apart than both can be in
+    sight, sorted by `key` (M,), their distance plus a step for the group of the first times B plus that of the second.
+    region: where the robot may be.
     """
 
     points: Array
-    bottom_m: Array
-    top_m: Array
-    sigma_m: Array
-    from_camera: Array
-    sight: SightParameters
+    sigma_max_m: float
+    range_m: tuple[float, float]
     class_m: Array
     pair: NDArray[np.int32]
     key: Array
     region: Region
-    index: LandmarkIndex
-    reach: Reach
-    half_view_rad: float
-    height_m: float
 
     def __len__(self) -> int:
         return len(self.points)
@@ -59,121 +76,59 @@ class Places:
         """Whether there are so many that an image can try but a part of what it may be."""
         return len(self.pair) > MANY_PAIRS
 
-    @property
-    def sigma_max_m(self) -> float:
-        """The largest error of a landmark's position."""
-        return float(self.sigma_m.max())
-
     @classmethod
     def of(
         cls,
         landmark_map: LandmarkMap,
-        camera: Camera,
         sight: SightParameters | None = None,
         region: Region | None = None,
         sigma_m: float = 0.01,
     ) -> Places:
-        """Return the places of a map for a camera; sigma_m is the error of a landmark where the map is silent.
+        """Return the places of a map; sigma_m is the error of a landmark where the map is silent.
 
-        region: where the robot may be, 1 m around the landmarks when not given.
+        sight: what is visible. region: where the robot may be, 1 m around the landmarks when not given.
         """
-        sight = sight or SightParameters()
-        points = landmark_map.points
-        region = region or Region.around(points, 1.0)
-        bottom_m = np.where(np.isnan(landmark_map.bottom_m), 0.0, landmark_map.bottom_m)
-        top_m = np.where(np.isnan(landmark_map.top_m), ENDLESS_M, landmark_map.top_m)
+        sight, points = sight or SightParameters(), landmark_map.points
+        bottom_m = np.nan_to_num(landmark_map.bottom_m, nan=0.0)  # the floor
         step, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
-        pair, key = _pairs(points, group.ravel(), len(step), 2 * sight.range_max_m)
-        height_m, half_view = camera.mount.height_m, half_view_rad(camera)
+        pair, distance = _pairs(points, 2 * sight.range_max_m)
+        pair_class = group[pair[:, 0]] * len(step) + group[pair[:, 1]]
+        key = pair_class * _key_step(sight.range_max_m) + distance
+        order = np.argsort(key, kind="stable")
         return cls(
             points=points,
-            bottom_m=bottom_m,
-            top_m=top_m,
-            sigma_m=landmark_map.sigma_m(sigma_m),
-            from_camera=_from_camera(points, bottom_m, top_m, height_m),
-            sight=sight,
+            sigma_max_m=float(landmark_map.sigma_m(sigma_m).max()),
+            range_m=(sight.range_min_m, sight.range_max_m),
             class_m=step.astype(np.float64) * BOTTOM_STEP_M,
-            pair=pair,
-            key=key,
-            region=region,
-            index=LandmarkIndex.of(points, *_corners(region, camera), half_view, sight.range_max_m),
-            reach=reach_of(landmark_map, sight.range_max_m),
-            half_view_rad=half_view,
-            height_m=height_m,
+            pair=pair[order],
+            key=key[order],
+            region=region or Region.around(points, 1.0),
         )
-
-    def seen_by(self, camera: Camera) -> Places:
-        """Return the places for the camera as it is mounted now, which may sit higher and see farther to the side."""
-        places, height_m, half_view = self, camera.mount.height_m, half_view_rad(camera)
-        if half_view > self.half_view_rad:
-            places = _widened(self, int(np.ceil(half_view / _WIDER_RAD)))
-        if height_m != self.height_m:
-            heights = _from_camera(self.points, self.bottom_m, self.top_m, height_m)
-            places = replace(places, from_camera=heights, height_m=height_m)
-        return places
 
     def pairs_between(self, pair_class: Indices, low_m: Array, high_m: Array) -> tuple[Indices, Indices]:
         """Return for queries (Q,) the slice first … last (Q,) of the pairs of this class at low_m … high_m (Q,)."""
-        step = _key_step(2 * self.sight.range_max_m)
+        step = _key_step(self.range_m[1])
         first = np.searchsorted(self.key, pair_class * step + np.clip(low_m, 0.0, step - 1e-9))
         last = np.searchsorted(self.key, pair_class * step + np.clip(high_m, 0.0, step - 1e-9), side="right")
         return first, np.maximum(last, first)
 
 
-def _from_camera(points: Array, bottom_m: Array, top_m: Array, height_m: float) -> Array:
-    """Return x, z, and the heights of both ends above a camera at this height, (L, 4)."""
-    return np.stack([*points.T, bottom_m - height_m, top_m - height_m], axis=-1)
-
-
-@lru_cache(maxsize=4)
-def _widened(places: Places, steps: int) -> Places:
-    """Return the places with an index for so many steps of half view. The last few are kept."""
-    half, low = min(steps * _WIDER_RAD, np.pi), places.index.corner
-    high = low + np.array(places.index.shape[:2]) * places.index.cell_m
-    index = LandmarkIndex.of(places.points, low, high, half, places.sight.range_max_m)
-    return replace(places, half_view_rad=half, index=index)
-
-
-def _key_step(farthest_m: float) -> float:
+def _key_step(range_max_m: float) -> float:
     """Return by how much the keys of one class of pairs lie above those of the class before: no distance reaches it."""
-    return farthest_m + 1.0
+    return 2.0 * range_max_m + 1.0
 
 
-def _pairs(points: Array, group: Indices, groups: int, farthest_m: float) -> tuple[NDArray[np.int32], Array]:
-    """Return the ordered pairs (M, 2) of landmarks at most so far apart, and their keys (M,), ascending.
+def _pairs(points: Array, farthest_m: float) -> tuple[NDArray[np.int32], Array]:
+    """Return the ordered pairs (M, 2) of landmarks at most so far apart, and how far (M,).
 
-    Pairs of one class and the same distance are in the order of their first and then their second landmark.
+    Where they would be more than `MOST_PAIRS`, those that are farther apart than a landmark has that many neighbours.
     """
-    from localiser.relocalisation import places_kernel as kernel
+    from scipy.spatial import cKDTree
 
-    reach = Reach.of(points, farthest_m)
-    first, second = kernel.pairs_within(points, farthest_m, MOST_PAIRS, *reach.arguments)
-    distance = np.hypot(points[first, 0] - points[second, 0], points[first, 1] - points[second, 1])
-    apart = (distance > 1e-3) & (distance <= farthest_m)
-    first, second, distance = first[apart], second[apart], distance[apart]
-    pair_class = group[first] * groups + group[second]
-    order = _by_class_and_distance(pair_class, distance, farthest_m)
-    key = (pair_class * _key_step(farthest_m) + distance)[order]
-    return np.stack([first[order], second[order]], axis=-1), np.maximum.accumulate(key)
-
-
-def _by_class_and_distance(pair_class: Indices, distance: Array, farthest_m: float) -> Indices:
-    """Return the order (M,) of pairs by class, then by distance, then as they are.
-
-    Many are sorted as integers of class, distance in steps of 6 nm and number, which is twenty times as fast.
-    """
-    count = len(distance)
-    if not FEWEST_AS_INTEGERS <= count < 1 << 24 or pair_class.max() >= 1 << 8:
-        return np.lexsort((distance, pair_class))
-    steps = (distance * ((2.0**32 - 1.0) / farthest_m)).astype(np.uint64)
-    packed = (pair_class.astype(np.uint64) << np.uint64(56)) | (steps << np.uint64(24))
-    packed |= np.arange(count, dtype=np.uint64)
-    packed.sort()
-    return (packed & np.uint64((1 << 24) - 1)).astype(np.int64)
-
-
-def _corners(region: Region, camera: Camera) -> tuple[Array, Array]:
-    """Return the corners (2,) of the floor where the camera can be, with an arm's length for how it is mounted."""
-    arm = float(np.hypot(camera.mount.right_m, camera.mount.back_m)) + 0.5
-    low, high = np.array([region.x_m, region.z_m]).T
-    return low - arm, high + arm
+    tree, neighbours = cKDTree(points), MOST_PAIRS // len(points)
+    if neighbours < len(points) - 1:
+        farthest_m = min(farthest_m, float(np.median(tree.query(points, [neighbours + 1])[0])))
+    one = tree.query_pairs(farthest_m, output_type="ndarray").astype(np.int32)
+    distance = np.hypot(*(points[one[:, 0]] - points[one[:, 1]]).T)
+    one, distance = one[distance > 1e-3], distance[distance > 1e-3]
+    return np.concatenate([one, one[:, ::-1]]), np.concatenate([distance, distance])

@@ -22,8 +22,7 @@ from localiser.motion import MotionParameters
 from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, ObservationParameters, View
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
 from localiser.relocalisation import Candidates, History
-from localiser.relocalisation.global_localisation import GlobalLocalisation, SearchParameters
-from localiser.relocalisation.proposals import FEWEST
+from localiser.relocalisation.global_localisation import FEWEST, GlobalLocalisation, SearchParameters
 
 SECOND = 1_000_000_000
 ROOM = room(80)
@@ -398,7 +397,7 @@ def followed_from(
     )
     rng, belief, believed = np.random.default_rng(0), Belief.anywhere(), []
 
-    def proposed(search: object, like: object, clues: object, *_: object, is_first: bool) -> object:
+    def proposed(*_: object) -> object:
         if len(believed) != first:
             return None, 0.0
         poses = images.truth[first] + rng.normal(0.0, [0.03, 0.03, 0.01], (400, 3))
@@ -443,7 +442,7 @@ def test_what_is_unexplored_and_what_entered_it_agree_while_nobody_looks(monkeyp
 def test_a_pose_near_the_tracked_place_is_no_other_place(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = drive(1).truth[0]
     near = places(truth + np.random.default_rng(0).normal(0.0, 0.05, (50, 3)))
-    monkeypatch.setattr(GlobalLocalisation, "proposed", lambda *_, is_first: (near, 0.0))
+    monkeypatch.setattr(GlobalLocalisation, "proposed", lambda *_: (near, 0.0))
     belief = seen(Belief.stated(), drive(1).events[1], truth)  # type: ignore[arg-type]
     assert belief.candidates is None and belief.elsewhere == 0.0
 
@@ -601,5 +600,5 @@ def test_an_image_is_blind_where_its_view_holds_too_few_edges(unknown: int) -> N
     bearing, sigma = np.linspace(-0.3, 0.3, FEWEST + 1), np.full(FEWEST + 1, 0.01)
     sigma[:unknown] = np.nan
     clues = SEARCH.clues(Sighting(0, Edges.from_columns(bearing, sigma, bearing, sigma)))
-    assert len(clues.view) == FEWEST + 1 - unknown
+    assert len(clues.feet) == FEWEST + 1 - unknown
     assert clues.is_blind == (unknown == 2)

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import scale_building
 from board.run import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room
 from scipy.stats import poisson
 
 from localiser.geometry import wrap_angle
-from localiser.landmarks import LandmarkMap
-from localiser.relocalisation import Places, hypotheses, places, view_of
+from localiser.landmarks import LandmarkMap, SightParameters
+from localiser.observation import Angle
+from localiser.relocalisation import Places, Region, feet_of, hypotheses, places
 
 
 def on_a_grid() -> LandmarkMap:
@@ -31,34 +34,66 @@ def table_of(landmark_map: LandmarkMap, farthest_m: float):
     return np.stack([first, second], axis=-1)[order], pair_class[order], distance[first, second][order]
 
 
+def seen_by(camera, edges):
+    return feet_of(Angle(camera, "line"), edges)
+
+
 @pytest.mark.parametrize("landmark_map", [room(200), on_a_grid()], ids=["room", "grid"])
-@pytest.mark.parametrize("as_integers", [False, True])
-def test_pairs_are_those_of_a_table_of_all(landmark_map, as_integers, monkeypatch):
-    if as_integers:
-        monkeypatch.setattr(places, "FEWEST_AS_INTEGERS", 1)
-    found = Places.of(landmark_map, CAMERA)
-    pair, pair_class, distance = table_of(landmark_map, 2 * found.sight.range_max_m)
-    np.testing.assert_array_equal(found.pair, pair)
-    np.testing.assert_allclose(found.key, pair_class * (2 * found.sight.range_max_m + 1.0) + distance, atol=1e-8)
+def test_pairs_are_those_of_a_table_of_all(landmark_map):
+    found, farthest_m = Places.of(landmark_map), 2 * SightParameters().range_max_m
+    pair, pair_class, distance = table_of(landmark_map, farthest_m)
+    key = pair_class * (farthest_m + 1.0) + distance
+    np.testing.assert_allclose(found.key, key, atol=1e-9)
     assert (np.diff(found.key) >= 0).all()
+    # Those of the same distance may come in any order.
+    one, other = (
+        set(map(tuple, np.column_stack([pairs, np.round(keys, 6)]).tolist()))
+        for pairs, keys in ((found.pair, found.key), (pair, key))
+    )
+    assert one == other
 
 
-def test_of_too_many_pairs_the_farthest_are_left_out(monkeypatch):
+@settings(max_examples=40)
+@given(low=st.floats(-1, 9), width=st.floats(0, 2), first=st.integers(0, 39), second=st.integers(0, 39))
+def test_pairs_are_found_by_class_and_distance(low, width, first, second):
+    landmark_map = room()
+    found, points = Places.of(landmark_map), landmark_map.points
+    group = np.searchsorted(found.class_m, landmark_map.bottom_m - 0.0251)
+    begin, end = found.pairs_between(
+        np.array([group[first] * len(found.class_m) + group[second]]), np.array([low]), np.array([low + width])
+    )
+    within = {tuple(pair) for pair in found.pair[begin[0] : end[0]].tolist()}
+    apart = np.hypot(*(points[:, None] - points).T).T
+    alike = (group[:, None] == group[first]) & (group == group[second]) & ~np.eye(len(points), dtype=bool)
+    assert within == set(
+        zip(*(index.tolist() for index in np.nonzero(alike & (apart >= low) & (apart <= low + width))), strict=True)
+    )
+
+
+def test_of_too_many_pairs_about_the_nearest_are_kept(monkeypatch):
     landmark_map = room(200)
-    every = Places.of(landmark_map, CAMERA)
+    every = Places.of(landmark_map)
     monkeypatch.setattr(places, "MOST_PAIRS", len(every.pair) // 2)
-    nearest = Places.of(landmark_map, CAMERA)
-    step = 2 * every.sight.range_max_m + 1.0
-    assert len(every.pair) // 3 < len(nearest.pair) <= len(every.pair) // 2
+    nearest = Places.of(landmark_map)
+    step = 2 * SightParameters().range_max_m + 1.0
+    assert len(every.pair) // 3 < len(nearest.pair) < 0.7 * len(every.pair)
     limit = (nearest.key % step).max()
     assert len(nearest.pair) == ((every.key % step) <= limit).sum()
+
+
+def test_a_region_has_its_draws_inside_and_its_density_sums_to_one():
+    region = Region((-2.0, 3.0), (-1.0, 1.5))
+    poses = region.drawn(2000, np.random.default_rng(3))
+    assert region.contains(poses).all() and not region.contains(poses + np.array([5.0, 0.0, 0.0])).any()
+    np.testing.assert_allclose(poses.mean(axis=0), [0.5, 0.25, 0.0], atol=0.15)
+    assert np.exp(region.log_density) * 5.0 * 2.5 * 2 * np.pi == pytest.approx(1.0)
 
 
 def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(monkeypatch):
     """And in many images one of them is near the true one, though a pair of edges could be any of thousands."""
     floor = scale_building.floor_of(3000)
     drive = scale_building.drive_of(floor, 40, 30)
-    many = Places.of(floor.landmark_map, drive.camera)
+    many = Places.of(floor.landmark_map)
     assert many.are_many
     looked_up = []
     from_bearings = hypotheses.from_two_bearings
@@ -67,7 +102,7 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(monkeypatch)
     )
     near = []
     for pose, edges in zip(drive.truth, drive.edges, strict=True):
-        poses, _ = hypotheses.from_feet(view_of(drive.camera, edges), many, 5000, np.random.default_rng(0))
+        poses, _ = hypotheses.from_feet(seen_by(drive.camera, edges), many, 5000, np.random.default_rng(0))
         near.append((np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3).any())
     assert 0 < max(looked_up) <= 5000
     assert np.mean(near) > 0.3
@@ -78,10 +113,10 @@ def test_how_often_a_pose_that_is_tried_is_the_true_one_is_predicted(landmarks):
     """In 100 images, half to four times as often as expected, with the 99.7 % range of what is expected then."""
     floor = scale_building.floor_of(landmarks)
     drive = scale_building.drive_of(floor, 40, 100)
-    many, rng = Places.of(floor.landmark_map, drive.camera), np.random.default_rng(0)
+    many, rng = Places.of(floor.landmark_map), np.random.default_rng(0)
     found, expected = 0, []
     for pose, edges in zip(drive.truth, drive.edges, strict=True):
-        poses, hits = hypotheses.from_feet(view_of(drive.camera, edges), many, 12_500, rng)
+        poses, hits = hypotheses.from_feet(seen_by(drive.camera, edges), many, 12_500, rng)
         near = np.hypot(*(poses[:, :2] - pose[:2]).T) < 0.3
         near &= np.abs(wrap_angle(poses[:, 2] - pose[2])) < np.radians(6.0)
         found += near.any()
@@ -95,10 +130,10 @@ def test_how_often_three_edges_are_the_right_landmarks_is_predicted():
     """On a small map whose landmarks have no feet, as many triples as expected within a factor of three."""
     landmark_map = room(15)
     poses, frames = drawn_frames(landmark_map, 40, seed=1, clutter=3)
-    small, rng = Places.of(landmark_map, CAMERA), np.random.default_rng(0)
+    small, rng = Places.of(landmark_map), np.random.default_rng(0)
     found, expected = 0, 0.0
     for pose, edges in zip(poses, frames, strict=True):
-        tried, hits = hypotheses.from_bearings(view_of(CAMERA, edges), small, 12_500, rng)
+        tried, hits = hypotheses.from_bearings(seen_by(CAMERA, edges), small, 12_500, rng)
         near = np.hypot(*(tried[:, :2] - pose[:2]).T) < 0.1
         near &= np.abs(wrap_angle(tried[:, 2] - pose[2])) < np.radians(2.0)
         found, expected = found + int(near.sum()), expected + hits
@@ -108,7 +143,7 @@ def test_how_often_three_edges_are_the_right_landmarks_is_predicted():
 def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one():
     floor = scale_building.floor_of(3000)
     drive = scale_building.drive_of(floor, 40, 1)
-    view, many = view_of(drive.camera, drive.edges[0]), Places.of(floor.landmark_map, drive.camera)
+    view, many = seen_by(drive.camera, drive.edges[0]), Places.of(floor.landmark_map)
     hits = [hypotheses.from_feet(view, many, count, np.random.default_rng(0))[1] for count in (1000, 2000, 8000)]
     assert hits == pytest.approx([hits[0], 2 * hits[0], 8 * hits[0]], rel=1e-3)
 
@@ -146,14 +181,3 @@ def test_the_first_rooms_of_a_larger_building_are_those_of_a_smaller_one():
     assert apart.max() < 0.1  # but for the errors of the map
     again = scale_building.floor_of(100)
     np.testing.assert_array_equal(small.landmark_map.points, again.landmark_map.points)
-
-
-def test_few_hypotheses_on_a_small_map_are_the_first_of_many():
-    landmark_map = room()
-    _, frames = drawn_frames(landmark_map, 40, seed=1, clutter=10)
-    edges = max(frames, key=len)
-    small = Places.of(landmark_map, CAMERA)
-    few, many = (
-        hypotheses.from_feet(view_of(CAMERA, edges), small, n, np.random.default_rng(3))[0] for n in (50, 20_000)
-    )
-    np.testing.assert_array_equal(few, many[:50])
