@@ -1,13 +1,12 @@
 """Global localisation: poses proposed from one image, weighed by all of its edges.
 
 Hypotheses are poses at which two or three edges are landmarks (`hypotheses`). The best of them are found by the
-filter's own likelihood, slightly blurred. Poses are drawn evenly from a box around each. Then the blur narrows in
-steps: poses are weighed, drawn by their weights, and moved a little, so that they gather where the edges fit. Their
-weights without the last likelihood
-
-    prior(x) / q(x)
-
-make them draws from the prior of a robot that may be anywhere. `history` weighs them by this image and those before.
+filter's own likelihood L, blurred. Poses are drawn evenly from a box around each, with weights w₁ = prior / q. Then
+the blur narrows in steps b: poses are drawn by w_b L_b(x), and moved a little to x', so that they gather where the
+edges fit. As moves one way are as likely as the other way, the weight of a pose at the next step is that of all that it
+is drawn from, divided by L_b(x) at where it came from: a sum of w L over poses is the evidence at every blur. Without
+the last likelihood they are draws from the prior of a robot that may be anywhere. `history` weighs them by this image
+and those before.
 """
 
 from __future__ import annotations
@@ -158,12 +157,15 @@ class GlobalLocalisation:
         likeliest = np.argsort(-clues.anywhere(_at(tried), SEARCH_BLUR_RAD), kind="stable")
         _, first = np.unique(cells_of(tried[likeliest]), return_index=True)
         best = tried[likeliest[np.sort(first)[: -(-count // PER_BOX)]]]
-        cloud = evenly_around(best, self.places.region, rng)
+        even = evenly_around(best, self.places.region, rng)
+        cloud = Particles((*POSE, "log_fit"), np.vstack([even.columns, np.zeros(len(even))]), even.log_weight)
         for blur_rad in WIDER_RAD:
-            log_weight = cloud.log_weight + clues.anywhere(cloud, blur_rad)
-            cloud = Candidates.unknown(replace(cloud, log_weight=log_weight)).resampled(count, rng).particles
+            log_fit = clues.anywhere(cloud, blur_rad)
+            cloud = replace(cloud, log_weight=cloud.log_weight + log_fit - cloud["log_fit"])
+            cloud.columns[3] = log_fit  # the copies keep that of where they come from
+            cloud = Candidates.unknown(cloud).resampled(count, rng).particles
             cloud.columns[:3] += (blur_rad * MOVED)[:, None] * rng.standard_normal((3, len(cloud)))
-            cloud = replace(cloud, log_weight=cloud.log_weight - clues.anywhere(cloud, blur_rad))
+        cloud = replace(cloud, log_weight=cloud.log_weight - cloud["log_fit"])
         cloud = only(cloud, (clues.anywhere(cloud) > 0.0) & np.isfinite(cloud.log_weight))
         if len(cloud) == 0:
             return None, hits

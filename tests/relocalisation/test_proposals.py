@@ -50,9 +50,9 @@ def test_one_frame_proposes_the_true_pose(kind, clutter, least):
 
 
 def test_proposed_poses_weigh_what_even_draws_do():
-    """The evidence of the true place, Σ prior / q · p(edges | pose): not more than by 30,000 even draws around it.
+    """The evidence of the true place, Σ prior / q · p(edges | pose): that by 30,000 even draws around it.
 
-    Some draws miss the peak, so it is mostly a little less. With ten edges and no clutter, no other place has any.
+    With ten edges and no clutter, no other place has any.
     """
     search, rng, ratios, shares = search_on(ROOM), np.random.default_rng(1), [], []
     box = np.array([0.5, 0.5, np.radians(10.0)])
@@ -67,7 +67,7 @@ def test_proposed_poses_weigh_what_even_draws_do():
             ratios.append(log_sum((log_weight + fit)[near]) - log_even)
             shares.append(np.exp(log_sum((log_weight + fit)[near]) - log_sum(log_weight + fit)))
     assert len(ratios) >= 10
-    assert -2.5 < np.median(ratios) < 0.3 and max(ratios) < 1.5
+    assert abs(np.median(ratios)) < 0.7 and np.quantile(np.abs(ratios), 0.8) < 1.5 and max(ratios) < 2.0
     assert np.median(shares) > 0.9
 
 
