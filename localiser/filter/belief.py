@@ -108,7 +108,7 @@ class Belief:
     @classmethod
     def stated(cls) -> Belief:
         """Return the belief at a start that was stated."""
-        return cls(0.7, 0.0, 0.05, 0.25, history=History(entered=0.05))
+        return cls(0.7, 0.0, 0.05, 0.25, history=History(entered=np.array([0.05])))
 
     @classmethod
     def unjudged(cls) -> Belief:
@@ -118,7 +118,7 @@ class Belief:
     @classmethod
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
-        return cls(0.0, 0.0, 0.5, 0.5, is_known=False, history=History(entered=0.5))
+        return cls(0.0, 0.0, 0.5, 0.5, is_known=False, history=History(entered=np.array([0.5])))
 
     @property
     def here(self) -> float:

@@ -12,12 +12,11 @@ Then the image is wholly new.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from localiser.geometry import Array, Increment
+from localiser.geometry import Array, Increment, between
 from localiser.motion import MotionModel, covariance_of
 from localiser.observation import EarlierImage, EdgeObservation, Sighting
 
@@ -34,14 +33,22 @@ MEMORY = 0.95  # part of the usual fraction that an image leaves
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenImage:
-    """An image and how the robot has moved since."""
+    """An image, and how the robot had moved until it, from where the scene began."""
 
     sighting: Sighting
-    since: Increment
+    moved: Increment
 
-    def before(self, motion: MotionModel) -> EarlierImage:
+    def scenes_until(self, now: Increment) -> float:
+        """Return how many scenes the robot has moved since; now: how it has moved from where the scene began."""
+        return float((now.path_m - self.moved.path_m) / SCENE_M + (now.turned_rad - self.moved.turned_rad) / SCENE_RAD)
+
+    def before(self, now: Increment, motion: MotionModel) -> EarlierImage:
         """Return it as an observation takes it."""
-        return EarlierImage(self.sighting, self.since, float(covariance_of(motion, self.since)[2, 2]))
+        cov = np.zeros((3, 3))
+        cov[2, 2] = max(now.cov[2, 2] - self.moved.cov[2, 2], 0.0)  # of edges that tell the motion; turns add up
+        way = now.path_m - self.moved.path_m, now.turned_rad - self.moved.turned_rad
+        since = Increment(between(self.moved.mean, now.mean), cov, *way)
+        return EarlierImage(self.sighting, since, float(covariance_of(motion, since)[2, 2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +75,13 @@ class Jump:
 class Scene:
     """Images from those that are a whole scene back until now, oldest first.
 
-    usual: fraction of the edges that continue one of the image before, in the images of late.
+    usual: fraction of the edges that continue one of the image before, in the images of late. moved: until the last
+    image, from where the scene began.
     """
 
     images: tuple[SeenImage, ...] = ()
     usual: float = USUAL
+    moved: Increment = field(default_factory=lambda: Increment.from_mean(np.zeros(3)))
 
     def followed(
         self, observation: EdgeObservation, motion: MotionModel, sighting: Sighting, increment: Increment
@@ -81,30 +90,28 @@ class Scene:
 
         increment: the motion since the last image.
         """
-        images = tuple(SeenImage(one.sighting, one.since.then(increment)) for one in self.images)
-        back = sum(_scenes(one.since) >= 1.0 for one in images)  # how many are a scene back
-        images = images[max(back - WITH_OLDER, 0) :]
-
-        def clutter(chosen: Sequence[SeenImage]) -> tuple[Array, Array]:
-            return observation.scene_clutter(sighting, [one.before(motion) for one in chosen])
-
-        reference = min(back, WITH_OLDER)
-        density, _ = clutter(images[max(reference, 1) - 1 :: -1] if images else [])
-        jump, usual = Jump(1.0), self.usual
+        now, usual, jump = self.moved.then(increment), self.usual, Jump(1.0)
+        away = [one.scenes_until(now) for one in self.images]
+        back = sum(scenes >= 1.0 for scenes in away)  # how many are a scene back
+        first = max(back - WITH_OLDER, 0)
+        images, away = self.images[first:], away[first:]
+        earlier = [one.before(now, motion) for one in images[: max(back - first, 1)][::-1]]
+        density, _ = observation.scene_clutter(sighting, earlier)
         if images:
             log_ratio, log_density = 0.0, 0.0
             if len(sighting.edges):
-                by_last, continuing = clutter(images[-1:])
+                by_last, continuing = observation.scene_clutter(sighting, [images[-1].before(now, motion)])
                 log_density = float(np.log(by_last).sum())
                 log_ratio, fraction = _log_carried(continuing, usual)
                 usual = MEMORY * usual + (1.0 - MEMORY) * fraction
-            jump = Jump(min(_scenes(increment), 1.0), log_ratio, float(increment.path_m), log_density)
-        if len(images) > 1 and _scenes(images[-2].since) < APART:
+            novelty = increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD
+            jump = Jump(float(min(novelty, 1.0)), log_ratio, float(increment.path_m), log_density)
+        if len(images) > 1 and away[-2] < APART:
             images = images[:-1]
         if jump.log_ratio > WHOLLY_NEW:
             images = ()
-        here = (SeenImage(sighting, Increment.from_mean(np.zeros(3))),) if len(sighting.edges) else ()
-        return Scene((*images, *here), usual), density, jump
+        here = (SeenImage(sighting, now),) if len(sighting.edges) else ()
+        return Scene((*images, *here), usual, now), density, jump
 
 
 def _log_carried(continuing: Array, usual: float) -> tuple[float, float]:
@@ -126,7 +133,3 @@ def _log_beta(mean: float) -> Array:
     a, b = CONCENTRATION * mean, CONCENTRATION * (1.0 - mean)
     density = (a - 1.0) * np.log(FRACTIONS) + (b - 1.0) * np.log1p(-FRACTIONS)
     return np.asarray(density - np.logaddexp.reduce(density))
-
-
-def _scenes(increment: Increment) -> float:
-    return float(increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD)

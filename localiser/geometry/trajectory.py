@@ -29,19 +29,17 @@ class Trajectory:
 
     def at(self, t_ns: int) -> Array:
         """Return the pose (3,) at a time, interpolated along the arc; the first or last pose outside."""
-        after = int(np.searchsorted(self.t_ns, t_ns, side="left"))
-        if after == 0:
-            return np.asarray(self.poses[0].copy())
-        if after == len(self):
-            return np.asarray(self.poses[-1].copy())
-        start_ns, end_ns = int(self.t_ns[after - 1]), int(self.t_ns[after])
-        return interpolate_pose(self.poses[after - 1], self.poses[after], (t_ns - start_ns) / (end_ns - start_ns))
+        return np.asarray(self.sampled([t_ns]).poses[0])
 
     def sampled(self, times_ns: ArrayLike) -> Trajectory:
-        """Return the trajectory at the given times (T',)."""
+        """Return the trajectory at the given times (T',), interpolated along arcs; its first or last pose outside."""
         times = np.asarray(times_ns, dtype=np.int64)
-        poses = np.array([self.at(int(t)) for t in times]).reshape(-1, 3)
-        return Trajectory(times, poses)
+        if len(self) == 1:
+            return Trajectory(times, np.repeat(self.poses, len(times), axis=0))
+        after = np.clip(np.searchsorted(self.t_ns, times, side="left"), 1, len(self) - 1)
+        begin, end = self.t_ns[after - 1], self.t_ns[after]
+        fraction = np.clip((times - begin) / (end - begin), 0.0, 1.0)
+        return Trajectory(times, interpolate_pose(self.poses[after - 1], self.poses[after], fraction))
 
 
 def bridged(odometry: Trajectory) -> tuple[Trajectory, NDArray[np.int64]]:

@@ -19,7 +19,7 @@ errors of these draws add up on the side of other places.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -60,14 +60,12 @@ class PastImage:
     """An image that is kept.
 
     novelty: of the images since the one before, which it counts for. step: motion from it to the next one that is kept,
-    or to the last image. entered: probability that came to where nobody has looked since the one before. limits: of
-    what a place may gain by it.
+    or to the last image. limits: of what a place may gain by it.
     """
 
     sighting: Sighting
     novelty: float
     step: Increment
-    entered: float
     limits: Limits
 
 
@@ -75,12 +73,13 @@ class PastImage:
 class History:
     """Images of the last scenes, oldest first, and what happened since the last of them.
 
-    entered: probability that came to where nobody has looked. limits: of what a place may gain. overlooked: part of
-    what was unexplored that still is. new: scenes.
+    entered: (K + 1,) probability that came to where nobody has looked, between one of the K images and the one before,
+    and since the last. limits: of what a place may gain since then. overlooked: part of what was unexplored that still
+    is. new: scenes.
     """
 
     images: tuple[PastImage, ...] = ()
-    entered: float = 0.0
+    entered: Array = field(default_factory=lambda: np.zeros(1))
     limits: Limits = NO_IMAGE
     overlooked: float = 1.0
     new: float = 0.0
@@ -98,13 +97,13 @@ class History:
 
         carried: probability that it was carried since the last image. What entered before that counts no longer.
         """
-        images = tuple(replace(one, entered=(1.0 - carried) * one.entered) for one in self.images)
-        return replace(self, images=images, entered=(1.0 - carried) * self.entered + probability)
+        entered = (1.0 - carried) * self.entered
+        entered[-1] += probability
+        return replace(self, entered=entered)
 
     def scaled(self, factor: float) -> History:
         """Return the history with all probabilities times a factor."""
-        images = tuple(replace(one, entered=factor * one.entered) for one in self.images)
-        return replace(self, images=images, entered=factor * self.entered)
+        return replace(self, entered=factor * self.entered)
 
     def limited(self, limits: Limits) -> History:
         """Return the history in which a place may gain no more than this by one more image."""
@@ -119,11 +118,11 @@ class History:
         if self.new < 1.0:
             return self
         still = Increment.from_mean(np.zeros(3))
-        images = (*self.images, PastImage(sighting, self.new, still, self.entered, self.limits))
+        images, entered = (*self.images, PastImage(sighting, self.new, still, self.limits)), self.entered
         if len(images) > SCENES:
-            oldest, second, *later = images
-            images = (replace(second, entered=second.entered + self.overlooked * oldest.entered), *later)
-        return History(images)
+            oldest, images, entered = entered[0], images[1:], entered[1:].copy()
+            entered[0] += self.overlooked * oldest
+        return History(images, np.append(entered, 0.0))
 
     def weighed(
         self,
@@ -139,10 +138,10 @@ class History:
         the last image. clues_of: returns what an image says of places.
         """
         clouds = self.places_before(proposed.particles, motion, rng)
-        images = [(one.sighting, one.entered, one.limits, one.novelty) for one in self.images]
-        images.append((sighting, self.entered, self.limits, self.new))
+        images = [(one.sighting, one.limits, one.novelty) for one in self.images]
+        images.append((sighting, self.limits, self.new))
         log_path, followed = np.full(len(proposed), -np.inf), proposed
-        for cloud, (seen, entered, limits, novelty) in zip(clouds, images, strict=True):
+        for cloud, entered, (seen, limits, novelty) in zip(clouds, self.entered, images, strict=True):
             log_entered = np.log(max(entered, 1e-300))
             log_path = np.logaddexp(log_path, log_entered)
             rates = followed.rates + np.exp(log_entered - log_path) * (proposed.rates - followed.rates)

@@ -35,7 +35,7 @@ def test_few_images_are_kept_however_slowly_the_robot_moves(step_m: float) -> No
     scene, _ = driven(step_m, 500)
     assert len(scene.images) <= 2 / APART + 3
     if step_m * 500 > 2 * SCENE_M:
-        assert SCENE_M <= scene.images[0].since.path_m < SCENE_M * (1 + 2 * APART)
+        assert SCENE_M <= (scene.moved.path_m - scene.images[0].moved.path_m) < SCENE_M * (1 + 3 * APART)
 
 
 def test_an_image_is_as_new_as_the_way_is_long() -> None:

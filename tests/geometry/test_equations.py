@@ -154,8 +154,8 @@ def test_trajectory_interpolates_between_poses_and_holds_the_ends():
     assert_same_pose(path.at(start_ns + 200), np.array([1, -1, -3.1]))
     assert path.at(start_ns + 101)[0] == pytest.approx(0.01, abs=1e-12)
     assert abs(path.at(start_ns + 50)[2]) == pytest.approx(np.pi, abs=1e-12)
-    np.testing.assert_array_equal(path.at(start_ns - 7), path.poses[0])
-    np.testing.assert_array_equal(path.at(start_ns + 900), path.poses[-1])
+    np.testing.assert_allclose(path.at(start_ns - 7), path.poses[0], atol=1e-15)
+    np.testing.assert_allclose(path.at(start_ns + 900), path.poses[-1], atol=1e-15)
     assert [path.covers(start_ns + t) for t in (-1, 0, 300, 301)] == [False, True, True, False]
 
 

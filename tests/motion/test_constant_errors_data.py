@@ -14,7 +14,7 @@ from localiser.calibration import SCALES, Drive, fit_odometry
 from localiser.config import read_config
 from localiser.filter import mcl
 from localiser.geometry import Array, Trajectory
-from localiser.observation import observation_of
+from localiser.observation import EdgeObservation
 from localiser.replay.run import start_of
 from localiser.storage.log import ReadOptions
 
@@ -43,7 +43,7 @@ def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(d
     rng = np.random.default_rng(0)
     filter_ = mcl.Mcl(
         log.landmark_map,
-        observation_of(log.camera, config.observation),
+        EdgeObservation(log.camera, config.observation),
         config.mcl,
         config.motion,
         config.observation,

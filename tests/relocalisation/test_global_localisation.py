@@ -251,7 +251,7 @@ def test_surroundings_that_are_not_mapped_leave_the_place_known() -> None:
     truth = np.array([1.0, 1.5, 0.3])
     noise = EdgeNoise(detection_probability=0.0, clutter_per_frame=25.0)
     still = Trajectory(np.arange(10) * SECOND, np.tile(truth, (10, 1)))
-    belief = Belief(1.0 - 2e-12, 0.0, 1e-12, 1e-12, history=History(entered=1e-12))
+    belief = Belief(1.0 - 2e-12, 0.0, 1e-12, 1e-12, history=History(entered=np.array([1e-12])))
     for edges in simulated_edges(ROOM, CAMERA, still, np.random.default_rng(5), noise=noise):
         belief = seen(belief, Sighting(0, edges), truth)
     assert belief.unmapped > 1e-3, "beside a tracked place of which hardly anything is seen"
@@ -436,7 +436,7 @@ def test_images_before_a_robot_was_carried_do_not_count_for_where_it_is_now(monk
 def test_what_is_unexplored_and_what_entered_it_agree_while_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     for belief in followed_from(99, monkeypatch, carried_at=5):
         history = belief.history
-        assert history.entered + sum(one.entered for one in history.images) == pytest.approx(belief.unexplored)
+        assert history.entered.sum() == pytest.approx(belief.unexplored)
 
 
 def test_a_pose_near_the_tracked_place_is_no_other_place(monkeypatch: pytest.MonkeyPatch) -> None:

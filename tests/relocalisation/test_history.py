@@ -76,7 +76,7 @@ def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed()
     images = [Sighting(int(t), seen) for t, seen in zip(t_ns, edges, strict=True)]
 
     followed = proposed(begin + rng.normal(0, [0.3, 0.3, 0.1], (40, 3)), rng.normal(size=40))
-    prior, history = followed.particles.log_weight, History(entered=0.4)
+    prior, history = followed.particles.log_weight, History(entered=np.array([0.4]))
     for index, sighting in enumerate(images):
         clues = SEARCH.clues(sighting)
         if index:
@@ -112,14 +112,14 @@ def test_what_entered_later_counts_by_later_images_only() -> None:
 
 
 def test_without_earlier_images_only_this_one_counts_and_wholly() -> None:
-    history = History(entered=0.5).moved(STEP, 0.1).limited(Limits())
+    history = History(entered=np.array([0.5])).moved(STEP, 0.1).limited(Limits())
     assert log_weights(history, proposed(np.array([[0.0, 2.0, 0.0]])), StatedClues(3.0)) == pytest.approx(
         [6.0 + np.log(0.5)]
     )
 
 
 def test_images_of_one_scene_are_kept_once() -> None:
-    history = History(entered=1.0).moved(STEP, 0.3)
+    history = History(entered=np.array([1.0])).moved(STEP, 0.3)
     for index in range(31):
         history = history.with_image(StatedClues(float(index))).moved(STEP, 0.3)  # type: ignore[arg-type]
     kept = [one.sighting.slope for one in history.images]  # type: ignore[attr-defined]
@@ -129,19 +129,18 @@ def test_images_of_one_scene_are_kept_once() -> None:
 
 def test_what_entered_before_the_robot_was_carried_counts_no_longer() -> None:
     history = driven([1.0, 1.0], [0.5, 0.25], [Limits()] * 2).entering(0.1, carried=0.2)
-    assert [one.entered for one in history.images] == pytest.approx([0.4, 0.2])
-    assert history.entered == pytest.approx(0.1)
-    assert history.scaled(2.0).entered == pytest.approx(0.2)
+    assert history.entered == pytest.approx([0.4, 0.2, 0.1])
+    assert history.scaled(2.0).entered == pytest.approx([0.8, 0.4, 0.2])
 
 
 @pytest.mark.parametrize("overlooked", [0.3, 1.0])
 def test_what_entered_before_the_images_that_are_kept_falls_by_what_is_looked_at(overlooked: float) -> None:
-    history = History(entered=0.5)
+    history = History(entered=np.array([0.5]))
     for _ in range(SCENES + 2):
         history = history.moved(STEP, 1.0).looked(overlooked**0.5).looked(overlooked**0.5)
         history = history.with_image(StatedClues(1.0))  # type: ignore[arg-type]
     assert len(history.images) == SCENES
-    assert sum(one.entered for one in history.images) == pytest.approx(0.5 * overlooked**2)
+    assert history.entered.sum() == pytest.approx(0.5 * overlooked**2)
 
 
 def test_a_robot_that_enters_later_has_learnt_nothing_of_the_detection_rate_before() -> None:
@@ -151,11 +150,11 @@ def test_a_robot_that_enters_later_has_learnt_nothing_of_the_detection_rate_befo
         def by_rate(self, particles: Particles) -> Array:
             return np.tile(self.slope * np.arange(len(DETECTION_RATES))[:, None], (1, len(particles)))
 
-    history = History(entered=1.0)
+    history = History(entered=np.array([1.0]))
     for _ in range(5):
         history = history.moved(STEP, 1.0).limited(Limits()).with_image(Rated(-2.0))  # type: ignore[arg-type]
     history = history.moved(STEP, 1.0).entering(1.0, carried=1.0).limited(Limits())
-    fresh = History(entered=1.0).moved(STEP, 1.0).limited(Limits())
+    fresh = History(entered=np.array([1.0])).moved(STEP, 1.0).limited(Limits())
     at = proposed(np.zeros((1, 3)))
     assert log_weights(history, at, Rated(2.0)) == pytest.approx(log_weights(fresh, at, Rated(2.0)), abs=1e-6)
 

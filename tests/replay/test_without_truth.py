@@ -13,7 +13,7 @@ from localiser import open_log, replay_log
 from localiser.evaluate.accuracy import residual_figures, residual_sums
 from localiser.evaluate.metrics import own_figures
 from localiser.filter import SURE, LocatedFrame, Sighting
-from localiser.observation import observation_of
+from localiser.observation import EdgeObservation
 from localiser.replay import Replay
 from localiser.storage import Log
 
@@ -111,7 +111,7 @@ def test_matches_and_residuals_are_those_from_the_true_poses(
 ) -> None:
     truth, landmark_map = known.log.groundtruth, known.localiser.landmark_map
     assert truth is not None
-    observation = observation_of(known.log.camera, known.localiser.config.observation)
+    observation = EdgeObservation(known.log.camera, known.localiser.config.observation)
     matches = [observation.associate(truth.at(sighting.t_ns), sighting, landmark_map) for sighting in sightings.taken]
     matched, measured = sum((one.landmark >= 0).sum() for one in matches), sum(len(one.landmark) for one in matches)
     by_truth = residual_figures(np.array([residual_sums(one) for one in matches]))
