@@ -30,7 +30,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.filter import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Increment, Trajectory
-from localiser.landmarks import LandmarkMap
+from localiser.landmarks import LandmarkMap, bearing_jacobian
 from localiser.motion import MotionParameters
 from localiser.motion.constant_errors import EXACT
 from localiser.observation import EdgeObservation, ObservationParameters
@@ -42,6 +42,53 @@ START_COV = np.diag([0.1, 0.1, np.deg2rad(3.0)]) ** 2
 APART_M = 2.0  # landmarks of the map are at least this far from each other: which is which is hardly ever in doubt
 MOTION = MotionParameters(bias=EXACT)
 WORLD_DRAWS, FILTER_DRAWS = range(2)  # independent streams of random numbers
+
+
+# -- the bound --------------------------------------------------------------------------------------------------------
+#
+# Posterior Cramér-Rao bound of bearing-only localisation: no filter's mean squared error can stay below it, whatever
+# its number of particles. It needs the truth: poses, associations and sigmas. [Tichavský, Muravchik, Nehorai 1998],
+# design equation 12: I' = (Q + F I⁻¹ Fᵀ)⁻¹ + Σ HᵀH/σ².
+
+
+def information(jacobian: Array, sigma: Array) -> Array:
+    """Return Hᵀ R⁻¹ H (D, D) of measurements with Jacobian H (E, D) and independent sigma (E,)."""
+    scaled = jacobian / sigma[:, None]
+    return np.asarray(scaled.T @ scaled)
+
+
+def bearing_information(pose: Array, camera: Camera, points: Array, edges: Edges, observation: str) -> Array:
+    """Return the information (3, 3) that the edges of one image hold on the true pose (3,); clutter holds none.
+
+    points: (L, 2) of the map. observation: "slope" (sigma of the lean times J, design equation 7) or "line".
+    """
+    edges = edges.take(edges.landmark_id >= 0)
+    seen, camera_pose = points[edges.landmark_id], camera.pose_in_map(pose)
+    sigma = edges.bearing_sigma
+    if observation == "slope":
+        bearing = geometry.bearing_from_point(*np.moveaxis(geometry.robot_from_map(camera_pose, seen), -1, 0))
+        sigma = edges.lean_sigma * geometry.bearing_per_lean(bearing, camera.mount.tilt_rad)
+    return information(bearing_jacobian(pose, camera_pose, seen), sigma)
+
+
+def posterior_bound(prior_cov: Array, transition: Array, noise: Array, informations: Array) -> Array:
+    """Return the bound (T, D, D) on the covariance of the estimate at T images, each with its own image used.
+
+    prior_cov: (D, D) before the first image. transition: (T-1, D, D) F and noise: (T-1, D, D) Q from each image to the
+    next (`motion.linearised` at the true poses). informations: (T, D, D) of each image. All of them may be singular.
+    """
+    bound = np.empty_like(np.asarray(informations, dtype=np.float64))
+    cov = np.asarray(prior_cov, dtype=np.float64)
+    for t, gained in enumerate(informations):
+        if t > 0:
+            cov = transition[t - 1] @ bound[t - 1] @ transition[t - 1].T + noise[t - 1]
+        # (P⁻¹ + J)⁻¹ = S (1 + Sᵀ J S)⁻¹ Sᵀ with P = S Sᵀ: never inverts P, which is singular where the motion has no
+        # noise in some direction, and stays symmetric and positive.
+        variance, axes = np.linalg.eigh((cov + cov.T) / 2)
+        root = axes * np.sqrt(np.maximum(variance, 0.0))
+        result = root @ np.linalg.solve(np.eye(len(cov)) + root.T @ gained @ root, root.T)
+        bound[t] = (result + result.T) / 2
+    return bound
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,10 +218,10 @@ def bound_of(
     transition, noise = (np.array(part) for part in zip(*steps, strict=True))
     points = setting.landmark_map.points
     informations = [
-        evaluate.bearing_information(pose, setting.camera, points, frame, observation)
+        bearing_information(pose, setting.camera, points, frame, observation)
         for pose, frame in zip(truth.poses, edges, strict=True)
     ]
-    return evaluate.posterior_bound(START_COV, transition, noise, np.array(informations))
+    return posterior_bound(START_COV, transition, noise, np.array(informations))
 
 
 @dataclass(frozen=True, slots=True)

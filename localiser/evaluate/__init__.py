@@ -3,13 +3,10 @@
 from localiser.evaluate.accuracy import (
     Errors,
     Track,
-    bearing_information,
     errors_against,
     found_images,
     nees,
-    posterior_bound,
     residual_sums,
-    rms_position,
 )
 from localiser.evaluate.metrics import ABOUT, DECIMALS, metrics, timing_metrics
 from localiser.evaluate.page import WorstMoments, report_page

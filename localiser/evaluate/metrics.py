@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.evaluate.accuracy import Errors, Track, consistency, errors_against, rms_position
+from localiser.evaluate.accuracy import Errors, Track, consistency, errors_against
 from localiser.filter import CORRECT_M, CORRECT_RAD, SURE
 from localiser.geometry import Array, Trajectory
 
@@ -99,28 +99,29 @@ def metrics(
     *,
     log: str,
     about: Mapping[str, Any] | None = None,
-    bound: Array | None = None,
     sighted: NDArray[np.bool_] | None = None,
     reasons: Sequence[str] = (),
     distance_scale: float = 0.0,
 ) -> dict[str, Any]:
     """Return the figures of a run; those that need the truth are None without it.
 
-    about: what the run was made from; see `ABOUT`. bound: (T, 3, 3) posterior Cramér-Rao bound of the poses, for logs
-    with true associations. sighted: (T,) whether a landmark was seen; by default, whether there was any edge (always,
-    where edges are not known). reasons: (T,) why p_correct was low, "" where it was not. distance_scale: see
-    `own_figures`. Raises InputError when truth and run share no time.
+    about: what the run was made from; see `ABOUT`. sighted: (T,) whether a landmark was seen; by default, whether there
+    was any edge (always, where edges are not known). reasons: (T,) why p_correct was low, "" where it was not.
+    distance_scale: see `own_figures`. Raises InputError when truth and run share no time.
     """
     errors = errors_against(track, truth) if truth is not None else None
+    position = errors.position_m[np.isfinite(errors.position_m)] if errors else np.zeros(0)
     return {
         "log": log,
         **{key: (about or {}).get(key) for key in ABOUT},
         "frames": len(track),
-        **_position(errors),
+        "position_rmse_m": _figure(rms(position)),
+        "position_median_m": _figure(quantile(position, 0.5)),
+        "position_max_m": _figure(quantile(position, 1.0)),
+        "position_end_m": _figure(position[-1]) if len(position) else None,
         "heading_rmse_deg": _figure(np.degrees(rms(errors.heading_rad))) if errors else None,
         "odometry_position_rmse_m": _figure(rms(errors.odometry_m)) if errors else None,
         "nees_mean": _figure(mean(errors.nees)) if errors else None,
-        **_limit(errors, bound),
         "edges_per_frame": _figure(mean(track.edges)),
         **own_figures(track, distance_scale),
         "confidence": _confidence(track, errors, reasons),
@@ -163,24 +164,6 @@ def quantile(values: Array, level: float) -> float:
 
 
 # -- groups of figures ----------------------------------------------------------------------------------------------
-
-
-def _position(errors: Errors | None) -> dict[str, Any]:
-    position = errors.position_m[np.isfinite(errors.position_m)] if errors else np.zeros(0)
-    return {
-        "position_rmse_m": _figure(rms(position)),
-        "position_median_m": _figure(quantile(position, 0.5)),
-        "position_max_m": _figure(quantile(position, 1.0)),
-        "position_end_m": _figure(position[-1]) if len(position) else None,
-    }
-
-
-def _limit(errors: Errors | None, bound: Array | None) -> dict[str, Any]:
-    if errors is None or bound is None:
-        return {"pcrb_position_m": None, "efficiency": None}
-    judged = np.isfinite(errors.position_m)
-    limit = rms_position(bound[judged])
-    return {"pcrb_position_m": _figure(limit), "efficiency": _figure(rms(errors.position_m) / limit)}
 
 
 def _confidence(track: Track, errors: Errors | None, reasons: Sequence[str]) -> dict[str, Any]:

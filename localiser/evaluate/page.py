@@ -292,7 +292,6 @@ MEANINGS = (
     ("sure and wrong", "images above 0.9 that were not within 0.5 m and 10° of the truth"),
     ("NEES", "squared error over what the covariance makes expect: 3 is right; below, the filter is cautious; above, "
      "it is too sure"),
-    ("RMSE / bound", "over the smallest error that any filter could have"),
 )  # fmt: skip
 
 

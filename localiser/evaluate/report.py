@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.documents import drafted
 from localiser.evaluate.accuracy import (
@@ -21,7 +20,6 @@ from localiser.evaluate.accuracy import (
     consistency_band,
     dead_reckoning,
     errors_against,
-    position_bound,
 )
 from localiser.evaluate.metrics import PAUSE_LONGER_THAN_S, find_pauses
 from localiser.filter import SURE
@@ -83,12 +81,11 @@ def draw_report(
     *,
     truth: Trajectory | None = None,
     landmark_map: LandmarkMap | None = None,
-    bound: Array | None = None,
     landmark_use: Array | None = None,
 ) -> Figure:
     """Return the report as a figure that no window or global state holds.
 
-    figures: as `metrics` returns them. bound: (T, 3, 3) posterior Cramér-Rao bound. landmark_use: see `draw_map`.
+    figures: as `metrics` returns them. landmark_use: see `draw_map`.
     Raises InputError when truth and run share no time.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -97,14 +94,22 @@ def draw_report(
     with picture_style():
         figure = Figure(figsize=SIZE_IN, dpi=DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        track, bound = _broken_at_gaps(track, bound)
+        # Where there was no image for long nothing is known: a row of nan keeps a line from being drawn across.
+        after = np.flatnonzero(np.diff(track.t_ns) > PAUSE_LONGER_THAN_S * 1e9) + 1
+        columns = {f.name: getattr(track, f.name) for f in fields(Track) if f.name != "t_ns"}
+        broken = {name: np.insert(column, after, np.nan, axis=0) for name, column in columns.items()}
+        track = Track(np.insert(track.t_ns, after, track.t_ns[after - 1] + 1), **broken)
         errors = errors_against(track, truth) if truth is not None else None
         width, height = np.diff(framed([track.poses], landmark_map), axis=1)[:, 0]
         wide = bool(width > WIDE * height)
         on_map, position, heading, edges, confidence, residuals = _lay_out(figure, wide=wide)
-        draw_map(on_map, track, errors, truth, landmark_map, _odometry_label(figures), landmark_use)
-        draw_position_error(position, track, errors, bound)
-        draw_heading_error(heading, track, errors)
+        source = figures.get("odometry")
+        label = "odometry alone" if source is None else f"odometry alone ({ODOMETRIES.get(source, source)})"
+        draw_map(on_map, track, errors, truth, landmark_map, label, landmark_use)
+        off_m, off_deg = (None, None) if errors is None else (errors.position_m, np.degrees(errors.heading_rad))
+        draw_error(position, track, "Position", "m", track.position_sigma_m, off_m)
+        sigma_deg = np.degrees(track.heading_sigma_rad)
+        draw_error(heading, track, "Heading", "degrees", sigma_deg, off_deg)
         draw_edges(edges, track)
         draw_confidence(confidence, track)
         draw_residuals(residuals, track)
@@ -127,21 +132,6 @@ def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, whole or not at all, without what differs from run to run. Raises OutputError."""
     with drafted(path) as draft:
         figure.savefig(draft, format="png", metadata={"Software": None})  # which names matplotlib's version
-
-
-def _odometry_label(figures: Mapping[str, Any]) -> str:
-    """Return what the curve is called that the run's odometry alone would have led along."""
-    source = figures.get("odometry")
-    return "odometry alone" if source is None else f"odometry alone ({ODOMETRIES.get(source, source)})"
-
-
-def _broken_at_gaps(track: Track, bound: Array | None) -> tuple[Track, Array | None]:
-    # Where there was no image for long nothing is known: a row of nan keeps a line from being drawn across.
-    after = np.flatnonzero(np.diff(track.t_ns) > PAUSE_LONGER_THAN_S * 1e9) + 1
-    columns = {f.name: getattr(track, f.name) for f in fields(Track) if f.name != "t_ns"}
-    broken = {name: np.insert(column, after, np.nan, axis=0) for name, column in columns.items()}
-    t_ns = np.insert(track.t_ns, after, track.t_ns[after - 1] + 1)
-    return Track(t_ns, **broken), None if bound is None else np.insert(bound, after, np.nan, axis=0)
 
 
 def _lay_out(figure: Figure, *, wide: bool) -> list[Axes]:
@@ -230,29 +220,19 @@ def framed(paths: list[Array], landmark_map: LandmarkMap | None) -> Array:
     return np.stack([low - margin, high + margin], axis=-1)
 
 
-def draw_position_error(axes: Axes, track: Track, errors: Errors | None, bound: Array | None) -> None:
-    """Draw the distance from the truth inside three times the distance that the filter expects to be off."""
-    seconds, limit = track.seconds, 3 * np.where(track.found, track.position_sigma_m, np.nan)
-    axes.fill_between(seconds, 0, limit, color=BAND, alpha=0.25, linewidth=0, label="3σ")
-    if errors:
-        axes.plot(seconds, errors.position_m, color=ESTIMATE, linewidth=1.4, label="error")
-    if bound is not None:
-        axes.plot(seconds, 3 * position_bound(bound), ":", color=INK, linewidth=1.4, label="bound, 3σ")
-    axes.set(ylabel="m", ylim=(0, _top(limit, errors.position_m if errors else None)))
-    _finish(axes, track, "Position error" if errors else "Position uncertainty, no truth")
-
-
-def draw_heading_error(axes: Axes, track: Track, errors: Errors | None) -> None:
-    """Draw estimate minus true heading inside ±3σ."""
-    seconds, limit = track.seconds, np.degrees(3 * np.where(track.found, track.heading_sigma_rad, np.nan))
-    axes.fill_between(seconds, -limit, limit, color=BAND, alpha=0.25, linewidth=0, label="±3σ")
-    axes.axhline(0, color=MUTED, linewidth=0.8)
-    error = np.degrees(errors.heading_rad) if errors else None
+def draw_error(axes: Axes, track: Track, what: str, unit: str, sigma: Array, error: Array | None) -> None:
+    """Draw how far the estimate is off (T,) inside three times what the filter expects; an angle on both sides of 0."""
+    seconds, limit = track.seconds, 3 * np.where(track.found, sigma, np.nan)
+    is_angle = unit == "degrees"
+    band = (-limit, limit) if is_angle else (0, limit)
+    axes.fill_between(seconds, *band, color=BAND, alpha=0.25, linewidth=0, label="±3σ" if is_angle else "3σ")
+    if is_angle:
+        axes.axhline(0, color=MUTED, linewidth=0.8)
     if error is not None:
         axes.plot(seconds, error, color=ESTIMATE, linewidth=1.4, label="error")
     top = _top(limit, None if error is None else np.abs(error))
-    axes.set(ylabel="degrees", ylim=(-top, top))
-    _finish(axes, track, "Heading error" if errors else "Heading uncertainty, no truth")
+    axes.set(ylabel=unit, ylim=(-top if is_angle else 0, top))
+    _finish(axes, track, f"{what} uncertainty, no truth" if error is None else f"{what} error")
 
 
 def draw_edges(axes: Axes, track: Track) -> None:
@@ -370,16 +350,12 @@ def _finish(axes: Axes, track: Track, title: str) -> None:
     for pause in find_pauses(track.t_ns, track.sighted):
         start, end = (np.array([pause.start_ns, pause.end_ns]) - track.t_ns[0]) / 1e9
         axes.axvspan(start, end, color=FAINT, alpha=0.7, linewidth=0, zorder=0)
-    for start, end in _runs(~track.found):
+    lost = np.concatenate([[False], ~track.found, [False]]).astype(np.int8)
+    for start, after in np.flatnonzero(np.diff(lost)).reshape(-1, 2):
+        end = min(after, len(track) - 1)
         axes.axvspan(track.seconds[start], track.seconds[end], color=ODOMETRY, alpha=0.15, linewidth=0, zorder=0)
     if axes.get_legend_handles_labels()[0]:
         _legend_above(axes)
-
-
-def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first index of each run of true values (T,), and the index after it, or the last there is."""
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
-    return [(int(a), min(int(b), len(chosen) - 1)) for a, b in changes.reshape(-1, 2)]
 
 
 def _legend_above(axes: Axes, columns: int = 6) -> None:

@@ -211,7 +211,7 @@ OWN = (
     Column("gaps", "pauses", ".0f"),
     Column("image\n(ms)", "frame_ms_median", ".0f", "time an image", " ms"),
 )
-# How good, how bad, how sure of itself, how close to the limit.
+# How good, how bad, how sure of itself.
 ERRORS = (
     Column("RMSE\n(m)", "position_rmse_m", ".3f", "position RMSE", " m"),
     Column("median\n(m)", "position_median_m", ".3f", "position median", " m"),
@@ -221,7 +221,6 @@ ERRORS = (
     Column("odom.\n(m)", "odometry_position_rmse_m", ".3f", "odometry alone", " m"),
     Column("wrong\n(%)", "confidence.sure_and_wrong", ".1f", "sure and wrong", " %", per=100.0),
     Column("NEES", "nees_mean", ".1f", "NEES (right: 3, below: cautious)"),
-    Column("RMSE /\nbound", "efficiency", ".2f", "RMSE / bound"),
 )
 NOTES = {"resid.\nχ²": "resid. χ²: 1 is right, below: cautious", "NEES": "NEES: 3 is right, below: cautious"}
 """What stands below a table with these columns."""

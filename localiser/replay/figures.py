@@ -1,4 +1,4 @@
-"""What a run comes to: its metrics, the bound on its accuracy where that is known, and what it was made from."""
+"""What a run comes to: its metrics, and what it was made from."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser import evaluate, motion
+from localiser import evaluate
 from localiser.calibration import check_mount, clock_offset
 from localiser.documents import dump
 from localiser.edges import DARK_GREY, WASHED_OUT, Edges, Light
@@ -128,18 +128,17 @@ class Results:
     @property
     def metrics(self) -> dict[str, Any]:
         """The figures of the run so far, as `metrics.json` has them."""
-        return run_metrics(self, bound_of(self))
+        return run_metrics(self)
 
 
-def run_metrics(run: Results, bound: Array | None) -> dict[str, Any]:
-    """Return the metrics of a run and what it learnt of wheels and camera. bound: see `bound_of`."""
+def run_metrics(run: Results) -> dict[str, Any]:
+    """Return the metrics of a run and what it learnt of wheels and camera."""
     summary, last = run.summary, run.frames[-1].located.estimate
     figures = evaluate.metrics(
         summary.track,
         truth_of(run),
         log=run.log.name,
         about=about(run),
-        bound=bound,
         sighted=summary.sighted,
         reasons=summary.reasons,
         distance_scale=float(last.mean[last.names.index("distance_scale")]) if "distance_scale" in last.names else 0.0,
@@ -163,28 +162,6 @@ def truth_of(run: Results) -> Trajectory | None:
     """Return the truth, None where there is none or the run ended before it begins."""
     truth = run.log.groundtruth
     return truth if truth is not None and any(map(truth.covers, run.track.t_ns.tolist())) else None
-
-
-def bound_of(run: Results) -> Array | None:
-    """Return the posterior Cramér-Rao bound (T, 3, 3), where the log tells true poses and associations."""
-    log, config, landmark_map = run.log, run.localiser.config, run.localiser.landmark_map
-    if log.groundtruth is None or run.start is None or run.summary.sighted is None:
-        return None
-    if landmark_map is not log.landmark_map:
-        return None  # the log's associations are those of its own map
-    poses = log.groundtruth.sampled(run.track.t_ns).poses
-    moves, informations = [], []
-    for index, frame in enumerate(run.frames):
-        edges, pose, kind = frame.located.edges, poses[index], config.observation.kind
-        informations.append(evaluate.bearing_information(pose, log.camera, landmark_map.points, edges, kind))
-        if index:
-            moves.append(motion.linearised(poses[index - 1], frame.located.increment, config.motion))
-    return evaluate.posterior_bound(
-        run.start.cov,
-        np.array([jac for jac, _ in moves]).reshape(-1, 3, 3),
-        np.array([noise for _, noise in moves]).reshape(-1, 3, 3),
-        np.array(informations),
-    )
 
 
 def _constants(run: Results) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from localiser.evaluate import WorstMoments, write_report
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.replay.figures import bound_of, described, run_metrics, truth_of
+from localiser.replay.figures import described, run_metrics, truth_of
 from localiser.replay.run import Replay, Sink, all_of, close_all
 from localiser.ros import OUTPUTS, Message, Outgoing
 from localiser.storage import Log, RunFolder, TrackWriter, require_new_file
@@ -269,13 +269,12 @@ class FolderRun:
         run, folder = self.replay, self.folder
         tracks = [sink for sink in self.sinks if isinstance(sink, TrackWriter)]
         others = [sink for sink in self.sinks if sink not in tracks]
-        bound, timing = bound_of(run), evaluate.timing_metrics(run.timing)
-        figures = run_metrics(run, bound) | {"complete": complete}
+        timing = evaluate.timing_metrics(run.timing)
+        figures = run_metrics(run) | {"complete": complete}
         report = folder.path / "report.png"
         known = {
             "truth": truth_of(run),
             "landmark_map": run.localiser.landmark_map,
-            "bound": bound,
             "landmark_use": run.summary.landmark_use,
         }
         reports = [

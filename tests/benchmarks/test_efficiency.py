@@ -1,10 +1,156 @@
-"""RMSE over bound, with its bootstrap interval."""
+"""The posterior Cramér-Rao bound, against closed forms and against an estimator that attains it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from efficiency import efficiency
+from efficiency import bearing_information, efficiency, information, posterior_bound
+
+from localiser import geometry
+from localiser.camera import Camera, Mount
+from localiser.edges import CommonError, Edges
+from localiser.geometry import Array, Increment
+from localiser.landmarks import bearing_jacobian
+from localiser.motion import MotionParameters, linearised
+
+TILT = np.radians(20)
+CAMERA = Camera(640, 480, 554, 554, 319.5, 239.5, Mount(TILT, 0.8, yaw_rad=0.1, right_m=0.05, back_m=-0.15))
+
+
+def linear_kalman(prior: Array, transition: Array, noise: Array, jacobian: Array, sigma: Array) -> Array:
+    """Covariances of the textbook Kalman filter with its gain, scalar measurement by scalar measurement."""
+    cov, result = prior, []
+    for t in range(len(jacobian)):
+        if t:
+            cov = transition[t - 1] @ cov @ transition[t - 1].T + noise[t - 1]
+        for row, s in zip(jacobian[t], sigma[t], strict=True):
+            gain = cov @ row / (row @ cov @ row + s**2)
+            cov = (np.eye(3) - np.outer(gain, row)) @ cov
+        result.append(cov)
+    return np.array(result)
+
+
+def random_system(seed: int, steps: int = 25, measurements: int = 4) -> tuple[Array, Array, Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    transition = np.eye(3) + 0.2 * rng.normal(size=(steps - 1, 3, 3))
+    root = 0.1 * rng.normal(size=(steps - 1, 3, 3))
+    prior_root = rng.normal(size=(3, 3))
+    jacobian, sigma = rng.normal(size=(steps, measurements, 3)), rng.uniform(0.05, 0.5, (steps, measurements))
+    return prior_root @ prior_root.T, transition, root @ root.transpose(0, 2, 1), jacobian, sigma
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bound_of_a_linear_system_is_the_kalman_filter(seed: int) -> None:
+    prior, transition, noise, jacobian, sigma = random_system(seed)
+    gained = np.array([information(h, s) for h, s in zip(jacobian, sigma, strict=True)])
+    expected = linear_kalman(prior, transition, noise, jacobian, sigma)
+    np.testing.assert_allclose(posterior_bound(prior, transition, noise, gained), expected, rtol=1e-8, atol=1e-12)
+
+
+def test_no_motion_noise_no_measurement_and_a_known_start() -> None:
+    """Singular everywhere: the bound stays finite, symmetric and not negative."""
+    still, nothing = np.tile(np.eye(3), (3, 1, 1)), np.zeros((4, 3, 3))
+    prior = np.diag([0.01, 0.04, 0.0])
+    np.testing.assert_allclose(posterior_bound(prior, still, nothing[1:], nothing), np.tile(prior, (4, 1, 1)))
+    certain = posterior_bound(np.zeros((3, 3)), still, nothing[1:], np.tile(np.eye(3) * 1e9, (4, 1, 1)))
+    np.testing.assert_array_equal(certain, 0)
+    one_direction = np.diag([1e12, 0.0, 0.0])
+    bound = posterior_bound(prior, still, nothing[1:], np.tile(one_direction, (4, 1, 1)))
+    np.testing.assert_allclose(np.linalg.eigvalsh(bound[-1]), [0, 2.5e-13, 0.04], atol=1e-15)
+
+
+def edges_of(pose: Array, points: Array, **changes: Array) -> Edges:
+    camera_pose = CAMERA.pose_in_map(pose)
+    b = geometry.bearing_from_point(*geometry.robot_from_map(camera_pose, points).T)
+    count = len(points)
+    from_lean, from_line = CAMERA.bearing_jacobians(b, np.zeros(count))
+    common = CommonError(("tilt", "roll"), np.diag([0.01**2, 0.01**2]), from_lean, from_line)
+    columns = {
+        "bearing": b,
+        "bearing_sigma": np.full(count, 0.001),
+        "lean": geometry.lean_from_bearing(b, TILT),
+        "lean_sigma": np.full(count, 0.004),
+        "landmark_id": np.arange(count),
+        "common": common,
+        **changes,
+    }
+    return Edges.from_columns(**columns)  # type: ignore[arg-type]
+
+
+POSE = np.array([0.2, 0.3, 0.1])
+POINTS = np.array([[-1.0, -4.0], [0.5, -3.0], [1.5, -5.0], [0.0, -6.0]])
+
+
+def test_slope_tells_less_than_line_by_their_sigmas() -> None:
+    edges = edges_of(POSE, POINTS)
+    per_lean = geometry.bearing_per_lean(edges.bearing, TILT)
+    jacobian = bearing_jacobian(POSE, CAMERA.pose_in_map(POSE), POINTS)
+    slope = bearing_information(POSE, CAMERA, POINTS, edges, "slope")
+    np.testing.assert_allclose(slope, jacobian.T @ np.diag((0.004 * per_lean) ** -2) @ jacobian, rtol=1e-9)
+    line = bearing_information(POSE, CAMERA, POINTS, edges, "line")
+    np.testing.assert_allclose(line, jacobian.T @ jacobian / 0.001**2, rtol=1e-9)
+
+
+def test_clutter_tells_nothing() -> None:
+    known = edges_of(POSE, POINTS[:3])
+    ids = np.array([0, 1, 2, -1])
+    with_clutter = edges_of(POSE, POINTS, landmark_id=ids)
+    np.testing.assert_allclose(
+        bearing_information(POSE, CAMERA, POINTS, with_clutter, "line"),
+        bearing_information(POSE, CAMERA, POINTS[:3], known, "line"),
+    )
+    assert not bearing_information(POSE, CAMERA, POINTS, Edges.none(), "slope").any()
+
+
+@pytest.mark.slow  # quick: the Kalman filter and equation 12 above
+def test_an_extended_kalman_filter_with_small_noise_attains_the_bound() -> None:
+    """Bearings from an offset camera, the motion model's own noise: RMSE over bound is 1 within its interval.
+
+    The truth is drawn, the odometry is exact: increments and truth differ by the model's noise.
+    """
+    rng = np.random.default_rng(5)
+    parameters = MotionParameters(alpha1=1e-4, alpha2=1e-4, alpha3=1e-4, alpha4=1e-5)
+    increment = Increment.from_mean([0.0, -0.05, 0.02])
+    seeds, frames, sigma = 120, 40, 0.01
+    points = np.array([[-2.0, -4.0], [2.0, -3.0], [-3.0, 1.0], [3.0, 2.0], [0.5, 4.0]])
+    mount = CAMERA.robot_from_level
+    prior = np.diag([0.02, 0.02, 0.01]) ** 2
+    errors, bounds = np.empty((seeds, frames)), np.empty((seeds, frames))
+    for seed in range(seeds):
+        estimate, cov = np.zeros(3), prior
+        truth = rng.multivariate_normal(estimate, prior)
+        transitions, noises, gained = [], [], []
+        for frame in range(frames):
+            if frame:
+                f, q = linearised(truth, increment, parameters)
+                transitions.append(f)
+                noises.append(q)
+                truth = geometry.compose(truth, increment.mean) + rng.multivariate_normal(np.zeros(3), q)
+                f, q = linearised(estimate, increment, parameters)
+                estimate, cov = geometry.compose(estimate, increment.mean), f @ cov @ f.T + q
+            gained.append(
+                information(
+                    bearing_jacobian(truth, geometry.compose(truth, mount), points), np.full(len(points), sigma)
+                )
+            )
+            true_points = geometry.robot_from_map(geometry.compose(truth, mount), points)
+            measured = geometry.bearing_from_point(*true_points.T) + sigma * rng.standard_normal(len(points))
+            expected = geometry.bearing_from_point(
+                *geometry.robot_from_map(geometry.compose(estimate, mount), points).T
+            )
+            h = bearing_jacobian(estimate, geometry.compose(estimate, mount), points)
+            gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + sigma**2 * np.eye(len(points)))
+            estimate = estimate + gain @ geometry.wrap_angle(measured - expected)
+            cov = (np.eye(3) - gain @ h) @ cov
+            errors[seed, frame] = np.hypot(*(estimate - truth)[:2])
+        bound = posterior_bound(prior, np.array(transitions), np.array(noises), np.array(gained))
+        bounds[seed] = np.sqrt(np.trace(bound[:, :2, :2], axis1=1, axis2=2))
+    result = efficiency(errors, bounds, rng)
+    assert result.low <= 1.0 <= result.high
+    assert result.high - result.low < 0.12
+
+
+# -- RMSE over the bound, with its bootstrap interval -----------------------------------------------------------------
 
 
 def rayleigh(rng: np.random.Generator, seeds: int, bound_m: np.ndarray, factor: float = 1.0) -> np.ndarray:

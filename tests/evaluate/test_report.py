@@ -32,12 +32,9 @@ def run(height: float = 1.0) -> dict[str, Any]:
         edges=edges, matched=edges // 2,
     )  # fmt: skip
     points = rng.uniform(-5, 5, (40, 2)) * [1, height]
-    figures = metrics(
-        track, truth, log="circle", about={"observation": "line", "seed": 1, "particles": 100}, bound=covs / 2
-    )
+    figures = metrics(track, truth, log="circle", about={"observation": "line", "seed": 1, "particles": 100})
     return {
         "track": track, "figures": figures, "truth": truth, "landmark_map": LandmarkMap.from_points(points),
-        "bound": covs / 2,
     }  # fmt: skip
 
 
