@@ -193,6 +193,8 @@ def compare_pairs(pairs: Sequence[Pair], figures: Iterable[Compared] = COMPARED)
 
     A figure that is known in fewer than two pairs of a log, or two logs, is not compared for that log, or for all.
     """
+    from scipy.special import stdtrit
+
     found: list[tuple[Compared, str, Array]] = []
     names = _names(pairs)
     for figure in figures:
@@ -200,10 +202,14 @@ def compare_pairs(pairs: Sequence[Pair], figures: Iterable[Compared] = COMPARED)
         if len(losses) > 1:
             found.append((figure, ALL_LOGS, np.array([np.mean(values) for values in losses.values()])))
         found += [(figure, names[log], np.array(values)) for log, values in losses.items() if len(values) > 1]
-    adjusted, level = holm(np.array([_p_value(losses) for _, _, losses in found]))
+    error, p = np.array([_t_test(losses) for _, _, losses in found]).reshape(-1, 2).T
+    adjusted, level = holm(p)
+    pairs_of, mean = (np.array([of(losses) for _, _, losses in found]) for of in (len, np.mean))
+    half = stdtrit(pairs_of - 1, 1 - level / 2) * error
+    columns = np.stack([mean, mean - half, mean + half, adjusted], axis=-1).tolist()
     return [
-        Comparison(figure, log, len(losses), float(losses.mean()), *_interval(losses, level[at]), float(adjusted[at]))
-        for at, (figure, log, losses) in enumerate(found)
+        Comparison(figure, log, len(losses), *cells)
+        for (figure, log, losses), cells in zip(found, columns, strict=True)
     ]
 
 
@@ -226,10 +232,12 @@ def holm(p: Array, alpha: float = ALPHA) -> tuple[Array, Array]:
 
 def _by_log(pairs: Sequence[Pair], figure: Compared) -> dict[str, list[float]]:
     losses: dict[str, list[float]] = {}
-    for here, there in pairs:
-        if here.get(figure.name) is not None and there.get(figure.name) is not None:
-            loss = _loss(float(here[figure.name]), float(there[figure.name]), figure)
-            losses.setdefault(str(here["log_id"]), []).append(loss)
+    least = 10.0**-DECIMALS  # figures are rounded to it
+    for pair in pairs:
+        if all(row.get(figure.name) is not None for row in pair):
+            here, there = (float(row[figure.name]) for row in pair)
+            loss = math.log(max(here, least) / max(there, least)) if figure.as_ratio else here - there
+            losses.setdefault(str(pair[0]["log_id"]), []).append(loss if figure.more_is_worse else -loss)
     return losses
 
 
@@ -240,32 +248,13 @@ def _names(pairs: Sequence[Pair]) -> dict[str, str]:
     return {log_id: f"{name} {log_id[:6]}" if name in shared else name for log_id, name in names.items()}
 
 
-def _loss(here: float, there: float, figure: Compared) -> float:
-    least = 10.0**-DECIMALS  # figures are rounded to it
-    loss = math.log(max(here, least) / max(there, least)) if figure.as_ratio else here - there
-    return loss if figure.more_is_worse else -loss
-
-
-def _p_value(losses: Array) -> float:
-    """Return the two-sided p-value of a mean of 0 by Student's t-test."""
+def _t_test(losses: Array) -> tuple[float, float]:
+    """Return the standard error of the mean, and the two-sided p-value of a mean of 0 by Student's t-test."""
     from scipy.special import stdtr
 
-    mean, error = float(losses.mean()), _standard_error(losses)
-    if error == 0:
-        return float(mean == 0)
-    return float(2 * stdtr(len(losses) - 1, -abs(mean) / error))
-
-
-def _interval(losses: Array, level: float) -> tuple[float, float]:
-    """Return the interval of the mean with the probability 1 - level."""
-    from scipy.special import stdtrit
-
-    half = float(stdtrit(len(losses) - 1, 1 - level / 2)) * _standard_error(losses)
-    return float(losses.mean()) - half, float(losses.mean()) + half
-
-
-def _standard_error(losses: Array) -> float:
-    return float(losses.std(ddof=1) / math.sqrt(len(losses))) if np.ptp(losses) > 0 else 0.0
+    mean = float(losses.mean())
+    error = float(losses.std(ddof=1) / math.sqrt(len(losses))) if np.ptp(losses) > 0 else 0.0
+    return error, float(2 * stdtr(len(losses) - 1, -abs(mean) / error)) if error else float(mean == 0)
 
 
 # -- two batches ------------------------------------------------------------------------------------------------------

@@ -225,7 +225,13 @@ def run_batch(
         advance = begun(sum(row["error"] is None for row in rows.values()), len(tasks))
         try:
             for outcome in each(replayed, [(task,) for task in tasks]):
-                rows[outcome.number] = _finished(batch.folder, runs[outcome.number], outcome)
+                run = runs[outcome.number]
+                if outcome.metrics is None:
+                    rows[outcome.number] = run.about | {"error": outcome.error}
+                else:
+                    kept = batch.folder / run.folder / ROW
+                    write_text(kept, json_text(flat_figures(outcome.metrics)))
+                    rows[outcome.number] = _row(run, read_figures(kept))
                 advance()
         except KeyboardInterrupt:
             rows |= _rows_done(batch.folder, runs)  # one may have been written just before
@@ -280,14 +286,6 @@ def _rows_done(folder: Path, runs: Sequence[_Run]) -> dict[int, Row]:
         elif path.is_file():
             rows[number] = _row(run, read_figures(path))
     return rows
-
-
-def _finished(folder: Path, run: _Run, outcome: Outcome) -> Row:
-    """Keep the figures of a run that is complete, and return its row."""
-    if outcome.metrics is None:
-        return run.about | {"error": outcome.error}
-    write_text(folder / run.folder / ROW, json_text(flat_figures(outcome.metrics)))
-    return _row(run, read_figures(folder / run.folder / ROW))
 
 
 def _row(run: _Run, figures: Row) -> Row:

@@ -296,9 +296,15 @@ def mount_of_lines(lines: Lines, poses: Array, camera: Camera, stated: Array) ->
     tilt and roll.
     """
     plumb = fit_mount(lines, stated, vote_mount(lines, stated))
-    cluster = _cluster_of(
-        lines, poses, camera.with_mount(tilt_rad=float(plumb.mount[0]), roll_rad=float(plumb.mount[1]))
-    )
+    camera = camera.with_mount(tilt_rad=float(plumb.mount[0]), roll_rad=float(plumb.mount[1]))
+    # The cell of the floor, `_RANGE_M` along the ray of each line (K,), where its edge stands.
+    eyes = camera.pose_in_map(poses)[lines.frame]
+    right, _, back = (lines.normal @ camera.level_from_camera.T).T
+    cos, sin = np.cos(eyes[:, 2]), np.sin(eyes[:, 2])
+    ahead = np.stack([cos * back - sin * right, -cos * right - sin * back], axis=-1)
+    ahead *= np.where(right < 0, -1.0, 1.0)[:, None] / np.maximum(np.hypot(right, back), 1e-12)[:, None]
+    cell = np.floor((eyes[:, :2] + _RANGE_M * ahead) / _CLUSTER_M).astype(np.int64)
+    cluster = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
     mount, cov = _robust(lines, plumb, cluster)
     return LogMount(
         stated=stated,
@@ -308,19 +314,6 @@ def mount_of_lines(lines: Lines, poses: Array, camera: Camera, stated: Array) ->
         vertical=float(plumb.vertical.sum()),
         places=int(cluster.max(initial=-1)) + 1,
     )
-
-
-def _cluster_of(lines: Lines, poses: Array, camera: Camera) -> NDArray[np.int64]:
-    """Return the cluster (K,) of each line: the cell of the floor, `_RANGE_M` along its ray, where its edge stands."""
-    if not len(lines):
-        return np.zeros(0, dtype=np.int64)
-    eyes = camera.pose_in_map(poses)[lines.frame]
-    right, _, back = (lines.normal @ camera.level_from_camera.T).T
-    cos, sin = np.cos(eyes[:, 2]), np.sin(eyes[:, 2])
-    ahead = np.stack([cos * back - sin * right, -cos * right - sin * back], axis=-1)
-    ahead *= np.where(right < 0, -1.0, 1.0)[:, None] / np.maximum(np.hypot(right, back), 1e-12)[:, None]
-    cell = np.floor((eyes[:, :2] + _RANGE_M * ahead) / _CLUSTER_M).astype(np.int64)
-    return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def _robust(lines: Lines, plumb: Plumb, cluster: NDArray[np.int64]) -> tuple[Array, Array]:

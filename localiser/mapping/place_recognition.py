@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
 from localiser.geometry.compiled import compiled
@@ -129,22 +128,14 @@ def _same_by_move(points: Array, group: Index, older: Index, built: Built) -> tu
         new = np.flatnonzero(match >= 0)
         pose = best_motion(points[older[match[new]]], points[group[new]])
         move = pose[None] * [1.0, 1.0, -1.0]  # headings turn the other way round in the plane (x, z)
-    new = new[_unambiguous(points, group, older, row, column, move)[new]]
+    # What is brought near several older ones, or near one that others come near, is left for when the loop is closed.
+    near_now = np.linalg.norm(_moved(points[group], move)[row] - points[older][column], axis=-1) < _CLOSE_M
+    by_new, by_old = (
+        np.bincount(row[near_now], minlength=len(group)),
+        np.bincount(column[near_now], minlength=len(older)),
+    )
+    new = new[np.isin(new, row[near_now & (by_new[row] == 1) & (by_old[column] == 1)])]
     return move, group[new], older[match[new]]
-
-
-def _unambiguous(
-    points: Array, group: Index, older: Index, row: Index, column: Index, move: Array
-) -> NDArray[np.bool_]:
-    """Return which of the group (A,) a move brings near one older landmark only, which no other comes near.
-
-    What is ambiguous is left for when the loop is closed, and places are known better.
-    """
-    apart = np.linalg.norm(_moved(points[group], move)[row] - points[older][column], axis=-1)
-    near = apart < _CLOSE_M
-    by_new, by_old = np.bincount(row[near], minlength=len(group)), np.bincount(column[near], minlength=len(older))
-    single = near & (by_new[row] == 1) & (by_old[column] == 1)
-    return np.isin(np.arange(len(group)), row[single])
 
 
 def _moves(new: Array, old: Array, row: Index, column: Index) -> Array:
@@ -156,10 +147,7 @@ def _moves(new: Array, old: Array, row: Index, column: Index) -> Array:
     one, other, turn = one[kept], other[kept], turn[kept]
     middle = (new[row[one]] + new[row[other]]) / 2
     target = (old[column[one]] + old[column[other]]) / 2
-    cos, sin = np.cos(turn), np.sin(turn)
-    shift = target - np.stack(
-        [cos * middle[:, 0] - sin * middle[:, 1], sin * middle[:, 0] + cos * middle[:, 1]], axis=-1
-    )
+    shift = target - _moved(middle, np.column_stack([np.zeros((len(turn), 2)), turn]))
     return np.column_stack([shift, turn])
 
 

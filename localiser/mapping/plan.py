@@ -77,7 +77,11 @@ def plan_landmarks(plan: FloorPlan, name: str = "", source: str = "plan") -> Lan
     Raises ValueError for more than `MOST_TURNS` turns of the outlines: a picture of something else.
     """
     bump = float(np.clip(_BUMP_M / plan.resolution_m, *_BUMP_CELLS))
-    occupied = without_dirt(plan.occupied, plan.resolution_m)
+    # Walls without specks, and without holes that are as small: a corner that touches is no gap to look through.
+    smallest = max(_SMALLEST_CELLS, (SMALLEST_M / plan.resolution_m) ** 2)
+    smooth = plan.occupied & ~_bumps(plan.occupied)
+    kept = _large(smooth | _bumps(~smooth), smallest, connectivity=8)
+    occupied = ~_large(~kept, _SMALLEST_CELLS, connectivity=4)
     traced = [(outline, _straight_pieces(outline)) for outline in outlines(occupied)]
     turns = sum(len(pieces) for _, pieces in traced)
     if turns > MOST_TURNS:
@@ -90,15 +94,6 @@ def plan_landmarks(plan: FloorPlan, name: str = "", source: str = "plan") -> Lan
     variance = plan.resolution_m**2 / 12
     landmarks = LandmarkMap.from_points(points, name=name, bottom_m=np.zeros(len(points)), source=source)
     return replace(landmarks, cov=np.tile(variance * np.eye(2), (len(points), 1, 1)))
-
-
-def without_dirt(occupied: Mask, resolution_m: float) -> Mask:
-    """Return the cells (H, W) of walls without specks, and without holes that are as small."""
-    smallest = max(_SMALLEST_CELLS, (SMALLEST_M / resolution_m) ** 2)
-    smooth = occupied & ~_bumps(occupied)
-    kept = _large(smooth | _bumps(~smooth), smallest, connectivity=8)
-    # Holes: a corner that touches is no gap to look through, so that free floor is connected by sides only.
-    return ~_large(~kept, _SMALLEST_CELLS, connectivity=4)
 
 
 def _bumps(mask: Mask) -> Mask:

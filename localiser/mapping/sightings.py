@@ -25,7 +25,7 @@ class Sightings:
     first: (T + 1,) where each frame's edges begin. frame: (S,). bearing, sigma: (S,) rad, in the camera's level frame.
     polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown.
     slope_up: (S, 2) height above the camera of the lower and the upper end per metre ahead. cut: (S, 2) whether
-    that end lies at the image's border, so that the edge may go on. foot_m, foot_sigma_m: (S,) range of the foot if it
+    that end lies at the image's border, so that the edge may go on. foot_m: (S,) range of the foot if it
     stands on the floor, nan where no foot is seen. profile: (S, P). mounts: (T,) of the camera at each frame, None: as
     the camera says; empty where it always is so.
     """
@@ -39,7 +39,6 @@ class Sightings:
     slope_up: Array
     cut: NDArray[np.bool_]
     foot_m: Array
-    foot_sigma_m: Array
     profile: Array
     mounts: tuple[Mount | None, ...] = ()
 
@@ -61,21 +60,27 @@ class Sightings:
             parts = [getattr(edges, name) for edges in frames if len(edges)]
             return np.concatenate(parts) if parts else np.zeros((0, *shape))
 
+        sigma = [np.zeros(0)]
+        for edges in frames:  # what a turn rate moves in an image counts as an error of each edge
+            own, common = edges.bearing_sigma, edges.common
+            if TURN_RATE in common.names:
+                by_turn = common.bearing_from_line[:, common.names.index(TURN_RATE)]
+                own = np.hypot(own, by_turn * common.sigma_of(TURN_RATE))
+            sigma.append(own)
         profile = _profiles([edges.profile for edges in frames if len(edges)])
         ends_px = column("ends_px", (2, 2))
         # Edges that were not measured in an image may know their ends, and not what follows from them.
-        slope_up, cut, foot_m, foot_sigma_m = _by_mount(ends_px, frames, camera)
+        slope_up, cut, foot_m = _by_mount(ends_px, frames, camera)
         return cls(
             first=first,
             frame=np.repeat(np.arange(len(frames)), count),
             bearing=column("bearing"),
-            sigma=_sigmas(frames),
+            sigma=np.concatenate(sigma),
             polarity=column("polarity").astype(np.int8),
             side=_sides(profile),
             slope_up=slope_up,
             cut=cut,
             foot_m=foot_m,
-            foot_sigma_m=foot_sigma_m,
             profile=profile,
             mounts=_mounts(frames),
         )
@@ -123,18 +128,6 @@ def _mounts(frames: Sequence[Edges]) -> tuple[Mount | None, ...]:
     return () if all(mount is None for mount in mounts) else mounts
 
 
-def _sigmas(frames: Sequence[Edges]) -> Array:
-    """Return the sigmas (S,) of all bearings; what a turn rate moves in an image counts as an error of each edge."""
-    parts = []
-    for edges in frames:
-        sigma, common = edges.bearing_sigma, edges.common
-        if TURN_RATE in common.names:
-            by_turn = common.bearing_from_line[:, common.names.index(TURN_RATE)]
-            sigma = np.hypot(sigma, by_turn * common.sigma_of(TURN_RATE))
-        parts.append(sigma)
-    return np.concatenate(parts) if parts else np.zeros(0)
-
-
 def _profiles(parts: Sequence[Array]) -> Array:
     """Return profiles (S, P) one after the other; nan for parts that know none."""
     width = max((part.shape[1] for part in parts), default=0)
@@ -152,17 +145,17 @@ def _sides(profile: Array) -> Array:
     return np.stack([np.median(left, axis=1), np.median(right, axis=1)], axis=-1)
 
 
-def _by_mount(ends_px: Array, frames: Sequence[Edges], camera: Camera) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-    """Return slopes and cuts of the ends (S, 2, 2) of all edges, range of the feet, and its sigma."""
+def _by_mount(ends_px: Array, frames: Sequence[Edges], camera: Camera) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return slopes and cuts of the ends (S, 2, 2) of all edges, and the range of the feet."""
 
-    def of(ends: Array, mounted: Camera) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-        return *_ends(ends, mounted), *foot_of_edges(ends[:, 0], mounted)
+    def of(ends: Array, mounted: Camera) -> tuple[Array, NDArray[np.bool_], Array]:
+        return *_ends(ends, mounted), foot_of_edges(ends[:, 0], mounted)[0]
 
     if not _mounts(frames):
         return of(ends_px, camera)
     parts = [of(edges.ends_px, camera.at(edges.mount)) for edges in frames]
-    slope_up, cut, foot_m, foot_sigma_m = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return slope_up, cut, foot_m, foot_sigma_m
+    slope_up, cut, foot_m = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return slope_up, cut, foot_m
 
 
 def _ends(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:

@@ -260,18 +260,13 @@ def prepare(
             own_observation=own.get("observation") is not None,
         )
     except InputError as error:
-        raise _placed(error, log) from None
+        if error.field == "mount.tilt_deg":
+            raise camera_error(log.path, ("mount", "tilt_deg"), error.problem) from None
+        raise InputError(error.problem, path=log.path, field=error.field) from None
     if config.observation.association == "known" and landmark_map is not log.landmark_map:
         log = log.identified_on(landmark_map)
     localiser = Localiser(landmark_map, log.camera, config, **own)
     return Replay(log, localiser, start_of(log, start, localiser.rng, landmark_map), map_files)
-
-
-def _placed(error: InputError, log: Log) -> InputError:
-    """Return the error with the file of the log that does not fit the settings."""
-    if error.field == "mount.tilt_deg":
-        return camera_error(log.path, ("mount", "tilt_deg"), error.problem)
-    return InputError(error.problem, path=log.path, field=error.field)
 
 
 def replay_log(

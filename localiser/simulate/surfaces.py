@@ -76,11 +76,16 @@ def atlas_of(materials: Mapping[str, Material]) -> Atlas:
     for name, material in materials.items():
         rng = np.random.default_rng(zlib.crc32(name.encode()))
         texture, default_m = _TEXTURES[material.texture]
-        shade, tile = texture(material.size_m or default_m, material.contrast, rng)
+        shade, side_m = texture(material.size_m or default_m, material.contrast, rng)
         colour = np.array(material.colour, dtype=np.float32)
         tinted = shade * colour if shade.ndim == 3 else shade[..., None] * colour
-        strips.append(_mip_strip(np.clip(tinted, 0, 255).astype(np.float32)))
-        tile_m.append(tile)
+        tile, levels = np.clip(tinted, 0, 255).astype(np.float32), []
+        for size in (TILE_PX >> level for level in range(LEVELS)):
+            small = cv2.resize(tile, (size, size), interpolation=cv2.INTER_AREA)
+            padded = cv2.copyMakeBorder(small, _PAD, _PAD, _PAD, _PAD, cv2.BORDER_WRAP)
+            levels.append(cv2.copyMakeBorder(padded, 0, TILE_PX - size, 0, 0, cv2.BORDER_CONSTANT))
+        strips.append(np.concatenate(levels, axis=1))
+        tile_m.append(side_m)
     corners = np.array([[_corner(m, level) for level in range(LEVELS)] for m in range(len(strips))], dtype=np.float32)
     return Atlas(np.concatenate(strips), {name: m for m, name in enumerate(materials)}, np.array(tile_m), corners)
 
@@ -91,17 +96,6 @@ _PAD = 1  # each level's square repeats its rim, so that interpolation wraps
 def _corner(m: int, level: int) -> tuple[int, int]:
     column = sum((TILE_PX >> k) + 2 * _PAD for k in range(level))
     return column + _PAD, m * (TILE_PX + 2 * _PAD) + _PAD
-
-
-def _mip_strip(tile: Image) -> Image:
-    height = TILE_PX + 2 * _PAD
-    columns = []
-    for level in range(LEVELS):
-        size = TILE_PX >> level
-        small = cv2.resize(tile, (size, size), interpolation=cv2.INTER_AREA)
-        padded = cv2.copyMakeBorder(small, _PAD, _PAD, _PAD, _PAD, cv2.BORDER_WRAP)
-        columns.append(cv2.copyMakeBorder(padded, 0, height - len(padded), 0, 0, cv2.BORDER_CONSTANT))
-    return np.concatenate(columns, axis=1)
 
 
 # -- the textures: (size_m, contrast, rng) → brightness (TILE, TILE) or (TILE, TILE, 3) about 1, and the tile's side ---

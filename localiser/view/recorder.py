@@ -270,7 +270,6 @@ def series(names: Sequence[str], colours: Sequence[palette.Colour]) -> rr.Series
 PLACES, ELLIPSES = f"{paths.WORLD}/building/landmarks", f"{paths.WORLD}/building/ellipses"
 BEFORE, AFTER = f"{paths.WORLD}/trails/before_loops", f"{paths.WORLD}/trails/after_loops"
 _LARGEST_M = 1.0  # an ellipse beyond this would cover everything and say nothing
-_CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 33)), np.sin(np.linspace(0, 2 * np.pi, 33))], axis=-1)
 
 
 class MapRecorder:
@@ -322,20 +321,11 @@ class MapRecorder:
         log = self._stream.log
         ends = Context("", self._context.camera, known).landmark_ends
         log(PLACES, draw.landmarks(ends, palette.MATCHED, 1.5))
-        log(ELLIPSES, _ellipses(known.points, cov))
+        certain = np.linalg.eigvalsh(cov)[:, 1] * draw.CHI2_95_2D < _LARGEST_M**2
+        pairs = zip(known.points[certain], cov[certain], strict=True)
+        lines = [draw.at_height(draw.ellipse_points(*one), 0.02) for one in pairs]
+        log(ELLIPSES, rr.LineStrips3D(lines, colors=palette.VISIBLE, radii=rr.Radius.ui_points(0.8)))
         log(LANDMARKS, rr.Scalars([len(cov)]))
         if len(cov):
             sigma_cm = 100 * np.sqrt(np.trace(cov, axis1=1, axis2=2) / 2)
             log(SIGMA, rr.Scalars(np.quantile(sigma_cm, (0.5, 0.9)).tolist()))
-
-
-def _ellipses(points: Array, cov: Array) -> rr.LineStrips3D:
-    """Return the 95 % ellipses of landmarks, those that are worse than a metre left out."""
-    variance, axes = np.linalg.eigh(cov)
-    half = np.sqrt(draw.CHI2_95_2D * np.maximum(variance, 0.0))
-    shown = half[:, 1] < _LARGEST_M
-    scaled = axes[shown] * half[shown, None, :]
-    lines = points[shown, None] + np.einsum("kij,cj->kci", scaled, _CIRCLE)
-    return rr.LineStrips3D(
-        draw.at_height(lines, 0.02).astype(np.float32), colors=palette.VISIBLE, radii=rr.Radius.ui_points(0.8)
-    )
