@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from coarse_bearings import coarse_bearings, landmarks_of_coarse_bearings
+from coarse_bearings import coarse_bearings
 from coarse_worlds import matched
 from mrclam import MrclamReader
 
@@ -74,17 +74,6 @@ def test_clutter_alone_makes_hardly_any_landmark() -> None:
     cameras = wandering(rng, 300)
     made = map_of(seen_from(cameras, np.zeros((0, 2)), rng, 2.0, SIGMA), cameras)  # of six hundred bearings
     assert len(made) <= 3
-
-
-def test_a_landmark_has_one_sighting_a_frame_at_most() -> None:
-    rng = np.random.default_rng(5)
-    cameras = wandering(rng, 300)
-    sightings = seen_from(cameras, PLACES, rng, 1.0, SIGMA)
-    of = landmarks_of_coarse_bearings(sightings, cameras, sightings.sigma, 15.0)
-    taken = of >= 0
-    pairs = np.stack([sightings.frame[taken], of[taken]])
-    assert taken.any()
-    assert np.unique(pairs, axis=1).shape == pairs.shape
 
 
 @pytest.mark.data

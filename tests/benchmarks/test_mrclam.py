@@ -48,15 +48,6 @@ def test_bearings_are_positive_to_the_right_and_fit_the_truth(folder: Path) -> N
     np.testing.assert_allclose(geometry.bearing_from_point(x, z), -0.4636, atol=1e-4)
 
 
-def test_map_has_subjects_as_ids_and_the_covariance_in_our_frame(folder: Path) -> None:
-    landmark_map = open_log(f"{folder}:2").landmark_map
-    assert landmark_map is not None
-    assert landmark_map.ids == (6, 7)
-    np.testing.assert_allclose(landmark_map.points, [[2.0, -1.0], [3.0, 1.0]])
-    np.testing.assert_allclose(landmark_map.cov[1], [[9e-4, 0], [0, 16e-4]])
-    assert np.isnan(landmark_map.bottom_m).all() and np.isnan(landmark_map.top_m).all()
-
-
 def test_commands_become_exact_arcs() -> None:
     # A quarter of a circle to the left, of radius 2, in three unequal steps; then straight on.
     times = np.array([0, 1, 4, 10, 12]) * 10**9

@@ -61,14 +61,6 @@ def test_wheels_miss_how_the_robot_is_carried() -> None:
     assert np.hypot(*moved[first - 1, :2]) >= 2.0 and abs(moved[first - 1, 2]) > np.deg2rad(20)
 
 
-def test_wrong_start_is_far_from_the_true_one() -> None:
-    drive = circle()
-    for seed in range(5):
-        start = changes.elsewhere(drive, seed)
-        assert np.hypot(*(start - drive.truth[0])[:2]) >= 2.0
-        assert np.hypot(*(drive.truth - start)[:, :2].T).min() < 1e-9  # inside the building
-
-
 @pytest.mark.parametrize(("fault", "factor"), [("frozen", 0.0), ("twice", 2.0)])
 def test_wheels_that_err_count_wrong_for_three_seconds(fault: str, factor: float) -> None:
     drive = circle()
@@ -79,14 +71,6 @@ def test_wheels_that_err_count_wrong_for_three_seconds(fault: str, factor: float
     assert bad.sum() == 60
     np.testing.assert_allclose(said[bad], factor * true[bad], atol=1e-9)
     np.testing.assert_allclose(said[~bad], true[~bad], atol=1e-9)
-
-
-def test_a_part_about_a_fault_has_ten_seconds_before_and_sixteen_after() -> None:
-    drive = changes.part_about(circle(), 20.0)
-    assert (drive.t_ns[0], drive.t_ns[-1]) == (10_000_000_000, 35_800_000_000)
-    assert len(drive.truth) == len(drive.edges) == len(drive.t_ns)
-    assert drive.odometry.t_ns[0] <= drive.t_ns[0] and drive.odometry.t_ns[-1] >= drive.t_ns[-1]
-    np.testing.assert_allclose(steps(drive.odometry.sampled(drive.t_ns).poses), steps(drive.truth), atol=1e-9)
 
 
 # -- maps --------------------------------------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from simulated_edges import EdgeNoise, simulated_edges
@@ -75,19 +73,3 @@ def test_detection_probability_and_clutter_have_the_stated_means(landmark_map: L
     half_px = np.linalg.norm(false[:, 1] - false[:, 0], axis=-1) / 2
     miss = nadir_miss(Segments.of_ends(false, 0.5), CAMERA, 0.0).angle
     assert np.abs(miss * half_px).max() < 3.0, "clutter is what cannot be told from a vertical edge"
-
-
-def test_edges_have_their_landmarks_polarity_but_for_the_stated_share(landmark_map: LandmarkMap) -> None:
-    signs = np.random.default_rng(1).choice(np.array([-1, 0, 1], dtype=np.int8), len(landmark_map))
-    noise = EdgeNoise(clutter_per_frame=5.0, turned_probability=0.2)
-    frames = simulated_edges(
-        replace(landmark_map, polarity=signs), CAMERA, still(400), np.random.default_rng(2), noise=noise
-    )
-    polarity, landmark = (np.concatenate([getattr(e, name) for e in frames]) for name in ("polarity", "landmark_id"))
-    product = np.where(landmark >= 0, polarity * signs[landmark], 9)
-    np.testing.assert_array_equal(product[landmark >= 0] == 0, signs[landmark[landmark >= 0]] == 0)
-    known = product[(landmark >= 0) & (product != 0)]
-    assert (known < 0).mean() == pytest.approx(0.2, abs=0.03)
-    clutter = polarity[landmark < 0]
-    assert set(clutter) == {-1, 1}
-    assert clutter.mean() == pytest.approx(0.0, abs=0.1)

@@ -68,28 +68,6 @@ def test_board_on_the_floor_gives_tilt_roll_and_height(board):
     assert np.all(np.abs(error) < 5 * mount.sigma)
 
 
-@pytest.mark.slow
-def test_normalised_errors_have_unit_spread():
-    truth = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    normalised, over = [], []
-    for seed in range(25):
-        found = calibrate(exact_views(CAMERA, seed=seed), SIZE)
-        normalised.append((found.values[:4] - truth) / found.sigma[:4])
-        mount = mount_over_board(found, 0)
-        over.append((mount.values - _true_mount(seed)) / mount.sigma)
-    assert 0.8 < np.std(normalised) < 1.2
-    assert 0.7 < np.sqrt(np.mean(np.square(over))) < 1.35
-
-
-def _true_mount(seed):
-    pose = poses_before(CHESSBOARD, 12, seed)[0]
-    normal = cv2.Rodrigues(pose[:3])[0][:, 2]
-    down = normal * np.sign(normal @ pose[3:])
-    return np.array(
-        [np.arctan2(down[2], np.hypot(*down[:2])), np.arctan2(down[0], down[1]), abs(float(normal @ pose[3:]))]
-    )
-
-
 @pytest.mark.parametrize(
     ("lens", "distortion"),
     [
@@ -123,11 +101,6 @@ def test_a_view_that_does_not_fit_is_named():
     assert calibrate(exact_views(CAMERA), SIZE).outliers == []
 
 
-def test_too_few_views_are_refused():
-    with pytest.raises(InputError, match="at least 3 images, found it in 2"):
-        calibrate(exact_views(CAMERA, count=2), SIZE)
-
-
 def test_views_from_straight_ahead_do_not_tell_the_focal_length():
     with pytest.raises(InputError, match="do not tell"):
         calibrate(exact_views(CAMERA, count=6, turn_rad=1e-3), SIZE)
@@ -144,10 +117,8 @@ def test_an_image_without_the_board_shows_none():
     ("changes", "field"),
     [
         ({"columns": 2}, "--squares"),
-        ({"rows": 101}, "--squares"),
         ({"square_m": 0.0}, "--square-m"),
         ({"marker_m": 0.03}, "--marker-m"),
-        ({"marker_m": float("nan")}, "--marker-m"),
         ({"dictionary": "9X9"}, "--dictionary"),
         ({"columns": 20, "rows": 20}, "--dictionary"),
     ],
@@ -156,3 +127,8 @@ def test_a_board_that_does_not_exist_is_refused(changes, field):
     with pytest.raises(InputError) as raised:
         replace(CHARUCO, **changes)
     assert raised.value.field == field
+
+
+def test_too_few_views_are_refused():
+    with pytest.raises(InputError, match="at least 3 images, found it in 2"):
+        calibrate(exact_views(CAMERA, count=2), SIZE)

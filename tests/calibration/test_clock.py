@@ -10,8 +10,7 @@ import pytest
 from folders import ROOT
 
 from localiser.calibration import ClockOffset, clock_offset
-from localiser.calibration.clock import REACH_S, offset_of_turns, telling_pairs, unwrapped, wheel_turns
-from localiser.camera import Camera, Mount
+from localiser.calibration.clock import REACH_S, offset_of_turns
 from localiser.edges import Edges, find_edges
 from localiser.geometry import Trajectory
 from localiser.storage import Log, open_log
@@ -74,11 +73,6 @@ def test_the_corridor_s_clocks_are_compared_to_10_ms(corridor, corridor_edges, s
     assert (found.warning(Path("drive")) is None) == (shift_s == 0.0)
 
 
-def test_an_offset_that_the_filter_reckons_with_is_no_disagreement(corridor, corridor_edges):
-    found = offset_of(corridor, corridor_edges, 0.1)
-    assert found.disagrees() and not found.disagrees(believed_sigma_s=0.2)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("shift_s", [-0.5, 0.2, 0.5])
 @pytest.mark.parametrize("name", ["house", "bookstore"])
@@ -99,7 +93,7 @@ def test_errors_agree_with_their_sigma(turned_deg):
 
 
 @pytest.mark.parametrize("turned_deg", [0.0, 6.0, 12.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_drive_without_turns_tells_nothing_and_says_so(turned_deg, seed):
     found = offset_of_turns(*drive(turned_deg, seed))
     assert found.sigma_s > 0.3 * REACH_S
@@ -120,25 +114,3 @@ def test_a_log_that_is_too_short_tells_nothing(images, corridor):
     wheels = Trajectory(np.arange(40) * 50_000_000, np.zeros((40, 3)))  # 2 s: no pair can be moved by a second
     found = clock_offset(t_ns, lambda _: Edges.none(), wheels, corridor.camera)
     assert found.pairs == 0 and found.sigma_s > 0.5 and not found.disagrees()
-
-
-def test_images_without_edges_tell_nothing(corridor):
-    found = offset_of(corridor, lambda _: Edges.none(), 0.4)
-    assert found.sigma_s > 0.2 and not found.disagrees()
-
-
-def test_pairs_are_apart_and_inside_the_odometry_for_every_offset():
-    _, _, wheels = drive(180.0)
-    t_ns = np.arange(0, 60_000_000_000, 33_000_000)
-    pairs = telling_pairs(t_ns, wheels, 50)
-    assert len(pairs) == 50 and (np.diff(pairs[:, 0]) > 0).all()
-    assert (np.diff(t_ns[pairs], axis=1) >= 150_000_000).all()
-    assert t_ns[pairs].min() >= 1_000_000_000 and t_ns[pairs].max() <= 59_000_000_000
-    changed = wheel_turns(t_ns[pairs], unwrapped(wheels), np.linspace(-1, 1, 9)).std(axis=1)
-    assert (changed > 0).all()
-
-
-def test_a_camera_is_not_needed_where_nothing_is_looked_at():
-    camera = Camera(64, 48, 50.0, 50.0, 31.5, 23.5, Mount(tilt_rad=0.3, height_m=1.0))
-    found = clock_offset([], lambda _: Edges.none(), Trajectory(np.zeros(0, np.int64), np.zeros((0, 3))), camera)
-    assert found.pairs == 0

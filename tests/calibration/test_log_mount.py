@@ -92,11 +92,6 @@ def test_derivatives_of_the_miss_are_those_of_finite_differences():
     np.testing.assert_allclose(per_turn, numeric, atol=1e-3)
 
 
-def test_edges_that_no_image_shows_are_left_out():
-    edges = Edges.from_columns(np.array([0.1]), np.array([0.01]), np.array([0.03]), np.array([0.01]))
-    assert len(lines_of(edges, camera_of())) == 0
-
-
 # -- the fit ----------------------------------------------------------------------------------------------------------
 
 
@@ -130,27 +125,6 @@ def test_sigma_covers_the_error():
         normalised.append((found.mount - TRUE) / found.sigma)
     spread = np.sqrt(np.mean(np.square(normalised), axis=0))
     assert np.all((spread > 0.5) & (spread < 1.25)), spread
-
-
-def test_images_of_one_view_count_once():
-    """Twenty images of a robot that stands still hold the errors of the edges that they show twenty times."""
-    rng = np.random.default_rng(0)
-    once = scene(rng, images=1, edges=12)
-    still = Lines.together([Lines(once.normal, once.per_turn, once.sigma, once.frame + i) for i in range(20)])
-    one = mount_of_lines(once, np.zeros((1, 3)), CAMERA, TRUE)
-    twenty = mount_of_lines(still, np.zeros((20, 3)), CAMERA, TRUE)
-    np.testing.assert_allclose(twenty.sigma, one.sigma, rtol=0.05)
-    assert twenty.places == one.places < 5
-
-
-def test_edges_that_are_out_of_plumb_make_it_less_certain():
-    rng = np.random.default_rng(5)
-    plumb = mount_of_lines(scene(rng, sigma_rad=1e-3), apart(40), CAMERA, TRUE)
-    lines = scene(rng, sigma_rad=1e-2)
-    crooked = mount_of_lines(
-        Lines(lines.normal, lines.per_turn, lines.sigma / 10, lines.frame), apart(40), CAMERA, TRUE
-    )
-    assert np.all(crooked.sigma > 3 * plumb.sigma)
 
 
 def test_seams_of_the_floor_do_not_pass_for_vertical_edges():
@@ -200,18 +174,6 @@ def test_sigma_covers_the_error_where_rows_lean():
     errors = np.array(errors)
     assert 0.5 < np.sqrt((errors**2).mean()) < 1.5
     assert np.abs(errors).max() < 4.0
-
-
-def test_driving_the_same_way_again_tells_nothing_new():
-    """The second round shows the same things with the same leans and errors of their edges."""
-    drive = leaning_drive(5, row_deg=0.3, own_deg=0.15)
-    once, images = drive.lines, len(drive.odometry)
-    again = Lines(once.normal, once.per_turn, once.sigma, once.frame + images)
-    one = mount_of_lines(once, drive.odometry, drive.camera, drive.mount)
-    poses = np.tile(drive.odometry, (2, 1))
-    two = mount_of_lines(Lines.together([once, again]), poses, drive.camera, drive.mount)
-    np.testing.assert_allclose(two.mount, one.mount, atol=1e-5)
-    np.testing.assert_allclose(two.cov, one.cov, rtol=2e-2)
 
 
 # -- the check of a run -----------------------------------------------------------------------------------------------

@@ -80,17 +80,6 @@ def test_errors_of_the_path_are_not_taken_for_noise_of_the_wheels():
     assert (of_told < 1.5 * of_true).all() and (of_untold[0] > 1.5 * of_true[0])
 
 
-def test_pieces_end_where_poses_are_missing():
-    whole = drive(4)
-    kept = np.ones(4001, dtype=bool)
-    kept[1000:1400] = False  # 20 s
-    gappy = Drive("gap", Trajectory(whole.odometry.t_ns[kept], whole.odometry.poses[kept]), whole.truth)
-    pieces = Pieces.of(gappy, 0)
-    assert pieces.path_m.max() < 1.1 and pieces.turned_rad.max() < 1.1
-    lost = Drive("gap", whole.odometry, Trajectory(whole.truth.t_ns[kept], whole.truth.poses[kept]))
-    assert len(Pieces.of(lost, 0)) <= len(pieces) + 1
-
-
 def test_a_truth_by_another_clock_is_moved():
     right = drive(5)
     late = replace(right, truth=Trajectory(right.truth.t_ns + 310_000_000, right.truth.poses))
@@ -99,10 +88,6 @@ def test_a_truth_by_another_clock_is_moved():
     assert abs(int(moved.truth.t_ns[0]) - int(right.truth.t_ns[0])) < 20_000_000
     same, found = on_one_clock(right)
     assert same is right and abs(found.offset_s) < 0.02
-
-
-def test_too_little_driving_is_no_fit():
-    assert fit_odometry([drive(0, steps=100)], MotionParameters()) is None
 
 
 def test_a_smoothed_path_is_nearer_to_the_truth_and_knows_it():
@@ -128,3 +113,14 @@ def test_a_smoothed_path_is_nearer_to_the_truth_and_knows_it():
     off = (path - true)[10:-10]
     nees = np.einsum("ti,tij,tj->t", off, np.linalg.inv(spread[10:-10]), off).mean()
     assert 1.0 < nees < 6.0
+
+
+def test_pieces_end_where_poses_are_missing():
+    whole = drive(4)
+    kept = np.ones(4001, dtype=bool)
+    kept[1000:1400] = False  # 20 s
+    gappy = Drive("gap", Trajectory(whole.odometry.t_ns[kept], whole.odometry.poses[kept]), whole.truth)
+    pieces = Pieces.of(gappy, 0)
+    assert pieces.path_m.max() < 1.1 and pieces.turned_rad.max() < 1.1
+    lost = Drive("gap", whole.odometry, Trajectory(whole.truth.t_ns[kept], whole.truth.poses[kept]))
+    assert len(Pieces.of(lost, 0)) <= len(pieces) + 1

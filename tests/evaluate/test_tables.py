@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from rich.table import Table
 
 from localiser.evaluate.tables import fit_width, flat_figures, learnt_constants, run_tables, summaries
 
@@ -115,34 +114,6 @@ def test_tables_fit_the_terminal_and_break_no_word(width: int, count: int) -> No
 
 
 # -- tables that are too wide --------------------------------------------------------------------------------------
-
-
-def wide() -> Table:
-    table = Table(title="Turns", caption="A note on all of them")
-    for column in ("camera", "method", *(f"quantity{n}" for n in range(9))):
-        table.add_column(column, justify="right")
-    for camera in ("640×480", "176×144"):
-        for method in ("columns", "Hough"):
-            table.add_row(camera, method, *(f"{camera[:3]}.{method[0]}{n}" for n in range(9)))
-    return table
-
-
-@pytest.mark.parametrize("width", [80, 120, 200])
-def test_wide_tables_go_on_below_and_lose_nothing(width: int) -> None:
-    console = Console(width=width, color_system=None)
-    pieces = fit_width(wide(), console)
-    assert (len(pieces) == 1) == (width == 200)
-    with console.capture() as capture:
-        for piece in pieces:
-            console.print(piece)
-    text = capture.get()
-    assert max(map(len, text.splitlines())) <= width
-    assert {f"quantity{n}" for n in range(9)} <= set(text.split())
-    assert {f"{camera}.{method}{n}" for camera in ("640", "176") for method in "cH" for n in range(9)} <= set(
-        text.split()
-    )
-    assert text.count("Hough") == 2 * len(pieces), "each piece says which row is which"
-    assert text.count("Turns") == text.count("A note") == 1
 
 
 # -- flat rows, learnt constants ---------------------------------------------------------------------------------------

@@ -12,18 +12,10 @@ from hypothesis import strategies as st
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import agreeing, align, fuse_maps, join_maps, matches
-from localiser.mapping.merge import best_motion, vote_for_shift
 
 
 def hall(seed: int, count: int = 40) -> np.ndarray:
     return np.random.default_rng(seed).uniform([-6, -9], [6, 1], (count, 2))
-
-
-@given(x=st.floats(-9, 9), z=st.floats(-9, 9), heading=st.floats(-3, 3))
-def test_exact_points_give_the_motion_back(x: float, z: float, heading: float) -> None:
-    pose = np.array([x, z, heading])
-    points = hall(1)
-    assert best_motion(points, robot_from_map(pose, points)) == pytest.approx(pose, abs=1e-6)
 
 
 @settings(max_examples=6, deadline=None)
@@ -100,15 +92,6 @@ def test_ids_stay_unique() -> None:
     assert joined.ids == (0, "7", 9, 10, 8, 11)
     assert len({str(name) for name in joined.ids}) == 6
     assert map_from_robot(np.zeros(3), joined.points).shape == (6, 2)
-
-
-def test_votes_are_counted_alike_whether_or_not_most_places_have_none() -> None:
-    for seed in range(5):
-        first, second = hall(seed), robot_from_map(np.array([3.0, -2.0, 0.4]), hall(seed, 35))
-        dense = [vote_for_shift(first, second, turn) for turn in (-0.4, 0.0, 0.4)]
-        sparse = [vote_for_shift(first, second, turn, most_bins=0) for turn in (-0.4, 0.0, 0.4)]
-        for (votes, shift), (again, moved) in zip(dense, sparse, strict=True):
-            assert votes == again and shift == pytest.approx(moved)
 
 
 def test_maps_of_any_width_are_aligned_within_memory() -> None:

@@ -29,14 +29,6 @@ def test_places_are_found_where_no_edge_can_be_followed() -> None:
     assert (apart.min(axis=1) > 0.1).sum() <= 2
 
 
-def test_edges_of_nothing_make_no_landmarks() -> None:
-    poses = far_poses(40, 3)
-    sightings = Sightings.from_edges(images(np.zeros((0, 2)), np.zeros((0, 2)), poses, 4), CAMERA)
-    sigma = np.full(len(sightings), SIGMA_RAD)
-    _, probability = build_from_far_images([CAMERA.pose_in_map(poses)], sightings, sigma, MappingParameters())
-    assert (probability > 0.9).sum() <= 2
-
-
 def test_two_logs_together_are_as_one() -> None:
     places, looks = room(5)
     poses = far_poses(40, 6)
@@ -70,3 +62,11 @@ def test_landmarks_are_as_far_off_as_their_covariance_says() -> None:
         normalised.append(np.einsum("li,lij,lj->l", offset, np.linalg.inv(made.cov[found]), offset))
     honesty = np.sqrt(np.median(np.concatenate(normalised)) / (2 * np.log(2)))
     assert 0.75 < honesty < 1.3
+
+
+def test_edges_of_nothing_make_no_landmarks() -> None:
+    poses = far_poses(40, 3)
+    sightings = Sightings.from_edges(images(np.zeros((0, 2)), np.zeros((0, 2)), poses, 4), CAMERA)
+    sigma = np.full(len(sightings), SIGMA_RAD)
+    _, probability = build_from_far_images([CAMERA.pose_in_map(poses)], sightings, sigma, MappingParameters())
+    assert (probability > 0.9).sum() <= 2

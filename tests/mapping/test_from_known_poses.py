@@ -88,16 +88,6 @@ def test_triangulation_agrees_with_a_general_solver() -> None:
         assert found.points[index] == pytest.approx(oracle.x, abs=1e-4)
 
 
-def test_covariance_of_triangulation_is_that_of_many_trials() -> None:
-    rng, sigma = np.random.default_rng(2), 2e-3
-    points = np.tile([[0.5, -3.0]], (400, 1))
-    landmark, cameras, direction = rays(points, sigma, rng)
-    found = triangulate(landmark, 400, cameras, direction, np.full(len(landmark), sigma))
-    offset = found.points - points
-    nees = np.einsum("li,lij,lj->l", offset, np.linalg.inv(found.cov), offset)
-    assert nees.mean() / 2 == pytest.approx(1.0, abs=0.25)  # a robust cost loses a little certainty
-
-
 def test_one_wrong_bearing_does_not_move_a_landmark() -> None:
     points, sigma = np.array([[0.5, -3.0]]), 1e-3
     landmark, cameras, direction = rays(points, sigma, np.random.default_rng(3))
@@ -124,12 +114,6 @@ def test_assignment_finds_the_largest_sum() -> None:
     assert sorted(zip(row.tolist(), column.tolist(), strict=True)) == [(0, 1), (1, 0)]
 
 
-def test_nothing_is_assigned_where_no_score_is_positive() -> None:
-    row, column = assign(np.array([[-1.0, -np.inf]]))
-    assert len(row) == len(column) == 0
-    assert len(assign(np.zeros((0, 3)))[0]) == 0
-
-
 def test_edges_of_opposite_polarity_are_never_one() -> None:
     side, polarity = np.array([[10.0, 200.0]]), np.array([1], dtype=np.int8)
     same = looks_alike(side, polarity, side, polarity)
@@ -141,27 +125,6 @@ def test_edges_of_opposite_polarity_are_never_one() -> None:
 
 
 # -- whole drives -----------------------------------------------------------------------------------------------------
-
-
-def owners(edges: list[Edges], sightings: Sightings, built: Built) -> NDArray[np.int64]:
-    """Return the true landmark (L,) that most sightings of each built one are of, -1 for clutter."""
-    true = np.concatenate([frame.landmark_id for frame in edges])
-    rows = [true[built.used[built.of[built.used] == index]] for index in range(len(built))]
-    return np.array([np.bincount(row + 1).argmax() - 1 for row in rows])
-
-
-def test_tracks_follow_single_landmarks() -> None:
-    drive = world("corridor")
-    edges = drive.edges(seed=0)
-    sightings = Sightings.from_edges(edges, drive.camera)
-    cameras = drive.camera.pose_in_map(drive.truth.poses)
-    track = mapping.follow(sightings, cameras, np.full(len(cameras), 1e-3), PARAMETERS.tracks)
-    true = np.concatenate([frame.landmark_id for frame in edges])
-    long = np.flatnonzero(np.bincount(track) >= 5)
-    purity = [np.bincount(true[track == index] + 1).max() / (track == index).sum() for index in long]
-    assert np.median(purity) == 1.0
-    assert np.mean(purity) > 0.95
-    assert np.isin(track[true >= 0], long).mean() > 0.9
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -235,21 +198,3 @@ def test_quality_says_how_often_and_from_where_a_landmark_was_seen() -> None:
     assert made.quality.sightings[index] == pytest.approx(frames, abs=1)
     assert made.quality.parallax_rad[index] == pytest.approx(parallax(heading[shown]), abs=0.01)
     assert made.quality.existence[index] > 0.99
-
-
-def test_frames_without_edges_are_no_obstacle() -> None:
-    _, edges, poses = passing(EdgeNoise())
-    edges[7] = edges[8] = Edges.none()
-    _, _, made = built_from(edges, CAMERA, poses)
-    assert len(made) == 3
-
-
-def test_a_second_visit_adds_to_the_landmarks_of_the_first() -> None:
-    true, edges, poses = passing(EdgeNoise())
-    gap = [Edges.none()] * 10
-    twice = [*edges, *gap, *edges[::-1]]
-    pause = np.tile(poses[-1], (10, 1))
-    _, _, made = built_from(twice, CAMERA, np.concatenate([poses, pause, poses[::-1]]))
-    assert len(made) == len(true)
-    assert made.quality is not None
-    assert made.quality.sightings.min() > 50

@@ -14,7 +14,6 @@ from world_plan import cells_from_map, draw_plan, drawn_solids
 
 from localiser.geometry import Array
 from localiser.mapping import FloorPlan, map_from_cells, plan_landmarks
-from localiser.mapping.plan import outlines
 from localiser.simulate import World, vertical_edges
 from localiser.storage import read_world
 
@@ -79,13 +78,6 @@ def test_cells_to_map_and_back(x: float, y: float, yaw: float, size: float, seed
     assert cells_from_map(plan, map_from_cells(plan, cells)) == pytest.approx(cells, abs=1e-6)
 
 
-def test_the_outline_runs_along_the_sides_of_cells() -> None:
-    (outline,) = outlines(square().occupied)
-    assert outline.min(axis=0).tolist() == [10.0, 20.0]
-    assert outline.max(axis=0).tolist() == [20.0, 35.0]
-    assert len(outline) == 2 * 2 * (10 + 15)
-
-
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -2.0])
 def test_a_pillar_has_four_corners(yaw: float) -> None:
     plan = square(origin=(1.0, -2.0, yaw))
@@ -120,7 +112,7 @@ def test_specks_and_holes_are_no_landmarks() -> None:
     assert len(plan_landmarks(FloorPlan(occupied, ~occupied, 0.05, plan.origin_ros))) == 4
 
 
-@pytest.mark.parametrize("yaw_deg", [0.0, 7.0, 30.0, 45.0])
+@pytest.mark.parametrize("yaw_deg", [0.0, 7.0, 45.0])
 @pytest.mark.parametrize("resolution_m", [0.02, 0.05])
 @pytest.mark.parametrize("name", ["corridor", "office"])
 def test_corners_and_jambs_are_within_a_cell(name: str, resolution_m: float, yaw_deg: float) -> None:

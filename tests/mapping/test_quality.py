@@ -17,23 +17,6 @@ from localiser.mapping.sightings import Sightings, direction_of
 from localiser.storage import read_map, write_map
 
 
-def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
-    plain = LandmarkMap.from_points(np.array([[0.0, 1.0], [2.0, 3.0]]), name="built")
-    quality = Quality(
-        np.array([12.0, np.nan]),
-        np.deg2rad([23.5, 7.25]),
-        np.array([0.97, np.nan]),
-        np.array([[10.0, 200.5, 90.0], [np.nan] * 3]),
-    )
-    write_map(replace(plain, quality=quality), tmp_path / "map.yaml")
-    found = read_map(tmp_path / "map.yaml").quality
-    assert found is not None
-    for name in ("sightings", "parallax_rad", "existence", "profile"):
-        np.testing.assert_allclose(getattr(found, name), getattr(quality, name), atol=1e-6)
-    write_map(plain, tmp_path / "plain.yaml")
-    assert read_map(tmp_path / "plain.yaml").quality is None
-
-
 def test_taking_landmarks_takes_their_quality_along() -> None:
     quality = replace(Quality.unknown(3), existence=np.array([0.1, 0.2, 0.3]))
     whole = replace(LandmarkMap.from_points(np.arange(6.0).reshape(3, 2), ids=("a", "b", "c")), quality=quality)
@@ -57,3 +40,20 @@ def test_a_landmark_whose_sigma_is_larger_than_any_distance_to_it_has_no_place()
     for sigma_m, expected in ((1.0, [True, True]), (3.0, [False, True]), (5.0, [False, False])):
         cov = np.tile(np.diag([1e-6, sigma_m**2]), (2, 1, 1))
         np.testing.assert_array_equal(is_placed(sightings, made, cameras, cov), expected)
+
+
+def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
+    plain = LandmarkMap.from_points(np.array([[0.0, 1.0], [2.0, 3.0]]), name="built")
+    quality = Quality(
+        np.array([12.0, np.nan]),
+        np.deg2rad([23.5, 7.25]),
+        np.array([0.97, np.nan]),
+        np.array([[10.0, 200.5, 90.0], [np.nan] * 3]),
+    )
+    write_map(replace(plain, quality=quality), tmp_path / "map.yaml")
+    found = read_map(tmp_path / "map.yaml").quality
+    assert found is not None
+    for name in ("sightings", "parallax_rad", "existence", "profile"):
+        np.testing.assert_allclose(getattr(found, name), getattr(quality, name), atol=1e-6)
+    write_map(plain, tmp_path / "plain.yaml")
+    assert read_map(tmp_path / "plain.yaml").quality is None

@@ -19,7 +19,7 @@ from localiser.mapping import Built, MappingParameters, Prior, Sightings
 from localiser.mapping.factors import Problem, State, cost_of, linearise
 from localiser.mapping.landmarks import fit_landmarks, triangulate
 from localiser.mapping.loop_closure import same_landmarks
-from localiser.mapping.place_recognition import Recognition, recognise_groups
+from localiser.mapping.place_recognition import recognise_groups
 from localiser.mapping.sightings import Index
 from localiser.mapping.smooth import Scale, dead_reckoning, scale_by_floor_contacts, smooth
 from localiser.motion import MotionParameters
@@ -76,29 +76,6 @@ def test_errors_of_landmarks_are_what_their_covariances_say() -> None:
     assert 0.7 < np.mean(between_two) < 1.4
 
 
-def test_covariances_are_those_of_the_dense_inverse() -> None:
-    problem, poses, points = circle(1.0, frames=20)
-    found = smooth(problem, poses, points, CONSTANTS)
-    linear = linearise(problem, State(found.poses, found.points, found.constants, points))
-    dense = linear.jacobian.toarray()
-    whole = np.linalg.inv(dense.T @ (linear.weight[:, None] * dense))[-points.size :, -points.size :]
-    blocks = whole.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
-    one, other = np.array([0, 5, 29]), np.array([7, 6, 3])
-    np.testing.assert_allclose(found.landmark_cov(), blocks.diagonal().transpose(2, 0, 1), rtol=1e-5, atol=1e-10)
-    cross = blocks[one, other]
-    apart = blocks[one, one] + blocks[other, other] - cross - cross.transpose(0, 2, 1)
-    np.testing.assert_allclose(found.difference_cov(one, other), apart, rtol=1e-5, atol=1e-10)
-
-
-def test_wrong_bearings_do_not_bend_the_path() -> None:
-    problem, poses, points = circle(1.0)
-    bearing = problem.bearings.bearing.copy()
-    bearing[::15] += 0.1
-    wrong = replace(problem, bearings=replace(problem.bearings, bearing=bearing))
-    found = smooth(wrong, poses, points, CONSTANTS)
-    assert np.hypot(*(found.poses - poses)[:, :2].T).max() < 0.05
-
-
 # -- scale ------------------------------------------------------------------------------------------------------------
 
 
@@ -131,12 +108,6 @@ def test_feet_on_the_floor_tell_the_scale_though_many_are_not(true_scale: float)
     scale = scale_by_floor_contacts(sightings, of, points, cameras, Scale(0.0, 0.05))
     assert scale.log == pytest.approx(np.log(true_scale), abs=0.01)
     assert scale.sigma < 0.01
-
-
-def test_feet_that_agree_on_nothing_tell_no_scale() -> None:
-    sightings, points, cameras = edges_with_feet(1.0, np.linspace(0.05, 0.35, 30))
-    scale = scale_by_floor_contacts(sightings, np.tile(np.arange(30), 6), points, cameras, Scale(0.0, 0.05))
-    assert scale.sigma == np.inf
 
 
 # -- loops ------------------------------------------------------------------------------------------------------------
@@ -298,15 +269,6 @@ def test_what_drifted_is_moved_back_and_the_way_to_it_evenly() -> None:
     np.testing.assert_allclose(np.diff(turned[: middle + 1]), turned[middle] / middle, atol=1e-9)
 
 
-def test_a_few_landmarks_taken_for_others_are_no_drift() -> None:
-    points = np.arange(40.0).reshape(-1, 2)
-    number = np.arange(20)
-    number[:4] = number[4:8]
-    few = Recognition(number, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-    assert not few.far(points, 0.2)
-    assert replace(few, number=np.where(np.arange(20) < 5, number + 10, number)).far(points, 0.2)
-
-
 def test_many_landmarks_of_a_second_visit_join_at_once() -> None:
     count, rng = 500, np.random.default_rng(5)
     first = np.stack([np.arange(count) * 0.1, rng.uniform(-3, 3, count)], axis=-1)
@@ -329,3 +291,18 @@ def fitted_nowhere(landmark: Index) -> Built:
         side=np.full((count, 2), np.nan),
         polarity=np.zeros(count, dtype=np.int8),
     )
+
+
+def test_wrong_bearings_do_not_bend_the_path() -> None:
+    problem, poses, points = circle(1.0)
+    bearing = problem.bearings.bearing.copy()
+    bearing[::15] += 0.1
+    wrong = replace(problem, bearings=replace(problem.bearings, bearing=bearing))
+    found = smooth(wrong, poses, points, CONSTANTS)
+    assert np.hypot(*(found.poses - poses)[:, :2].T).max() < 0.05
+
+
+def test_feet_that_agree_on_nothing_tell_no_scale() -> None:
+    sightings, points, cameras = edges_with_feet(1.0, np.linspace(0.05, 0.35, 30))
+    scale = scale_by_floor_contacts(sightings, np.tile(np.arange(30), 6), points, cameras, Scale(0.0, 0.05))
+    assert scale.sigma == np.inf

@@ -96,20 +96,7 @@ def test_tracks_are_those_of_plain_arrays(margin: float, looking: bool) -> None:
     np.testing.assert_array_equal(mapping.follow(sightings, cameras, sigma, parameters, margin), expected)
 
 
-def test_images_without_edges_have_no_tracks() -> None:
-    drive = world("office")
-    sightings = Sightings.from_edges([edges.take(np.arange(0)) for edges in drive.edges(0)[:3]], drive.camera)
-    assert len(mapping.follow(sightings, np.zeros((3, 3)), np.full(3, 0.01), TrackParameters())) == 0
-
-
 def test_a_match_that_another_rivals_is_left_out_where_a_margin_is_asked_for() -> None:
     score = np.array([[9.0, 8.0, -np.inf], [-np.inf, -np.inf, 4.0], [-np.inf, -np.inf, -np.inf]])
     assert [pair.tolist() for pair in assign(score)] == [[0, 1], [0, 2]]
     assert [pair.tolist() for pair in assign(score, margin=3.0)] == [[1], [2]]
-
-
-def test_a_rival_for_the_edge_counts_as_one_for_the_landmark() -> None:
-    score = np.array([[9.0], [7.0]])
-    assert assign(score)[0].tolist() == [0]
-    assert assign(score, margin=3.0)[0].tolist() == []
-    assert assign(score, margin=1.0)[0].tolist() == [0]

@@ -1,32 +1,21 @@
-"""What a run locates does not depend on how its particles are weighed: by how many threads, compiled or with arrays."""
+"""What a run locates does not depend on by how many threads its particles are weighed."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from plain_likelihood import by_rate_plain
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
-from localiser.geometry import Array, Trajectory, arc_motion, compose
+from localiser.geometry import Trajectory, arc_motion, compose
 from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import EdgeObservation, ObservationParameters, likelihood
-from localiser.particles import Particles
 
 SECOND = 1_000_000_000
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
 SIGMA_RAD = np.radians(0.3)
 PRIOR = np.diag([0.2, 0.2, 0.05]) ** 2
-
-
-class WithArrays(EdgeObservation):
-    """The observation as its oracle has it."""
-
-    def by_rate(
-        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
-    ) -> Array:
-        return by_rate_plain(self, particles, sighting, landmark_map, blur_rad)
 
 
 def drive(images: int) -> tuple[LandmarkMap, list[Event]]:
@@ -68,15 +57,3 @@ def test_one_or_two_threads_give_the_same_bytes_of_trajectory(monkeypatch: pytes
     assert pools and set(pools) == {2}, "the work was shared"
     assert len(one) == 8
     assert one.poses.tobytes() == two.poses.tobytes()
-
-
-def test_compiled_and_with_arrays_agree_to_less_than_seeds_do() -> None:
-    seeds = range(6)
-    parameters = ObservationParameters()
-    compiled, with_arrays = (
-        np.array([trajectory(run(observation, 8, 400, seed)).poses for seed in seeds])
-        for observation in (EdgeObservation(CAMERA, parameters), WithArrays(CAMERA, parameters))
-    )
-    standard_error = compiled.std(axis=0, ddof=1) / np.sqrt(len(seeds))
-    assert (standard_error > 1e-5).all(), "seeds differ"
-    assert (np.abs((compiled - with_arrays).mean(axis=0)) < standard_error).all()

@@ -91,18 +91,6 @@ def test_systematic_errors_have_the_stated_size() -> None:
     assert veering[0] < -0.5, "a positive veer is anticlockwise: to the left"
 
 
-@pytest.mark.slow
-def test_random_errors_grow_as_stated_whatever_the_rate() -> None:
-    spec = OdometrySpec(distance_noise_m_per_sqrt_m=0.02, heading_walk_deg_per_sqrt_m=2.0)
-    for rate in (10.0, 50.0):
-        truth = truth_of(drive({"to": [0, 0]}, {"to": [0, -4]}, odometry_hz=rate))
-        ends = np.array([odometry_of(truth, spec, np.random.default_rng(seed)).poses[-1] for seed in range(100)])
-        assert np.rad2deg(ends[:, 2].std()) == pytest.approx(4.0, rel=0.25)
-    straight = OdometrySpec(distance_noise_m_per_sqrt_m=0.02)
-    ends = np.array([odometry_of(truth, straight, np.random.default_rng(seed)).poses[-1] for seed in range(100)])
-    assert ends[:, 1].std() == pytest.approx(0.04, rel=0.25)
-
-
 def test_turn_noise_grows_with_the_root_of_the_turn() -> None:
     truth = truth_of(drive({"to": [0, 0]}, {"to": [0, -0.1]}, end_turn_deg=100.0))
     spec = OdometrySpec(turn_noise_deg_per_sqrt_deg=0.3)

@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from folders import ROOT
 
-from localiser import geometry
 from localiser.errors import InputError
 from localiser.simulate import World, simulated_log, structure_of, visible_landmarks, world_of
 
@@ -131,26 +129,6 @@ def test_the_stated_start_errs_by_its_stated_sigmas() -> None:
 def test_a_drive_through_a_wall_is_refused_with_its_place() -> None:
     with pytest.raises(InputError, match=r"robot at least 0\.15 m .* x = 0\.00, z = -0\.70"):
         simulated_log(world(walls=[{"from": [-1, -0.7], "to": [1, -0.7]}]), 0)
-
-
-@pytest.mark.slow
-def test_the_corridor_is_as_hard_as_it_is_meant_to_be() -> None:
-    path = ROOT / "configs" / "worlds" / "corridor.yaml"
-    log = simulated_log(world_of(yaml.safe_load(path.read_text(encoding="utf-8"))), 0)
-    assert 190 <= len(log) <= 220
-    on_map = set(log.landmark_map.ids)
-    few = np.array([len(on_map & set(shown.landmark.tolist())) < 3 for shown in log.visible])
-    assert 0.05 <= few.mean() <= 0.15
-    by_odometry = geometry.compose(log.drive.truth.poses[0], log.drive.odometry.poses[-1])
-    assert np.hypot(*(by_odometry - log.drive.truth.poses[-1])[:2]) > 0.5
-    # In the long corridor the doors stand opposite each other, at equal steps.
-    walls = log.scene.world.walls
-    left, right = (
-        [wall.start[1] + np.sign(wall.end[1] - wall.start[1]) * door.at_m for door in wall.doors]
-        for wall in (walls[1], walls[2])
-    )
-    np.testing.assert_allclose(sorted(left), sorted(right))
-    np.testing.assert_allclose(np.diff(sorted(left)), 3.3)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows ends a process without asking it")

@@ -295,22 +295,6 @@ def test_without_truth_and_images_nothing_of_them_is_logged(tmp_path: Path) -> N
     assert np.isnan(np.array(content[paths.ERROR]["Scalars:scalars"])[:, 0]).all()
 
 
-def test_edges_without_pixels_and_frames_without_edges_are_shown(tmp_path: Path) -> None:
-    located, _ = frame(0)
-    bearing = located.edges.bearing
-    sink = RrdFile(tmp_path / "run.rrd", context())
-    for number, edges in enumerate([Edges.from_columns(bearing, bearing, bearing, bearing), Edges.none()]):
-        kept = Located(
-            number, located.estimate, located.particles, located.ess, edges, located.increment, np.full(3, np.nan)
-        )
-        sink.frame(shown(kept, None, None, {}))
-    sink.close(True)
-    content = read(tmp_path / "run.rrd")
-    assert content[paths.EDGES]["LineStrips2D:strips"] == [[], []]
-    assert content[paths.COUNTS]["Scalars:scalars"] == [[3.0, 2.0], [0.0, 0.0]]
-    assert paths.ODOMETRY_TRAIL not in content
-
-
 @pytest.mark.parametrize(("complete", "last"), [(True, ["run complete", "INFO"]), (False, ["run ended early", "WARN"])])
 def test_text_says_how_the_run_ended(tmp_path: Path, complete: bool, last: list[str]) -> None:
     record(tmp_path / "run.rrd", complete=complete)
