@@ -10,8 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from localiser.documents.document import Document, Key, items, shown
-from localiser.documents.parse import load
+from localiser.documents.document import Document, Key, items, load, shown
 from localiser.errors import InputError
 
 Model = TypeVar("Model")

@@ -71,7 +71,7 @@ def test_errors_name_file_line_column_and_field(text: str, expected: str) -> Non
 
 
 def test_a_document_of_too_many_values_is_told_before_it_fills_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules["localiser.documents.parse"], "MOST_VALUES", 10)
+    monkeypatch.setattr(sys.modules["localiser.documents.document"], "MOST_VALUES", 10)
     assert problem("name: a\nwheels:\n" + "- {spokes: 1}\n" * 9).startswith("cart.yaml:6:")
     assert "expected at most 10 values, found more" in problem("name: a\nwheels:\n" + "- {spokes: 1}\n" * 9)
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser.edges import EdgeParameters, Edges, find_edges
+from localiser.edges.find import has_direction
+from localiser.edges.find import vertical_segments as chosen_segments
 from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.types import Segments
-from localiser.edges.vertical import has_direction
-from localiser.edges.vertical import vertical_segments as chosen_segments
 
 PLUMB_RAD = np.deg2rad(0.1)
 

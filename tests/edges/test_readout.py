@@ -10,7 +10,7 @@ from edge_images import camera_of, supersampled_directions, wall_image
 
 from localiser.camera import Camera, Mount, RollingShutter
 from localiser.edges import EdgeParameters, find_edges
-from localiser.edges.readout import Readout, readout_of
+from localiser.edges.measure import Readout, readout_of
 from localiser.edges.views import ideal_camera
 from localiser.geometry import Array, Twist, arc_motion, compose
 
