@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from edge_images import SUPERSAMPLING, camera_of, supersampled_directions, wall_image
+from edge_images import camera_of, wall_image
 from folders import ROOT
 
 from localiser.camera import Camera
@@ -18,12 +18,12 @@ from localiser.edges import (
     Edges,
     Segments,
     columns,
+    find,
     find_edges,
     light_of,
     lines,
     mount,
     register,
-    vertical,
     views,
     warm_up,
 )
@@ -211,7 +211,7 @@ def test_beside_clipped_white_place_and_lean_are_less_certain():
 def test_after_warming_up_nothing_is_left_to_compile():
     camera = CAMERAS["distorted"]
     warm_up(camera, EdgeParameters())
-    modules = (columns, lines, mount, vertical, views)
+    modules = (columns, lines, mount, find, views)
     all_loops = [
         compiled(getattr(module, name)) for module in modules for name in dir(module) if name.endswith("_loop")
     ]
@@ -307,34 +307,11 @@ def test_a_detector_of_no_known_name_is_refused():
         find_edges(np.zeros((480, 640), dtype=np.uint8), camera_of(), EdgeParameters(detector="nope"))
 
 
-CAMERA = camera_of(tilt_deg=20.0, roll_deg=1.0)
-WALL_M = 2.5
-
-
-def panel_image() -> np.ndarray:
-    """Return the image of a wall with a panel that stands on the floor."""
-    k = SUPERSAMPLING
-    right, up = supersampled_directions(CAMERA)
-    on_floor = up < -CAMERA.mount.height_m / WALL_M
-    fine = np.where(np.abs(right) < np.tan(np.deg2rad(8.0)), 70.0, 150.0)
-    fine[on_floor] = 210.0
-    image = fine.reshape(CAMERA.height, k, CAMERA.width, k).mean(axis=(1, 3))
-    image += np.random.default_rng(0).normal(0.0, 2.0, image.shape)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
-def test_a_panel_that_stands_on_the_floor_is_as_far_as_its_foot_says() -> None:
-    edges = find_edges(panel_image(), CAMERA)
-    edges = edges.take(np.abs(np.abs(np.rad2deg(edges.bearing)) - 8.0) < 0.5)
-    assert len(edges) == 2
-    expected = WALL_M / np.cos(edges.bearing)
-    assert np.all(np.abs(edges.foot_range_m - expected) < 3 * edges.foot_range_sigma_m)
-
-
 def test_an_edge_that_may_be_cut_off_by_the_border_has_no_foot() -> None:
-    last = CAMERA.height - 1
+    camera = CAMERAS["tilted"]
+    last = camera.height - 1
     bottom = np.array([[300.0, last - BORDER_PX + 1.0], [300.0, last - BORDER_PX - 1.0], [BORDER_PX - 1.0, 300.0]])
-    range_m, _ = foot_of_edges(bottom, CAMERA)
+    range_m, _ = foot_of_edges(bottom, camera)
     np.testing.assert_array_equal(np.isnan(range_m), [True, False, True])
 
 

@@ -234,36 +234,6 @@ def test_code_that_was_used_last_stays(modules: Modules, kept: Path) -> None:
     assert f"old-{0:040x}" not in left
 
 
-BY_SHARE = """
-    import numpy as np
-    from localiser.camera import Camera, Mount
-    from localiser.edges import Edges
-    from localiser.landmarks import LandmarkMap
-    from localiser.observation import EdgeObservation, ObservationParameters, Sighting
-    from localiser.particles import POSE, Particles
-
-    camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
-    nothing = np.full(2, np.nan)
-    edges = Edges.from_columns(np.array([-0.1, 0.2]), np.full(2, 0.01), nothing, nothing)
-    particles = Particles(POSE, np.tile([[0.0], [0.0], [0.3]], 1000), np.zeros(1000))
-    right, ahead = np.array([-0.4, 0.8]), 4.0
-    x, z = right * np.cos(0.3) - ahead * np.sin(0.3), -right * np.sin(0.3) - ahead * np.cos(0.3)
-    landmark_map = LandmarkMap.from_points(np.column_stack([x, z]))
-    print(EdgeObservation(camera, ObservationParameters()).by_rate(particles, Sighting(0, edges), landmark_map).sum())
-"""
-
-
-@pytest.mark.slow  # quick: the other tests of this file change small loops
-def test_likelihood_follows_a_change_of_the_cosine_it_inlines(package: Path) -> None:
-    before = python(BY_SHARE, package)
-    assert python(BY_SHARE, package) == before
-    kernel = package / "geometry" / "angle_kernel.py"
-    source = kernel.read_text()
-    assert "    return cos, sin\n" in source
-    kernel.write_text(source.replace("    return cos, sin\n", "    return cos / 2, sin\n"))
-    assert python(BY_SHARE, package) != before
-
-
 # -- anywhere ---------------------------------------------------------------------------------------------------------
 
 COSINE = """

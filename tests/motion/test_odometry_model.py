@@ -113,25 +113,6 @@ def test_cutting_the_path_adds_up_to_the_same_variance_of_heading_and_distance(p
     assert ratio == pytest.approx(2 / 3 * (1 + 1 / (2 * pieces**2)), rel=0.05)
 
 
-def test_particles_cut_in_pieces_spread_as_the_chain_of_linearised_steps_says() -> None:
-    piece = Increment.from_mean([-0.01, -0.1, 0.05])
-    rng, particles = np.random.default_rng(2), at(START)
-    pose, cov = START.copy(), np.zeros((3, 3))
-    for _ in range(8):
-        particles = predict(particles, piece, PARAMETERS, rng)
-        transition, noise = linearised(pose, piece, PARAMETERS)
-        cov = transition @ cov @ transition.T + noise
-        pose = compose(pose, piece.mean)
-    assert_same_covariance(moments(particles, pose)[1], cov, slack=0.01)
-
-
-def test_a_robot_that_stands_has_no_noise() -> None:
-    particles = at(START, 50)
-    after = predict(particles, Increment.from_mean(np.zeros(3)), PARAMETERS, np.random.default_rng(3))
-    np.testing.assert_allclose(after.columns, particles.columns, atol=1e-15)
-    np.testing.assert_array_equal(linearised(START, Increment.from_mean(np.zeros(3)), PARAMETERS)[1], 0)
-
-
 def test_a_robot_that_went_to_and_fro_has_noise() -> None:
     """The path counts, not where it ended; the noise of distance then acts straight ahead."""
     increment = Increment(np.zeros(3), np.zeros((3, 3)), path_m=2.0, turned_rad=0.0)
@@ -211,13 +192,6 @@ def test_transition_is_the_derivative_of_the_motion(heading: float, right: float
         columns.append([*difference[:2], wrap_angle(difference[2])])
     found, _ = linearised(pose, increment, PARAMETERS)
     np.testing.assert_allclose(found, np.array(columns).T / (2 * step), atol=1e-8)
-
-
-def test_same_generator_same_particles() -> None:
-    increment = Increment.from_mean([0.0, -0.4, 0.2])
-    first, again, other = (predict(at(START, 9), increment, PARAMETERS, np.random.default_rng(s)) for s in (8, 8, 9))
-    np.testing.assert_array_equal(first.columns, again.columns)
-    assert (first.columns != other.columns).any()
 
 
 def test_particles_move_along_the_axes_of_their_step_to_the_last_bit() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -138,12 +136,6 @@ def test_drawn_particles_have_the_mean_and_covariance_asked_for():
     assert (np.abs(found.cov - cov) < 4 * np.sqrt((np.outer(variance, variance) + cov**2) / count)).all()
 
 
-def test_start_that_is_known_exactly_gives_equal_particles():
-    mean = np.array([1.0, 2.0, 0.5])
-    particles = from_gaussian(mean, np.zeros((3, 3)), 5, np.random.default_rng(6))
-    np.testing.assert_array_equal(particles.poses, np.tile(mean, (5, 1)))
-
-
 def test_singular_covariance_spreads_along_its_axis_only():
     along = np.array([0.6, -0.8, 0.0])
     particles = from_gaussian(np.zeros(3), 0.25 * np.outer(along, along), 2000, np.random.default_rng(7))
@@ -152,33 +144,11 @@ def test_singular_covariance_spreads_along_its_axis_only():
     assert (particles.poses @ along).std() == pytest.approx(0.5, rel=0.065)
 
 
-def test_the_generator_alone_decides_the_draw():
-    draws = [from_gaussian(np.zeros(3), np.eye(3), 4, np.random.default_rng(seed)).columns for seed in (1, 1, 2)]
-    np.testing.assert_array_equal(draws[0], draws[1])
-    assert not np.allclose(draws[0], draws[2])
-
-
-def test_columns_are_found_by_name():
-    particles = particles_of(np.arange(8.0).reshape(4, 2), names=("x", "z", "heading", "scale"))
-    np.testing.assert_array_equal(particles["scale"], [6, 7])
-    np.testing.assert_array_equal(particles.poses, [[0, 2, 4], [1, 3, 5]])
-    with pytest.raises(ValueError, match="not in"):
-        _ = particles["tilt"]
-
-
 @pytest.mark.parametrize("top", [0.0, -1e4, 1e4])
 def test_the_logarithm_of_a_sum_neither_overflows_nor_vanishes(top):
     log_weight = top + np.append(np.random.default_rng(0).normal(0, 3, 50), -np.inf)
     assert log_sum(log_weight) == pytest.approx(np.logaddexp.reduce(log_weight), rel=1e-14)
     assert log_sum(np.full(3, -np.inf)) == -np.inf
-
-
-def test_other_weights_give_another_estimate():
-    one = Particles(POSE, np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]), np.log([0.5, 0.5]))
-    assert estimate(one).mean[0] == pytest.approx(0.5)
-    other = replace(one, log_weight=np.log([0.25, 0.75]))
-    assert other.weight == pytest.approx([0.25, 0.75])
-    assert estimate(other).mean[0] == pytest.approx(0.75)
 
 
 SCHEMES = [
@@ -276,9 +246,3 @@ def test_cells_are_counted_once_and_close_around_the_circle():
     assert clusters.cells_of(poses, 1.0, quarter).max() + 1 == 3
     assert clusters.cells_of(poses, 1.0, 2 * np.pi).max() + 1 == 2
     assert clusters.cells_of(poses, 0.5, quarter).max() + 1 == 4
-
-
-@pytest.mark.parametrize("cell", [(0.0, 0.1), (0.1, 0.0), (-1.0, 0.1)])
-def test_cells_without_extent_are_refused(cell):
-    with pytest.raises(ValueError, match="cells"):
-        clusters.cells_of(np.zeros((1, 3)), *cell)
