@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -30,20 +28,8 @@ _WELL_REACHED = 0.7
 _DPI = 600
 
 
-class BoardName(StrEnum):
-    """What is on a board."""
-
-    charuco = "charuco"
-    chessboard = "chessboard"
-
-
-class LensName(StrEnum):
-    """Models of lens distortion."""
-
-    plumb_bob = "plumb_bob"
-    rational_polynomial = "rational_polynomial"
-    equidistant = "equidistant"
-    none = "none"
+BoardName = Literal["charuco", "chessboard"]
+LensName = Literal["plumb_bob", "rational_polynomial", "equidistant", "none"]
 
 
 def calibrate(
@@ -77,7 +63,7 @@ def calibrate(
         Path | None,
         typer.Option(metavar="IMAGE", help="The board flat on the floor, camera on the robot: gives the mount too."),
     ] = None,
-    lens: Annotated[LensName, typer.Option(help="Model of the lens distortion, as ROS names it.")] = LensName.plumb_bob,
+    lens: Annotated[LensName, typer.Option(help="Model of the lens distortion, as ROS names it.")] = "plumb_bob",
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="New camera file.")] = None,
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
@@ -96,7 +82,7 @@ def calibrate(
         require_new_file(out)
     count = len({*images} if floor is None else {*images, floor})
     with progress("Looking for the board", count) as advance:
-        found = calibrate_by(images, floor, wanted, lens.value, advance)
+        found = calibrate_by(images, floor, wanted, lens, advance)
     if not is_quiet():
         _show(found)
     if out is not None:
@@ -117,7 +103,7 @@ def _board(
         problem = f"expected columns x rows of squares, such as 8x6, found {squares!r}"
         raise InputError(problem, field="--squares") from None
     marker = 0.75 * square_m if marker_m is None else marker_m
-    return Board(kind.value, columns, rows, square_m, marker, dictionary, legacy)
+    return Board(kind, columns, rows, square_m, marker, dictionary, legacy)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +136,7 @@ def calibrate_by(
     from localiser.documents import plain_name
     from localiser.storage import read_image
 
-    paths = in_order([*images, *([floor] if floor is not None else [])])
+    paths = sorted({*images, *([floor] if floor is not None else [])})
     size = common_size(paths)
     found: dict[Path, BoardView | None] = {}
     for path in paths:
@@ -175,15 +161,6 @@ def calibrate_by(
         without_board=tuple(plain_name(path.name) for path in without),
         floor=None if floor is None else mount_over_board(intrinsics, list(views).index(floor)),
     )
-
-
-def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Return each path once, in the order of names, numbers in them as numbers: 2.png before 10.png."""
-
-    def key(path: Path) -> list[tuple[int, str]]:
-        return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
-
-    return sorted(set(paths), key=key)
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
