@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
@@ -10,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from threading import Event, Lock
+from threading import Lock
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +26,6 @@ from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.live import (
     Arrival,
-    Transport,
     input_topics,
     message_of,
     open_transport,
@@ -88,49 +88,37 @@ class Heard:
     """What was heard on a network, by topic. kept: the newest messages of the topics that the live mode listens to."""
 
     topics: Mapping[str, str]
+    seconds: float
     counts: Counter[str] = field(default_factory=Counter)
     types: dict[str, str] = field(default_factory=dict)
     sizes: Counter[str] = field(default_factory=Counter)
     kept: dict[str, deque[Arrival]] = field(default_factory=dict)
-    seconds: float = 0.0
-    _lock: Lock = field(default_factory=Lock)
-
-    def listen(self, transport: Transport, seconds: float) -> None:
-        """Listen to everything for some time; what is kept for latecomers is asked for too."""
-        roles = {topic: role for role, topic in self.topics.items()}
-
-        def take(topic: str, msgtype: str | None, content: bytes) -> None:
-            with self._lock:
-                self.counts[topic] += 1
-                self.sizes[topic] += len(content)
-                if msgtype:
-                    self.types[topic] = msgtype
-                if role := roles.get(topic):
-                    arrivals = self.kept.setdefault(role, deque(maxlen=MOST_KEPT))
-                    arrivals.append(Arrival(role, topic, content))
-
-        transport.listen_to_all(take)
-        fixed = topic_for("transforms", self.topics["transforms"])  # sent before now, and kept
-        transport.subscribe(fixed, lambda content, source: take(fixed.name, fixed.msgtype, content))
-        Event().wait(seconds)
-        self.seconds = seconds
 
     def messages(self, role: str) -> Iterator[tuple[Arrival, Any]]:
         """Yield the messages of a role that can be read."""
-        with self._lock:
-            arrivals = list(self.kept.get(role, ()))
-        for arrival in arrivals:
-            try:
+        for arrival in self.kept.get(role, ()):
+            with suppress(ValueError):
                 yield arrival, message_of(arrival)
-            except ValueError:
-                continue
 
 
 def listened(live: LiveParameters, seconds: float) -> Heard:
-    """Return what was heard on a robot's network in some time. Raises InputError."""
-    heard = Heard(input_topics(live.topics, prefix_of(live)))
+    """Return what was heard on a robot's network in some time, also what is kept for latecomers. Raises InputError."""
+    heard, lock = Heard(input_topics(live.topics, prefix_of(live)), seconds), Lock()
+    roles = {topic: role for role, topic in heard.topics.items()}
+
+    def take(topic: str, msgtype: str | None, content: bytes) -> None:
+        with lock:
+            heard.counts[topic] += 1
+            heard.sizes[topic] += len(content)
+            heard.types |= {topic: msgtype} if msgtype else {}
+            if role := roles.get(topic):
+                heard.kept.setdefault(role, deque(maxlen=MOST_KEPT)).append(Arrival(role, topic, content))
+
+    fixed = topic_for("transforms", heard.topics["transforms"])  # sent before now, and kept
     with closing(open_transport(live, "localiser_doctor")) as transport:
-        heard.listen(transport, seconds)
+        transport.listen_to_all(take)
+        transport.subscribe(fixed, lambda content, source: take(fixed.name, fixed.msgtype, content))
+        time.sleep(seconds)
     return heard
 
 
@@ -329,14 +317,11 @@ def log_checks(log: Log, config: Config) -> Iterator[Finding]:
     elif log.has_images and len(log.odometry) > 1:
         images = log.images
         yield from edge_checks(times, lambda k: images[k].load(), log.odometry, log.camera, config)
-    truth = "none: errors cannot be told; it is given as a topic of a bag or a file of the folder"
-    yield Finding(
-        "truth", "optional" if log.groundtruth is None else "ok", truth if log.groundtruth is None else "known"
-    )
-    start = "unknown: looked for on the whole map; --start x,z,heading_deg states it"
-    yield Finding("start", "optional" if log.start is None else "ok", start if log.start is None else "stated")
-    if log.landmark_map is None:
-        text = f"none: `localiser map build {log.path} -o map.yaml` makes one; replay takes it by --map map.yaml"
-        yield Finding("map", "missing", text)
-    else:
-        yield Finding("map", "ok", f"{len(log.landmark_map)} landmarks")
+    lacks: tuple[tuple[str, object, State, str], ...] = (
+        ("truth", log.groundtruth, "optional", "errors cannot be told; a topic of a bag or a file of a folder has it"),
+        ("start", log.start, "optional", "it is looked for on the whole map; --start x,z,heading_deg states it"),
+        ("map", log.landmark_map, "missing", f"`localiser map build {log.path} -o map.yaml` makes one; replay takes it "
+         "by --map map.yaml"),
+    )  # fmt: skip
+    for what, known, state, text in lacks:
+        yield Finding(what, state, f"none: {text}") if known is None else Finding(what, "ok", "known")
