@@ -5,10 +5,9 @@ from __future__ import annotations
 import bz2
 import sqlite3
 import struct
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -18,7 +17,6 @@ from rosbags.rosbag2.storage_mcap import zstd
 from small_bag import OPTICAL, Recorder, bag
 
 MB = 2**20
-TEXT = "std_msgs/msg/String"
 
 
 def clean(path: Path) -> Path:
@@ -52,56 +50,6 @@ def one_chunk_of_bz2(path: Path) -> Path:
 def chunks_of_lz4(path: Path) -> Path:
     """Make one whose chunks are small enough each."""
     return _ros1(path, lambda content: lz4.frame.compress(content + bytes(30 * MB)), chunks=40)
-
-
-def chunks_read_in_turn(path: Path) -> Path:
-    return two_chunks_in_turn(path, 30 * MB)
-
-
-def two_chunks_in_turn(path: Path, more: int) -> Path:
-    """Make one with two chunks whose messages were recorded in turn. more: bytes that each holds besides."""
-    with _by_hand(path) as (recorder, write_chunk):
-        recorder.setting()
-        recorder.image(0)
-        for begin in (0, 1):
-            for k in range(5000):
-                recorder.odometry(2 * 10**9 + 10**6 * (2 * k + begin))
-            recorder.send("/more", TEXT, 0, data=" " * more)
-            write_chunk(lambda items: items)
-    return path.with_suffix(".bag")
-
-
-def one_message_many_times(path: Path) -> Path:
-    with _by_hand(path) as (recorder, write_chunk):
-        _large_images(recorder, 1)
-        write_chunk(lambda items: items * 10_000)
-    return path.with_suffix(".bag")
-
-
-def chunks_that_share_an_index(path: Path) -> Path:
-    with _by_hand(path) as (recorder, write_chunk):
-        recorder.setting()
-        chunk = write_chunk(lambda items: items * 5000)
-        recorder.writer.chunks[:0] = [chunk] * 10_000
-    return path.with_suffix(".bag")
-
-
-@contextmanager
-def _by_hand(path: Path) -> Iterator[tuple[Recorder, Callable[[Callable[[list[Any]], list[Any]]], Any]]]:
-    """Yield a recorder of ROS 1 with lz4, and what writes a chunk with its index changed."""
-
-    def write_chunk(change: Callable[[list[Any]], list[Any]]) -> Any:
-        chunk = writer.chunks[-1]
-        for number, items in chunk.connections.items():
-            chunk.connections[number] = change(items)
-        writer.write_chunk(chunk)
-        return chunk
-
-    writer = rosbag1.Writer(path.with_suffix(".bag"))
-    writer.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
-    with writer:
-        writer.chunk_threshold = 2**40
-        yield Recorder(writer, ros1=True), write_chunk
 
 
 def _ros2(path: Path, mode: rosbag2.CompressionMode, change: Callable[[Recorder], None], plugin: str = "MCAP") -> Path:
@@ -174,19 +122,9 @@ def _renamed(path: Path, names: list[str]) -> None:
 def merged_mappings(path: Path) -> Path:
     """Make one whose metadata has aliases that stand for 2^30 values."""
     clean(path)
-    (path / "metadata.yaml").write_text(_aliases() + (path / "metadata.yaml").read_text())
+    aliases = "".join(f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}]}}\n" for k in range(1, 31))
+    (path / "metadata.yaml").write_text("a0: &a0 {x: 1}\n" + aliases + (path / "metadata.yaml").read_text())
     return path
-
-
-def merged_mappings_of_a_topic(path: Path) -> Path:
-    with closing(sqlite3.connect(clean(path) / f"{path.name}.db3")) as database:
-        database.execute("UPDATE topics SET offered_qos_profiles = ?", (_aliases(),))
-        database.commit()
-    return path / f"{path.name}.db3"
-
-
-def _aliases() -> str:
-    return "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}]}}\n" for k in range(1, 31))
 
 
 def shared_pages(path: Path) -> Path:
@@ -238,16 +176,12 @@ SWELLING: dict[str, Callable[[Path], Path]] = {
     for made in (
         one_chunk_of_bz2,
         chunks_of_lz4,
-        chunks_read_in_turn,
-        one_message_many_times,
-        chunks_that_share_an_index,
         chunks_of_mcap,
         chunks_without_index,
         messages_of_zstd,
         files_of_zstd,
         one_file_many_times,
         merged_mappings,
-        merged_mappings_of_a_topic,
         shared_pages,
         records_of_no_kind,
         schemas_without_end,

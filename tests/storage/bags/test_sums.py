@@ -10,16 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from swelling_bags import SWELLING, clean, one_large_image, two_chunks_in_turn
+from swelling_bags import SWELLING, clean, one_large_image
 
 from localiser.storage import ImageEvent, open_log
 
 MORE_S, MORE_MB = 2.0, 300.0  # than for a bag that is as it should be
-HARMLESS = (
-    "one_message_many_times",
-    "merged_mappings_of_a_topic",
-    "chunks_read_in_turn",
-)  # what they hold too much of is not read
 READ = """
 import sys
 from pathlib import Path
@@ -70,15 +65,8 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, float]:
 @pytest.mark.parametrize("harm", SWELLING)
 def test_a_small_bag_takes_little(tmp_path: Path, usual: tuple[float, float], harm: str) -> None:
     said, seconds, memory_mb = read_alone(SWELLING[harm](tmp_path / "bag"))
-    assert harm in HARMLESS or "expected" in said or "cannot be read as a value" in said, said
+    assert "expected" in said or "cannot be read as a value" in said, said
     assert seconds < usual[0] + MORE_S and memory_mb < usual[1] + MORE_MB
-
-
-def test_a_bag_recorded_topic_by_topic_is_read(tmp_path: Path) -> None:
-    """Its messages are in turn in several chunks, which are unpacked once."""
-    path = two_chunks_in_turn(tmp_path / "bag", 0)
-    log = open_log(path)
-    assert len(log.odometry.t_ns) == 10_011 and len(log.frames) == 1
 
 
 def test_one_large_image_is_read_however_small_it_is_compressed(tmp_path: Path) -> None:
