@@ -178,6 +178,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal of ASCII alone, and names of files that are no text
             stream.reconfigure(errors="replace")
+    warnings.simplefilter("always", InputWarning)
     warnings.showwarning = _shown_by(warnings.showwarning)
     try:
         _check_options(arguments)
