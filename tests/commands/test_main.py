@@ -131,23 +131,6 @@ def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, l
     assert "--truth" in without.err
 
 
-@pytest.mark.slow
-def test_a_simulated_log_can_be_replayed(localiser: Localiser, tmp_path: Path) -> None:
-    world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
-    world["camera"] |= {"width": 320, "height": 240, "focal_px": 277.0}
-    world["drive"]["path"] = [{"to": [0.1, 0.7]}, {"to": [0.1, 0.0]}]
-    short = tmp_path / "short.yaml"
-    short.write_text(yaml.safe_dump(world))
-    result = localiser("simulate", short, "-o", tmp_path / "log", "--seed", 3, "--quiet")
-    assert (result.exit_code, result.err) == (0, "")
-    run = localiser.replay(tmp_path / "log", tmp_path / "out")
-    assert json.loads((run / "metrics.json").read_text())["position_max_m"] < 0.3
-
-    again = localiser("simulate", short, "-o", tmp_path / "log")
-    assert again.exit_code == 2
-    assert f"{tmp_path / 'log'}: expected a new or empty folder" in again.err
-
-
 def test_a_drive_that_sees_no_landmark_makes_no_log(localiser: Localiser, tmp_path: Path) -> None:
     world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
     world["camera"] |= {"width": 320, "height": 240, "focal_px": 277.0}
@@ -446,13 +429,6 @@ def test_a_video_whose_name_is_no_text_is_told(localiser: Localiser, tmp_path: P
     (tmp_path / f"{NO_TEXT}.avi").write_bytes(b"RIFF")
     result = localiser("convert", tmp_path / f"{NO_TEXT}.avi", tmp_path / "log", "--camera", CORRIDOR / "camera.yaml")
     assert result.exit_code == 2 and "expected a name of UTF-8 text" in result.err
-
-
-def test_doctor_takes_the_configuration_of_zenoh(localiser: Localiser, tmp_path: Path) -> None:
-    pytest.importorskip("zenoh")
-    (tmp_path / "zenoh.json5").write_text("{ nonsense")
-    result = localiser("doctor", "--set", f"live.zenoh_config={tmp_path}/zenoh.json5", "--seconds", 0.5)
-    assert result.exit_code == 2 and "expected a configuration of zenoh" in result.err
 
 
 @pytest.mark.parametrize(

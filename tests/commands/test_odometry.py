@@ -12,11 +12,6 @@ from localiser.config import read_config
 from localiser.motion import MotionParameters
 
 
-def test_help_has_an_example(localiser: Localiser) -> None:
-    result = localiser("odometry", "fit", "--help")
-    assert result.exit_code == 0 and "localiser odometry fit logs/corridor" in result.out.split("Example")[1]
-
-
 def test_fit_tells_what_it_would_change_and_writes_a_configuration(localiser: Localiser, tmp_path: Path) -> None:
     out = tmp_path / "robot.yaml"
     result = localiser("odometry", "fit", CORRIDOR, "-o", out)

@@ -14,9 +14,8 @@ from short_log import CORRIDOR, Localiser
 
 from localiser.live import open_transport
 from localiser.live.transport import Topic
-from localiser.ros import OUTPUTS
-from localiser.storage import open_log, read_map, read_track
-from localiser.storage.bags import ODOM, ODOMETRY, Messages, typestore
+from localiser.storage import open_log, read_track
+from localiser.storage.bags import ODOM, ODOMETRY, Messages
 
 WHEELS = Topic("/odom", ODOMETRY)
 LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--start", START, "--json", *SETTINGS)
@@ -61,24 +60,3 @@ def test_messages_do_not_leave_their_domain(domain: Callable[[], Network]) -> No
         beside.publish(WHEELS, unwanted)
         wait_until(lambda: member.publish(WHEELS, wanted) or heard)
     assert set(heard) == {wanted}
-
-
-@pytest.mark.slow
-def test_who_comes_late_gets_map_and_landmarks(domain: Callable[[], Network], tmp_path: Path) -> None:
-    network = domain()
-    heard: dict[str, list[bytes]] = {"map": [], "landmarks": []}
-    store, log = typestore(ros1=False), open_log(CORRIDOR)
-    with program(*LIVE, *network.arguments) as run, program(*ROBOT, *network.arguments):
-        run.poses(2)
-        with closing(open_transport(network.options)) as late:
-            for kind, found in heard.items():
-                output = OUTPUTS[kind]
-                topic = Topic(output.topic, output.msgtype, latched=True, depth=output.depth)
-                late.subscribe(topic, lambda content, source, found=found: found.append(content))
-            wait_until(lambda: all(heard.values()))
-        run.end()
-    (tmp_path / "map.yaml").write_text(store.deserialize_cdr(heard["map"][0], OUTPUTS["map"].msgtype).data)
-    np.testing.assert_array_equal(read_map(tmp_path / "map.yaml").points, log.landmark_map.points)
-    (marker,) = store.deserialize_cdr(heard["landmarks"][0], OUTPUTS["landmarks"].msgtype).markers
-    assert len(marker.points) == 2 * len(log.landmark_map)
-    assert len(heard["map"]) == len(heard["landmarks"]) == 1

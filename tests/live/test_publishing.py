@@ -65,12 +65,6 @@ def test_the_picture_has_the_frame_of_the_robots_images() -> None:
     assert (first.header.frame_id, second.header.frame_id) == ("camera_optical_frame", "left_eye")
 
 
-def test_the_transform_has_the_frame_of_the_odometry_unless_named() -> None:
-    transport = KeepingTransport()
-    fed(Publisher(transport, outputs_named()))([*camera(), *drive(3)])
-    assert transport.messages("/tf")[-1].transforms[0].child_frame_id == "odom"
-
-
 @pytest.mark.parametrize("late_ns", [pytest.param(0, marks=pytest.mark.slow), 60_000_000])
 def test_for_every_pose_of_the_wheels_the_pose_in_the_map_is_there_within_the_tolerance(late_ns: int) -> None:
     """Nav2's part: odometry at 20 Hz, images at 5 Hz; asked at each odometry stamp for map→base as tf2 finds it.

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image
-from live_transport import KeepingTransport
 from recorded_texts import text, texts
 from short_log import Localiser
 
@@ -21,8 +20,7 @@ from localiser.camera import Camera
 from localiser.errors import InputError
 from localiser.live.clock import AGREEING
 from localiser.live.inbox import Arrival
-from localiser.live.outputs import Publisher, Recording
-from localiser.ros import outputs_named
+from localiser.live.outputs import Recording
 from localiser.storage import open_log, read_track
 from localiser.storage.bags import TEXT
 from localiser.storage.images import encode_image
@@ -102,20 +100,6 @@ def test_images_of_another_size_before_the_camera_is_known_do_no_harm(localiser:
     early = [image(0, 0, encode_image(half, ".jpg", 90)), image(1, 0)]
     feed = Feed(record=tmp_path / "drive.db3")([*early, no_camera, *camera(), *drive(N)])
     assert len(feed.published) == N
-    feed.assert_replays(localiser)
-
-
-def test_a_recording_of_all_that_went_out_replays(localiser: Localiser, tmp_path: Path) -> None:
-    """The image with its edges is in it too, and is not taken for the camera's."""
-    feed = Feed(record=tmp_path / "drive.db3")
-    recording = feed.recording
-    assert recording is not None
-    feed.run.outputs.publisher = Publisher(
-        KeepingTransport(),
-        outputs_named(),
-        record=lambda topic, msgtype, content: recording.write(topic, msgtype, 0, content),
-    )
-    feed([*camera(), *drive(6)])
     feed.assert_replays(localiser)
 
 

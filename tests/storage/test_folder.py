@@ -149,14 +149,6 @@ def test_images_and_odometry_must_overlap(log_folder: Path) -> None:
         open_log(log_folder)
 
 
-def test_links_inside_the_folder_are_followed(log_folder: Path) -> None:
-    (log_folder / "images/000001.png").unlink()
-    (log_folder / "images/000001.png").symlink_to("000000.png")
-    frame = open_log(log_folder).frames[1]
-    assert isinstance(frame, ImageEvent)
-    np.testing.assert_array_equal(frame.load(), image(0))
-
-
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
@@ -170,14 +162,6 @@ def test_writing_that_is_broken_off_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         write_log(tmp_path / "log", name="a", camera=CAMERA, odometry=ODOMETRY, images=broken_off(2))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_same_log_is_the_same_bytes(tmp_path: Path) -> None:
-    first, second = write_small_log(tmp_path / "a"), write_small_log(tmp_path / "b")
-    names = sorted(path.relative_to(first) for path in first.rglob("*") if path.is_file())
-    assert len(names) == 9
-    for name in names:
-        assert (first / name).read_bytes() == (second / name).read_bytes()
 
 
 def test_log_needs_images_or_sightings(tmp_path: Path) -> None:

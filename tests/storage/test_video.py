@@ -111,12 +111,6 @@ def test_what_cannot_be_read_is_named(drive: Path, name: str, content: bytes, pr
         read(drive)
 
 
-def test_a_video_that_is_not_there(drive: Path) -> None:
-    (drive / "drive.avi").unlink()
-    with pytest.raises(InputError, match="no such video"):
-        read(drive)
-
-
 def test_damaged_videos_are_read_or_refused(drive: Path) -> None:
     whole = (drive / "drive.avi").read_bytes()
     rng = np.random.default_rng(0)

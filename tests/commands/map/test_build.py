@@ -257,16 +257,6 @@ def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses:
     assert not list(folder.iterdir())
 
 
-@pytest.mark.data
-@pytest.mark.slow  # quick: tests/replay/test_bag.py names topics
-def test_a_bag_whose_topics_are_named_is_mapped(data_dir: Path, tmp_path: Path) -> None:
-    bag, out = data_dir / "house_bag", tmp_path / "map.yaml"
-    assert "/none" in refused("map", "build", bag, "-o", out, "--topic", "odometry=/none")
-    assert not out.exists()
-    assert run("map", "build", bag, "-o", out, "--topic", "odometry=/odom", "-q").exit_code == 0
-    assert len(read_map(out)) > 20
-
-
 @pytest.mark.parametrize(("tilt_deg", "warned"), [pytest.param("20.0", False, marks=pytest.mark.slow), ("22.0", True)])
 def test_a_wrong_tilt_is_told_before_the_map_is_saved(tmp_path: Path, tilt_deg: str, warned: bool) -> None:
     log = cut_log(LOG, tmp_path / "log", 40)

@@ -25,7 +25,7 @@ from localiser.errors import InputError, InputWarning
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags import bag as bags_module
 from localiser.storage.bags import records
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS, Bag
+from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS
 
 FUZZ = settings(suppress_health_check=list(HealthCheck))
 FILES = {"mcap": "bag.mcap", "sqlite3": "bag.db3", "ros1": "bag.bag", "metadata": "bag/metadata.yaml"}
@@ -180,13 +180,6 @@ def test_what_is_no_bag_is_named(tmp_path: Path, content: bytes, found: str) -> 
         open_log(tmp_path / "x.mcap")
 
 
-def test_what_is_missing_of_a_bag_is_told(tmp_path: Path) -> None:
-    file, _ = drive(tmp_path / "bag", "mcap")
-    file.unlink()
-    with pytest.raises(InputError, match=r"relative_file_paths.0.: expected a file of the bag's folder"):
-        open_log(tmp_path / "bag")
-
-
 # -- messages ---------------------------------------------------------------------------------------------------------
 
 
@@ -290,14 +283,6 @@ def test_metadata_that_is_no_metadata_is_not_read(bags: Path, tmp_path: Path) ->
     path = written(tmp_path, bags, "metadata", b"#" * (bags_module.MAX_METADATA_BYTES + 1))
     with pytest.raises(InputError, match=r"metadata.yaml: expected at most 4194304 bytes, found 4194305"):
         open_log(path)
-
-
-def test_a_bag_that_was_refused_is_closed(tmp_path: Path) -> None:
-    path = bag(tmp_path / "x.bag", lambda _: None, "ros1")
-    with pytest.raises(InputError, match="expected a topic"):
-        open_log(path)
-    with Bag(path) as found:
-        assert [topic.count for topic in found.topics] == [1, 11, 1]
 
 
 # -- databases that hold more than their file --------------------------------------------------------------------------
