@@ -13,7 +13,8 @@ from short_log import Localiser
 
 from localiser.config import read_config
 from localiser.filter import mcl
-from localiser.geometry import compose
+from localiser.geometry import between, compose
+from localiser.live.inbox import Arrival
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser as RobotLocaliser
@@ -36,15 +37,9 @@ def test_the_pose_now_is_the_estimate_moved_on_by_the_wheels(undisturbed: Feed) 
     published = undisturbed.published[-1]
     located = published.located
     since = LOG.odometry.at(published.now_ns - BEGIN_NS)
-    from_map = compose(located.estimate.pose, compose(np.zeros(3), _between(located.odometry, since)))
+    from_map = compose(located.estimate.pose, between(located.odometry, since))
     np.testing.assert_allclose(published.now, from_map, atol=1e-8)
     assert published.now_ns >= located.t_ns
-
-
-def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    from localiser.geometry import between
-
-    return between(start, end)
 
 
 def test_duplicates_and_reordered_messages_change_nothing(undisturbed: Feed) -> None:
@@ -71,18 +66,7 @@ def test_an_image_that_comes_late_is_left_out(undisturbed: Feed) -> None:
 @pytest.mark.parametrize("jump_s", [-3600, 7200])
 def test_a_jump_of_the_clock_is_survived(undisturbed: Feed, jump_s: int) -> None:
     """The messages that tell of the jump are lost, then all goes on; stamps go out by the robot's clock."""
-    half, rest = drive(N), drive(14, first=N)
-    moved = [
-        image(message.at_ns + jump_s * 10**9, N + sum(m.role == "image" for m in rest[:k]))
-        if message.role == "image"
-        else odometry_at(message.at_ns, jump_s)
-        for k, message in enumerate(rest)
-    ]
-    jumped = [
-        type(new)(new.role, new.topic, new.content, old.at_ns, old.wall_ns)
-        for new, old in zip(moved, rest, strict=True)
-    ]
-    feed = Feed()([*camera(), *half, *jumped])
+    feed = Feed()([*camera(), *drive(N), *stamped(drive(14, first=N), jump_s)])
     assert any("clock has jumped" in text for text in feed.said)
     assert len(feed.times) >= N + 12
     assert np.diff([published.stamp_ns for published in feed.published]).tolist().count(jump_s) == 0
@@ -90,12 +74,18 @@ def test_a_jump_of_the_clock_is_survived(undisturbed: Feed, jump_s: int) -> None
     assert feed.published[-1].located.t_ns == pytest.approx(BEGIN_NS + LOG.frames[N + 13].t_ns, abs=3e8)
 
 
-def odometry_at(t_ns: int, jump_s: int):
-    return arrival(
-        "odometry",
-        t_ns,
-        MAKE.encode(MAKE.odometry(BEGIN_NS + t_ns + jump_s * 10**9, "odom", LOG.odometry.at(t_ns))),
-    )
+def stamped(messages: list[Arrival], jump_s: int) -> list[Arrival]:
+    """Return messages that come when they did, with stamps that are off by a jump of the robot's clock."""
+    number = {frame.t_ns: k for k, frame in enumerate(LOG.frames)}
+    moved = []
+    for one in messages:
+        t_ns, stamp_ns = one.at_ns, BEGIN_NS + one.at_ns + jump_s * 10**9
+        if one.role == "image":
+            message = MAKE.compressed(stamp_ns, LOG.frames[number[t_ns]].encoded())
+        else:
+            message = MAKE.odometry(stamp_ns, "odom", LOG.odometry.at(t_ns))
+        moved.append(replace(one, content=MAKE.encode(message)))
+    return moved
 
 
 def test_a_damaged_image_costs_no_more_than_itself(undisturbed: Feed) -> None:
@@ -237,13 +227,7 @@ def test_a_recording_replays_to_the_same_poses(localiser: Localiser, tmp_path: P
 
 def test_a_recording_of_a_jump_of_the_clock_replays_to_the_same_poses(localiser: Localiser, tmp_path: Path) -> None:
     feed = Feed(record=tmp_path / "drive.db3")
-    rest = drive(10, first=N)
-    jumped = []
-    for message in rest:
-        k = next((k for k, frame in enumerate(LOG.frames) if frame.t_ns == message.at_ns), None)
-        new = odometry_at(message.at_ns, -50) if k is None else image(message.at_ns - 50 * 10**9, k)
-        jumped.append(type(new)(new.role, new.topic, new.content, message.at_ns, message.wall_ns))
-    feed([*camera(), *drive(N), *jumped])
+    feed([*camera(), *drive(N), *stamped(drive(10, first=N), -50)])
     feed.assert_replays(localiser)
     assert len(feed.times) > N
 
