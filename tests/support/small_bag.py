@@ -9,47 +9,26 @@ from typing import Any
 
 import numpy as np
 from rosbags import rosbag1, rosbag2
-from rosbags.interfaces import Nodetype
 
-from localiser.storage.bags import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS, typestore
+from localiser.storage.bags import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS, Messages
 
 WIDTH, HEIGHT = 8, 6
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame that looks straight ahead, tilted by nothing
-
-
-def default(store: Any, msgtype: str, **fields: Any) -> Any:
-    """Return a message in which everything is zero or empty but `fields`."""
-    values = {}
-    for name, (kind, detail) in store.fielddefs[msgtype][1]:
-        if name in fields:
-            values[name] = fields.pop(name)
-        elif kind == Nodetype.NAME:
-            values[name] = default(store, detail)
-        elif kind == Nodetype.BASE:
-            values[name] = {"string": "", "bool": False}.get(detail[0], 0)
-        else:
-            length = detail[1] if kind == Nodetype.ARRAY else 0
-            values[name] = np.zeros(length, dtype=detail[0][1][0]) if detail[0][0] == Nodetype.BASE else []
-    assert not fields, fields
-    return store.types[msgtype](**values)
 
 
 class Recorder:
     """Writes messages to an open bag."""
 
     def __init__(self, writer: Any, ros1: bool) -> None:
-        self.writer, self.ros1, self.store = writer, ros1, typestore(ros1=ros1)
+        messages = Messages(ros1=ros1)
+        self.writer, self.ros1, self.store, self.make = writer, ros1, messages.store, messages.make
         self.connections: dict[tuple[str, str], Any] = {}
 
-    def make(self, msgtype: str, **fields: Any) -> Any:
-        return default(self.store, msgtype, **fields)
-
-    def header(self, t_ns: int, frame: str) -> Any:
-        stamp = self.make("builtin_interfaces/msg/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+    def header(self, t_ns: int, frame: str) -> dict[str, Any]:
+        return {"stamp": {"sec": t_ns // 10**9, "nanosec": t_ns % 10**9}, "frame_id": frame}
 
     def send(self, topic: str, msgtype: str, t_ns: int, **fields: Any) -> None:
-        """Write a message, recorded at t_ns."""
+        """Write a message, recorded at t_ns; what is left out is zero or empty."""
         key = topic, msgtype
         if key not in self.connections:
             self.connections[key] = self.writer.add_connection(topic, msgtype, typestore=self.store)
@@ -82,46 +61,37 @@ class Recorder:
         recorded_ns: int | None = None,
         **turned: float,
     ) -> None:
-        make = self.make
-        quaternion = make("geometry_msgs/msg/Quaternion", **({"w": 1.0} | turned))
-        pose = make(
-            "geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", x=x, y=0.0), orientation=quaternion
-        )
-        full = make("geometry_msgs/msg/PoseWithCovariance", pose=pose)
+        pose = {"pose": {"position": {"x": x}, "orientation": {"w": 1.0} | turned}}
         recorded = t_ns if recorded_ns is None else recorded_ns
-        self.send(topic, ODOMETRY, recorded, header=self.header(t_ns, "odom"), child_frame_id=base, pose=full)
+        self.send(topic, ODOMETRY, recorded, header=self.header(t_ns, "odom"), child_frame_id=base, pose=pose)
 
     def pose(self, t_ns: int, x: float, topic: str, kind: str) -> None:
         """Write a pose as PoseStamped, PoseWithCovarianceStamped or TransformStamped."""
-        make, place = self.make, {"x": x}
-        turned = make("geometry_msgs/msg/Quaternion", w=1.0)
-        if kind == "TransformStamped":
-            moved = make("geometry_msgs/msg/Vector3", **place)
-            fields = {"transform": make("geometry_msgs/msg/Transform", translation=moved, rotation=turned)}
-        else:
-            pose = make("geometry_msgs/msg/Pose", position=make("geometry_msgs/msg/Point", **place), orientation=turned)
-            with_cov = kind == "PoseWithCovarianceStamped"
-            fields = {"pose": make("geometry_msgs/msg/PoseWithCovariance", pose=pose) if with_cov else pose}
-        self.send(topic, f"geometry_msgs/msg/{kind}", t_ns, header=self.header(t_ns, "map"), **fields)
+        pose: dict[str, Any] = {"position": {"x": x}, "orientation": {"w": 1.0}}
+        fields = {
+            "PoseStamped": {"pose": pose},
+            "PoseWithCovarianceStamped": {"pose": {"pose": pose}},
+            "TransformStamped": {"transform": {"translation": {"x": x}, "rotation": {"w": 1.0}}},
+        }
+        self.send(topic, f"geometry_msgs/msg/{kind}", t_ns, header=self.header(t_ns, "map"), **fields[kind])
 
     def transform(
         self,
         parent: str,
         child: str,
         translation: tuple[float, float, float],
-        rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
+        rotation: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0),
         topic: str = "/tf_static",
         t_ns: int = 0,
         msgtype: str = TRANSFORMS,
     ) -> None:
-        make = self.make
-        moved = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, translation), strict=True)))
-        turned = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, rotation), strict=True)))
-        stamped = make(
+        moved = dict(zip("xyz", map(float, translation), strict=True))
+        turned = dict(zip("xyzw", map(float, rotation), strict=True))
+        stamped = self.make(
             "geometry_msgs/msg/TransformStamped",
             header=self.header(t_ns, parent),
             child_frame_id=child,
-            transform=make("geometry_msgs/msg/Transform", translation=moved, rotation=turned),
+            transform={"translation": moved, "rotation": turned},
         )
         self.send(topic, msgtype, t_ns, transforms=[stamped])
 

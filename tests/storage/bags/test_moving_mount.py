@@ -13,7 +13,7 @@ from small_log import CAMERA, IMAGE_TIMES, ODOMETRY, TRUTH, image
 from localiser.camera import Mount, MountSigma
 from localiser.errors import InputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag, write_log
-from localiser.storage.bags.bag import IMU, TRANSFORMS
+from localiser.storage.bags.bag import IMU
 
 NAMES = {"mcap": "bag", "sqlite3": "bag", "ros1": "x.bag"}
 KINDS = pytest.mark.parametrize("kind", NAMES)
@@ -72,19 +72,7 @@ def about_y(angle: float) -> tuple[float, float, float, float]:
 
 
 def moving(to: Recorder, t_ns: int, parent: str, child: str, z: float, turned: tuple[float, ...]) -> None:
-    make = to.make
-    transform = make(
-        "geometry_msgs/msg/Transform",
-        translation=make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=z),
-        rotation=make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turned, strict=True))),
-    )
-    stamped = make(
-        "geometry_msgs/msg/TransformStamped",
-        header=to.header(t_ns, parent),
-        child_frame_id=child,
-        transform=transform,
-    )
-    to.send("/tf", TRANSFORMS, t_ns, transforms=[stamped])
+    to.transform(parent, child, (0.0, 0.0, z), turned, "/tf", t_ns)
 
 
 def tilts_deg(log: Log) -> list[float]:
@@ -149,7 +137,6 @@ def test_transforms_that_pause_are_refused(tmp_path: Path) -> None:
 def test_tilt_by_an_inertial_sensor(tmp_path: Path, fused: bool) -> None:
     """It is fixed on the robot's base, which leans by 4° and then by 8°; the camera is level on the base."""
     with recording(tmp_path / "bag") as to:
-        make = to.make
         to.setting()
         to.transform("base_link", "imu", (0.0, 0.1, 0.2), (0.0, 0.0, 1.0, 0.0))  # looks backwards
         for step in range(1001):
@@ -166,10 +153,10 @@ def test_tilt_by_an_inertial_sensor(tmp_path: Path, fused: bool) -> None:
                 IMU,
                 t_ns,
                 header=to.header(t_ns, "imu"),
-                orientation=make("geometry_msgs/msg/Quaternion", **({"w": 1.0} if fused else turned)),
+                orientation={"w": 1.0} if fused else turned,
                 orientation_covariance=covariance,
-                angular_velocity=make("geometry_msgs/msg/Vector3", x=0.0, y=-rate, z=0.0),
-                linear_acceleration=make("geometry_msgs/msg/Vector3", **dict(zip("xyz", pull, strict=True))),
+                angular_velocity={"y": -rate},
+                linear_acceleration=dict(zip("xyz", pull, strict=True)),
             )
         to.image(0)
         to.image(1000 * MILLISECOND)
