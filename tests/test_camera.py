@@ -235,21 +235,12 @@ def test_nadir_point_is_1522_px_below_the_centre():
     assert round(nadir[1] - 239.5) == 1522
 
 
-def test_roll_to_the_right_moves_the_nadir_point_right():
-    assert make_camera(roll_rad=0.02).nadir_px[0] > 319.5
-
-
 @given(data=st.data(), robot_pose=poses)
 def test_nadir_point_is_the_image_of_straight_down(data, robot_pose):
     camera = data.draw(cameras("none"))
     (x, z, _), height = camera.pose_in_map(robot_pose), camera.mount.height_m
     pixel = project_with_opencv(camera, robot_pose, [[x, height - 1.0, z]])[0]
     np.testing.assert_allclose(camera.nadir_px, pixel, rtol=1e-9)
-
-
-def test_without_tilt_the_nadir_point_is_infinitely_far():
-    with pytest.raises(ValueError, match="tilt is 0"):
-        _ = make_camera(tilt_rad=0.0).nadir_px
 
 
 def test_without_tilt_bearing_is_still_known_from_the_column():

@@ -109,13 +109,6 @@ def test_edge_straight_ahead_is_seen_from_bottom_to_top_of_the_image():
     assert length[0] == pytest.approx(479)
 
 
-def test_edge_that_is_known_to_lie_overhead_is_not_expected():
-    camera = make_camera()
-    ends = image_heights(camera, np.array([2.0]), np.array([2.0]), np.array([2.5]))
-    length = visible_length_px(camera, np.array([0.0]), *ends)
-    assert length[0] == 0
-
-
 # -- which landmarks are seen -----------------------------------------------------------------------------------------
 
 
